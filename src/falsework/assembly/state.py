@@ -1,0 +1,128 @@
+"""States, the actions that are legal in them, and what the actions do.
+
+A state is a `uint8` vector over parts: 0 removed, 1 installed, 2 held; boundary parts are always 2 and
+use no robot. Every function takes a batch `(batch, parts)` and works on whole batches at once.
+Actions are indices in `[0, 2 parts)`: `i` holds part `i`, `parts + i` removes part `i` (paper, section 3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.errors import InputError, StateError
+
+REMOVED, INSTALLED, HELD = 0, 1, 2
+
+States = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+
+def complete_state(boundary: Mask) -> States:
+    """State with every part installed and none held. Shape (parts,)."""
+    return np.where(boundary, HELD, INSTALLED).astype(np.uint8)
+
+
+def empty_state(boundary: Mask) -> States:
+    """State with only the boundary present. Shape (parts,)."""
+    return np.where(boundary, HELD, REMOVED).astype(np.uint8)
+
+
+def as_states(states: ArrayLike, boundary: Mask) -> States:
+    """Check states that come from outside and return them as a batch.
+
+    Args:
+        states: one state `(parts,)` or a batch `(batch, parts)` of 0 removed, 1 installed, 2 held.
+        boundary: which parts are boundary, shape (parts,).
+
+    Returns:
+        Contiguous copy-free where possible, `uint8`, shape (batch, parts).
+
+    Raises:
+        StateError: wrong length, values other than 0, 1, 2, or a boundary part that is not 2.
+    """
+    parts = len(boundary)
+    try:
+        array = np.asarray(states)
+    except ValueError:
+        raise StateError(f"states have different lengths; each needs {parts} values, one a part") from None
+    if array.dtype == object or not (np.issubdtype(array.dtype, np.number) or array.dtype == bool):
+        raise StateError(f"states must be numbers 0, 1 or 2, not {array.dtype}")
+    if array.ndim == 1:
+        array = array[None]
+    if array.ndim != 2 or array.shape[1] != parts:
+        raise StateError(f"states have shape {array.shape}; expected (batch, {parts}), one value a part")
+    bad = ~np.isin(array, (REMOVED, INSTALLED, HELD))
+    if bad.any():
+        row, part = np.argwhere(bad)[0]
+        raise StateError(
+            f"state {row} has value {array[row, part]} at part {part}; "
+            "use 0 (removed), 1 (installed) or 2 (held)"
+        )
+    loose = boundary[None] & (array != HELD)
+    if loose.any():
+        row, part = np.argwhere(loose)[0]
+        raise StateError(f"state {row} has boundary part {part} as {array[row, part]}; boundary parts are always 2")
+    return np.ascontiguousarray(array, dtype=np.uint8)
+
+
+def check_robots(robots: int) -> int:
+    """Return the number of robots, or raise `InputError` if it is below one."""
+    if robots < 1:
+        raise InputError(f"{robots} robots cannot hold anything; give at least 1")
+    return int(robots)
+
+
+def held_count(states: States, boundary: Mask) -> NDArray[np.int64]:
+    """Number of parts that robots hold, shape (batch,)."""
+    return ((states == HELD) & ~boundary).sum(axis=-1)
+
+
+def action_mask(states: States, boundary: Mask, robots: int) -> Mask:
+    """Actions that the rules of disassembly allow, stability aside.
+
+    A part is held at most once, at most `robots` parts are held, and only a held part can be removed.
+
+    Returns:
+        Shape (batch, 2 parts); `[:, i]` hold part `i`, `[:, parts + i]` remove part `i`.
+    """
+    free_robot = held_count(states, boundary) < robots
+    hold = (states == INSTALLED) & free_robot[:, None]
+    remove = (states == HELD) & ~boundary
+    return np.concatenate([hold, remove], axis=1)
+
+
+def apply_actions(states: States, actions: NDArray[np.integer]) -> States:
+    """States after one action each: hold sets 2, remove sets 0. Shapes (batch, parts), (batch,)."""
+    batch, parts = states.shape
+    after = states.copy()
+    after[np.arange(batch), actions % parts] = np.where(actions < parts, HELD, REMOVED)
+    return after
+
+
+def undo_mask(states: States, boundary: Mask, robots: int) -> Mask:
+    """Actions that can have led into each state, stability aside: the moves of assembly.
+
+    Undoing a hold releases a held part; undoing a removal installs a part that a robot then holds.
+
+    Returns:
+        Shape (batch, 2 parts), indexed like `action_mask`.
+    """
+    held = (states == HELD) & ~boundary
+    free_robot = held.sum(axis=1) < robots
+    insert = (states == REMOVED) & free_robot[:, None]
+    return np.concatenate([held, insert], axis=1)
+
+
+def undo_actions(states: States, actions: NDArray[np.integer]) -> States:
+    """States before one action each: the reverse of `apply_actions`. Shapes (batch, parts), (batch,)."""
+    batch, parts = states.shape
+    before = states.copy()
+    before[np.arange(batch), actions % parts] = np.where(actions < parts, INSTALLED, HELD)
+    return before
+
+
+def describe_action(action: int, names: tuple[str, ...] | list[str]) -> str:
+    """Plain words for one action, such as `hold 7` or `remove keystone`."""
+    parts = len(names)
+    return f"{'hold' if action < parts else 'remove'} {names[action % parts]}"
