@@ -1,0 +1,88 @@
+# Everything runs in .venv, which the first target that needs it makes. Only Python 3.11+ and make are required.
+#
+#   make demo    plan the built-in vault with two robots and check the plan      (installs the core only)
+#   make test    the test suite            make lint    ruff
+#   make types   pyright                   make docs    the documentation, warnings as errors
+#   make check   all of it, as CI does     make clean   remove what these made
+
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+OUT    ?= out
+
+# Numba and BLAS would each start a thread per core inside the solvers' own threads.
+export OPENBLAS_NUM_THREADS ?= 1
+export MKL_NUM_THREADS ?= 1
+
+# Without an NVIDIA GPU, torch in its CPU build: the default wheel brings gigabytes of CUDA.
+TORCH_VERSION   ?= 2.13.0
+TORCH_CPU_INDEX ?= https://download.pytorch.org/whl/cpu
+
+PYTEST_ARGS ?=
+
+.PHONY: demo test lint types docs images check clean help
+
+help:
+	@sed -n 's/^#   //p' Makefile
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(v < (3, 11) and f"falsework needs Python 3.11 or newer, $(PYTHON) is {v[0]}.{v[1]}; run: make PYTHON=python3.11 $(MAKECMDGOALS)")'
+	@$(PYTHON) -m venv $(VENV) || { echo "$(PYTHON) cannot make a virtual environment; install its venv package (Debian: apt install python3-venv)" >&2; rm -rf $(VENV); exit 1; }
+
+$(VENV)/.core: $(BIN)/python pyproject.toml
+	@echo "installing the core into $(VENV)"
+	@$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.torch: $(BIN)/python
+	@if command -v nvidia-smi >/dev/null 2>&1 && nvidia-smi >/dev/null 2>&1; then \
+		echo "installing torch for the NVIDIA GPU"; $(PIP) torch; \
+	else \
+		echo "installing torch for the CPU"; $(PIP) torch==$(TORCH_VERSION) --extra-index-url $(TORCH_CPU_INDEX); \
+	fi
+	@touch $@
+
+$(VENV)/.test: $(VENV)/.core $(VENV)/.torch
+	@echo "installing what the tests need"
+	@$(PIP) --editable '.[test,picture]'
+	@touch $@
+
+$(VENV)/.lint: $(VENV)/.core
+	@$(PIP) --editable '.[lint]'
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.core
+	@$(PIP) --editable '.[docs]'
+	@touch $@
+
+demo: $(VENV)/.core
+	@mkdir -p $(OUT)
+	$(BIN)/falsework plan vault --robots 2 --out $(OUT)/vault-plan.json
+	$(BIN)/falsework check $(OUT)/vault-plan.json
+	@echo "the plan is in $(OUT)/vault-plan.json; look at its steps with: $(BIN)/falsework check --steps $(OUT)/vault-plan.json"
+
+test: $(VENV)/.test
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: $(VENV)/.lint
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+# pyright sees the packages that the code imports, the optional ones among them.
+types: $(VENV)/.lint $(VENV)/.test
+	$(BIN)/pyright
+
+docs: $(VENV)/.docs
+	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
+	@echo "the documentation is in docs/_build/html/index.html"
+
+# The pictures of README and docs, made anew by the software itself.
+images: $(VENV)/.docs
+	$(BIN)/python docs/make_pictures.py
+
+check: lint types docs test
+
+clean:
+	rm -rf $(VENV) $(OUT) docs/_build build dist .pytest_cache .ruff_cache .hypothesis
+	find src tests examples benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,153 @@
+"""The shape of the house: data flows one way, and optional packages stay at the door."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.metadata import requires
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).resolve().parents[1] / "src" / "falsework"
+
+# From top to bottom: a room imports only from itself and from rooms before it.
+ROOMS = (
+    "errors",
+    "geometry",
+    "assembly",
+    "stability",
+    "search",
+    "learn",
+    "robots",
+    "viewer",
+    "service",
+    "interop",
+    "cli",
+)
+CORE = ("errors", "geometry", "assembly", "stability", "search", "cli")
+
+# Distribution names whose import name differs.
+IMPORT_NAMES = {"python-fcl": "fcl"}
+
+MODULES = sorted(SOURCE.rglob("*.py"))
+
+
+def dotted(path: Path) -> str:
+    """Import name of a source file."""
+    parts = path.relative_to(SOURCE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def room_of(module: str) -> str:
+    """Room that a dotted module name belongs to; empty for the package itself."""
+    return [*module.split("."), ""][1]
+
+
+def imports(tree: ast.AST) -> Iterator[tuple[str, int]]:
+    """Every module that the code imports anywhere, functions included, with its line."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.name, node.lineno
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"line {node.lineno}: relative import; write the full name"
+            assert node.module is not None
+            yield node.module, node.lineno
+            for alias in node.names:  # `from falsework import search` names a room too
+                yield f"{node.module}.{alias.name}", node.lineno
+
+
+def is_type_checking(node: ast.AST) -> bool:
+    """Whether a node is `if TYPE_CHECKING:`."""
+    return isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
+
+
+def imported_at_load(tree: ast.Module) -> Iterator[tuple[str, int]]:
+    """Modules imported when the file is: not those inside functions or `if TYPE_CHECKING`."""
+    pending: list[ast.AST] = list(tree.body)
+    while pending:
+        node = pending.pop()
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)):
+            continue
+        if is_type_checking(node):
+            pending.extend(node.orelse)  # type: ignore[attr-defined]
+            continue
+        if isinstance(node, (ast.Import, ast.ImportFrom)):
+            yield from imports(node)
+        else:
+            pending.extend(ast.iter_child_nodes(node))
+
+
+def core_dependencies() -> set[str]:
+    """Import names of the packages that a plain install brings."""
+    names = set()
+    for line in requires("falsework") or []:
+        if "extra ==" not in line:
+            name = "".join(letter if letter.isalnum() or letter in "-_." else " " for letter in line).split()[0]
+            names.add(IMPORT_NAMES.get(name, name).replace("-", "_"))
+    return names
+
+
+def test_every_room_is_known() -> None:
+    """A new folder in the package needs its place in the order."""
+    found = {path.stem if path.is_file() else path.name for path in SOURCE.iterdir()}
+    found -= {"__init__", "__main__", "__pycache__", "py"}
+    found -= {path.stem for path in SOURCE.iterdir() if path.suffix not in ("", ".py")}
+    assert found <= set(ROOMS), f"rooms without a place in the order: {sorted(found - set(ROOMS))}"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=dotted)
+def test_imports_point_upwards(path: Path) -> None:
+    """No room imports from a room below it."""
+    here = room_of(dotted(path))
+    if here in ("", "__main__"):
+        return  # the package itself may name any room
+    allowed = ROOMS[: ROOMS.index(here) + 1]
+    for module, line in imports(ast.parse(path.read_text())):
+        target = room_of(module) if module.split(".")[0] == "falsework" else ""
+        if target in ROOMS:
+            assert target in allowed, f"{path}:{line}: {here} imports {module}, which is below it"
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in MODULES if room_of(dotted(path)) in (*CORE, "", "__main__")], ids=dotted
+)
+def test_core_needs_only_core_packages(path: Path) -> None:
+    """Optional packages are imported inside the function that needs them, never at import time."""
+    allowed = {"falsework"} | set(sys.stdlib_module_names) | core_dependencies()
+    for module, line in imported_at_load(ast.parse(path.read_text())):
+        top = module.split(".")[0]
+        assert top in allowed, f"{path}:{line}: imports {top}, which a plain install does not bring"
+
+
+def test_core_imports_without_optional_packages() -> None:
+    """Every core module imports in a process where the optional packages do not exist."""
+    core = [dotted(path) for path in MODULES if room_of(dotted(path)) in CORE]
+    program = (
+        "import importlib, sys\n"
+        "for name in ('torch', 'gurobipy', 'matplotlib', 'gymnasium', 'viser'):\n"
+        "    sys.modules[name] = None\n"
+        f"for name in {core!r}:\n"
+        "    importlib.import_module(name)\n"
+    )
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}  # what is compiled does not matter here
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_check_sees_a_violation() -> None:
+    """The scanner finds imports wherever they hide, and tells load time from call time."""
+    tree = ast.parse(
+        "from typing import TYPE_CHECKING\n"
+        "if TYPE_CHECKING:\n    import torch\n"
+        "def late():\n    from falsework.search import plan\n"
+        "try:\n    import gurobipy\nexcept ImportError:\n    pass\n"
+        "class Box:\n    import matplotlib\n"
+    )
+    at_load = {name.split(".")[0] for name, _ in imported_at_load(tree)}
+    assert at_load == {"typing", "gurobipy", "matplotlib"}
+    assert "falsework.search.plan" in {name for name, _ in imports(tree)}
