@@ -1,0 +1,58 @@
+"""Sphinx configuration; `make docs` builds with warnings as errors."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent / "src"))
+
+from falsework import __version__  # noqa: E402
+from falsework.cli.main import COMMANDS, main  # noqa: E402
+
+project = "falsework"
+author = "The falsework authors"
+project_copyright = "The falsework authors, Apache-2.0"
+version = release = __version__
+
+extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx.ext.viewcode", "myst_parser"]
+exclude_patterns = ["_build", "_generated", "pictures"]
+nitpicky = False
+
+html_theme = "furo"
+html_title = f"falsework {__version__}"
+html_static_path: list[str] = []
+
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
+myst_heading_anchors = 3
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_default_options = {"members": True, "show-inheritance": True}
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+# Optional packages are not installed to build the pages.
+autodoc_mock_imports = ["torch", "gurobipy"]
+
+suppress_warnings = ["misc.highlighting_failure"]
+
+
+def _write_help_texts() -> None:
+    """Help texts as the command prints them, for the page on the command line."""
+    folder = HERE / "_generated"
+    folder.mkdir(exist_ok=True)
+    os.environ["COLUMNS"] = "96"
+    for name in ["", *COMMANDS]:
+        text = io.StringIO()
+        with contextlib.redirect_stdout(text):
+            code = main([*name.split(), "--help"])
+        if code != 0:
+            raise RuntimeError(f"falsework {name} --help failed")
+        (folder / f"help-{name or 'falsework'}.txt").write_text(text.getvalue(), encoding="utf-8")
+
+
+_write_help_texts()
