@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
+from dataclasses import replace as _replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from falsework.geometry.contact import Contacts
-from falsework.geometry.mesh import MassProperties, TriangleMesh
+from falsework.errors import AssemblyError
+from falsework.geometry.contact import Contacts, ContactSettings, find_contacts
+from falsework.geometry.mesh import MassProperties, TriangleMesh, mass_properties
+
+DENSITY = 2400.0
+"""Default density, kg/m3: concrete."""
+FRICTION = 0.55
+"""Default coefficient of friction, that of the paper's structures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +34,198 @@ class Assembly:
     """Coefficient of friction of every contact."""
     contacts: Contacts
     mass: MassProperties
+    contact_settings: ContactSettings = ContactSettings()
+    """Tolerances with which the contacts were found."""
+
+    @staticmethod
+    def from_meshes(
+        meshes: Sequence[TriangleMesh],
+        *,
+        boundary: ArrayLike,
+        density: ArrayLike = DENSITY,
+        friction: float = FRICTION,
+        name: str = "assembly",
+        contact_settings: ContactSettings = ContactSettings(),
+        ground: bool = False,
+    ) -> Assembly:
+        """Find contacts and masses, and check that the parts make an assembly.
+
+        Args:
+            meshes: closed meshes that face outwards, metres.
+            boundary: ids of the parts that are fixed for ever, or a mask of shape (parts,).
+            density: one number or one a part, kg/m3.
+            friction: coefficient of friction of every contact.
+            name: how plans and messages call the structure.
+            contact_settings: tolerances.
+            ground: add a fixed slab under the lowest point, as the last part.
+
+        Raises:
+            AssemblyError: no parts, no boundary or ids out of range, density or friction out of range,
+                parts that pass through each other, or a part that touches nothing.
+            MeshError: a part whose volume is not positive.
+        """
+        parts = tuple(meshes)
+        if not parts:
+            raise AssemblyError("an assembly needs at least one part")
+        friction = _friction(friction)
+        densities = _density(density, len(parts))
+        fixed = _boundary(boundary, parts)
+        if ground:
+            parts = (*parts, ground_slab(parts))
+            fixed = np.append(fixed, True)
+            densities = np.append(densities, DENSITY)
+        if not fixed.any():
+            raise AssemblyError(
+                "no part is boundary, so nothing carries the structure; "
+                "name the fixed parts, or use --ground to put a fixed ground under the lowest point"
+            )
+        mass = mass_properties(parts, densities)
+        contacts = find_contacts(parts, contact_settings)
+        _check_touching(parts, fixed, contacts)
+        fixed.setflags(write=False)
+        densities.setflags(write=False)
+        return Assembly(name, parts, fixed, densities, friction, contacts, mass, contact_settings)
 
     @property
     def part_count(self) -> int:
         """Number of parts, boundary included."""
         return len(self.meshes)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parts."""
+        return tuple(mesh.name for mesh in self.meshes)
+
+    @property
+    def identity(self) -> str:
+        """Digest of everything that a verdict depends on: same digest, same structure; hexadecimal SHA-256.
+
+        Taken over the corners of the faces, so that it does not depend on how vertices are numbered, nor on
+        names.
+        """
+        digest = hashlib.sha256(b"falsework.assembly/1")
+        for mesh in self.meshes:
+            digest.update(np.int64(len(mesh.faces)).tobytes())
+            digest.update((mesh.triangles + 0.0).astype("<f8").tobytes())
+        digest.update(np.packbits(self.boundary).tobytes())
+        digest.update(self.density.astype("<f8").tobytes())
+        digest.update(np.array([self.friction], dtype="<f8").tobytes())
+        digest.update(repr(self.contact_settings).encode())
+        return digest.hexdigest()
+
+    def replace(
+        self,
+        *,
+        name: str | None = None,
+        boundary: ArrayLike | None = None,
+        density: ArrayLike | None = None,
+        friction: float | None = None,
+    ) -> Assembly:
+        """The same parts with another name, boundary, density or friction; contacts are kept.
+
+        Raises:
+            AssemblyError: as `from_meshes`.
+        """
+        fixed = self.boundary if boundary is None else _boundary(boundary, self.meshes)
+        if not fixed.any():
+            raise AssemblyError("no part is boundary, so nothing carries the structure; keep at least one fixed part")
+        _check_touching(self.meshes, fixed, self.contacts)
+        densities = self.density if density is None else _density(density, self.part_count)
+        changed = _replace(
+            self,
+            name=self.name if name is None else name,
+            boundary=fixed,
+            density=densities,
+            friction=self.friction if friction is None else _friction(friction),
+            mass=self.mass if density is None else mass_properties(self.meshes, densities),
+        )
+        for array in (fixed, densities):
+            array.setflags(write=False)
+        return changed
+
+    def with_ground(self) -> Assembly:
+        """The same parts on a fixed slab under the lowest point, which becomes the last part."""
+        return Assembly.from_meshes(
+            self.meshes,
+            boundary=self.boundary,
+            density=self.density,
+            friction=self.friction,
+            name=self.name,
+            contact_settings=self.contact_settings,
+            ground=True,
+        )
+
+
+def ground_slab(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
+    """A slab whose top is level with the lowest point and that reaches past the parts on all sides."""
+    low = np.min([mesh.bounds[0] for mesh in meshes], axis=0)
+    high = np.max([mesh.bounds[1] for mesh in meshes], axis=0)
+    size = float((high - low).max())
+    bottom = np.array([low[0] - 0.1 * size, low[1] - 0.1 * size, low[2] - 0.05 * size])
+    top = np.array([high[0] + 0.1 * size, high[1] + 0.1 * size, low[2]])
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    faces = [
+        (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
+        (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
+    ]  # fmt: skip
+    taken = {mesh.name for mesh in meshes}
+    name = next(name for name in ("ground", *(f"ground-{n}" for n in range(len(meshes)))) if name not in taken)
+    return TriangleMesh.from_arrays(name, np.where(corners, top, bottom), faces)
+
+
+def _friction(value: float) -> float:
+    try:
+        friction = float(value)
+    except (TypeError, ValueError):
+        raise AssemblyError(f"friction is {value!r}; give a number such as {FRICTION}") from None
+    if not (np.isfinite(friction) and friction >= 0):
+        raise AssemblyError(f"friction is {friction:g}; give a number that is not negative, such as {FRICTION}")
+    return friction
+
+
+def _density(value: ArrayLike, parts: int) -> NDArray[np.float64]:
+    try:
+        density = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise AssemblyError(f"density is {value!r}; give one number in kg/m3, or one a part") from None
+    if density.shape not in ((), (parts,)):
+        raise AssemblyError(f"density has shape {density.shape}; give one number in kg/m3, or {parts}, one a part")
+    density = np.array(np.broadcast_to(density, parts))
+    wrong = ~(np.isfinite(density) & (density > 0))
+    if wrong.any():
+        part = int(np.argmax(wrong))
+        raise AssemblyError(f"density of part {part} is {density[part]:g} kg/m3; give a number above zero")
+    return density
+
+
+def _boundary(value: ArrayLike, meshes: Sequence[TriangleMesh]) -> NDArray[np.bool_]:
+    parts = len(meshes)
+    given = np.asarray(value)
+    if given.dtype == bool:
+        if given.shape != (parts,):
+            raise AssemblyError(f"the boundary mask has shape {given.shape}; expected ({parts},), one a part")
+        return given.copy()
+    mask = np.zeros(parts, dtype=bool)
+    if given.size == 0:
+        return mask
+    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
+        raise AssemblyError(f"boundary is {value!r}; give ids of parts, 0 to {parts - 1}")
+    for part in given.tolist():
+        if not 0 <= part < parts:
+            raise AssemblyError(f"boundary part {part} is not there; ids of parts are 0 to {parts - 1}")
+        if mask[part]:
+            raise AssemblyError(f"boundary names part {part} twice; give every id once")
+        mask[part] = True
+    return mask
+
+
+def _check_touching(meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], contacts: Contacts) -> None:
+    """Raise for a part that nothing can carry; boundary parts may stand alone, as obstacles do."""
+    alone = ~boundary
+    alone[contacts.parts.ravel()] = False
+    if alone.any():
+        part = int(np.argmax(alone))
+        raise AssemblyError(
+            f"part {meshes[part].name} touches no other part; move it into place, "
+            "or raise the contact tolerance if it is modelled with gaps"
+        )

@@ -1,11 +1,14 @@
-"""Triangle meshes of parts: load, repair, mass properties."""
+"""Triangle meshes of parts and their mass properties."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.errors import MeshError
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,6 +20,46 @@ class TriangleMesh:
     """Shape (vertices, 3), metres, read-only."""
     faces: NDArray[np.int32]
     """Shape (faces, 3), counter-clockwise seen from outside, read-only."""
+
+    @staticmethod
+    def from_arrays(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
+        """Copy arrays into a mesh after checking shapes and indices, and nothing else.
+
+        Args:
+            name: how messages call the part.
+            vertices: shape (vertices, 3), metres.
+            faces: indices into `vertices`, shape (faces, 3).
+
+        Raises:
+            MeshError: wrong shapes, or indices that no vertex has.
+        """
+        points = np.array(vertices, dtype=np.float64, order="C")
+        corners = np.array(faces, dtype=np.int32, order="C")
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise MeshError(f"part {name}: vertices have shape {points.shape}; expected (vertices, 3)")
+        if corners.ndim != 2 or corners.shape[1] != 3:
+            raise MeshError(f"part {name}: faces have shape {corners.shape}; expected (faces, 3)")
+        if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
+            raise MeshError(f"part {name}: a face uses a vertex that is not there; there are {len(points)} vertices")
+        points.setflags(write=False)
+        corners.setflags(write=False)
+        return TriangleMesh(name, points, corners)
+
+    @property
+    def triangles(self) -> NDArray[np.float64]:
+        """Corners of the faces, shape (faces, 3, 3), metres."""
+        return self.vertices[self.faces]
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lowest and highest coordinates, shape (2, 3), metres."""
+        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    @property
+    def volume(self) -> float:
+        """Signed volume, m3; negative if the faces look inwards."""
+        local = self.triangles - self.vertices[0]
+        return float(np.einsum("ij,ij->i", local[:, 0], np.cross(local[:, 1], local[:, 2])).sum() / 6.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,3 +74,39 @@ class MassProperties:
     """About the centre of mass in world axes, shape (parts, 3, 3), kg m2."""
     volume: NDArray[np.float64]
     """Shape (parts,), m3."""
+
+
+def mass_properties(meshes: Sequence[TriangleMesh], density: NDArray[np.float64]) -> MassProperties:
+    """Mass, centre of mass and inertia of homogeneous parts, exact for their meshes.
+
+    Every face spans a tetrahedron with the centre of the part's bounding box; moments of signed
+    tetrahedra add up to those of the solid (divergence theorem).
+
+    Args:
+        meshes: closed meshes that face outwards.
+        density: shape (parts,), kg/m3.
+
+    Raises:
+        MeshError: a part whose volume is not positive.
+    """
+    counts = np.array([len(mesh.faces) for mesh in meshes])
+    first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    anchor = np.array([mesh.bounds.mean(axis=0) for mesh in meshes])
+    corners = np.concatenate([mesh.triangles for mesh in meshes]) - np.repeat(anchor, counts, axis=0)[:, None, :]
+    six_volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    corner_sum = corners.sum(axis=1)
+    products = np.einsum("fvi,fvj->fij", corners, corners) + corner_sum[:, :, None] * corner_sum[:, None, :]
+
+    volume = np.add.reduceat(six_volumes, first) / 6.0
+    if not (volume > 0).all():
+        part = int(np.argmin(volume > 0))
+        raise MeshError(f"part {meshes[part].name} has volume {volume[part]:.3g} m3; it must enclose a positive volume")
+    offset = np.add.reduceat(six_volumes[:, None] * corner_sum, first) / 24.0 / volume[:, None]
+    second = np.add.reduceat(six_volumes[:, None, None] * products, first) / 120.0
+    second -= volume[:, None, None] * offset[:, :, None] * offset[:, None, :]
+    trace = np.trace(second, axis1=1, axis2=2)
+    inertia = trace[:, None, None] * np.eye(3) - second
+    arrays = (density * volume, anchor + offset, density[:, None, None] * inertia, volume)
+    for array in arrays:
+        array.setflags(write=False)
+    return MassProperties(*arrays)

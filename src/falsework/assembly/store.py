@@ -1,0 +1,184 @@
+"""Assemblies on disk: a folder of meshes and `assembly.json`."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from falsework.assembly.model import DENSITY, FRICTION, Assembly
+from falsework.errors import AssemblyError, InputError
+from falsework.geometry.contact import ContactSettings
+from falsework.geometry.obj import obj_text
+from falsework.geometry.read import load_meshes, unit_length
+
+FORMAT = "falsework.assembly/1"
+FILE = "assembly.json"
+
+
+def load_assembly(
+    path: str | Path,
+    *,
+    unit: str | None = None,
+    density: ArrayLike | None = None,
+    friction: float | None = None,
+    boundary: ArrayLike | None = None,
+    ground: bool = False,
+    contact_settings: ContactSettings | None = None,
+) -> Assembly:
+    """Read an assembly: a folder of meshes, or one file with one object per part.
+
+    `assembly.json` in the folder, or beside the file, gives `name`, `unit`, `density` (one number or one a
+    part, kg/m3), `friction`, `boundary` (ids or names of parts), `names` and `contact` (fields of
+    `ContactSettings`); all of them may be missing. Arguments come before what the file says.
+
+    Args:
+        path: folder or mesh file.
+        unit: unit of the coordinates: m, dm, cm, mm, in or ft.
+        density: kg/m3.
+        friction: coefficient of friction of every contact.
+        boundary: ids of the parts that are fixed for ever, or a mask of shape (parts,).
+        ground: add a fixed slab under the lowest point, as the last part.
+        contact_settings: tolerances.
+
+    Raises:
+        InputError: no such path or nothing in it.
+        MeshError: a mesh that does not bound a solid.
+        AssemblyError: `assembly.json` is damaged or of another version, or the parts make no assembly.
+    """
+    source = Path(path)
+    described = _read_description(source)
+    chosen = unit if unit is not None else described.get("unit", "m")
+    unit_length(chosen)
+    meshes = load_meshes(source, chosen)
+    count = described.get("parts", len(meshes))
+    if count != len(meshes):
+        raise AssemblyError(
+            f"{source} has {len(meshes)} meshes, but {FILE} says {count} parts; ids are missing or extra"
+        )
+    names = described.get("names")
+    if names is not None:
+        if len(names) != len(meshes) or len(set(names)) != len(names):
+            raise AssemblyError(f"names in {FILE} must be {len(meshes)} different ones, one a part; mend {source}")
+        meshes = tuple(replace(mesh, name=name) for mesh, name in zip(meshes, names, strict=True))
+    if boundary is None:
+        boundary = _ids(described.get("boundary", []), [mesh.name for mesh in meshes])
+    return Assembly.from_meshes(
+        meshes,
+        boundary=boundary,
+        density=described.get("density", DENSITY) if density is None else density,
+        friction=described.get("friction", FRICTION) if friction is None else friction,
+        name=described.get("name", source.stem if source.is_file() else source.resolve().name),
+        contact_settings=described["contact"] if contact_settings is None else contact_settings,
+        ground=ground,
+    )
+
+
+def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
+    """Write an assembly as a folder that `load_assembly` reads back with the same identity.
+
+    The folder is written under a temporary name and renamed, so that it is there whole or not at all. An
+    assembly that is already there is replaced.
+
+    Raises:
+        InputError: something else is at that place, or it cannot be written to.
+    """
+    target = Path(folder)
+    if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / FILE).is_file())):
+        raise InputError(f"{target} is there and is not an assembly; choose another folder")
+    density = assembly.density
+    description: dict[str, Any] = {
+        "format": FORMAT,
+        "name": assembly.name,
+        "unit": "m",
+        "density": float(density[0]) if (density == density[0]).all() else density.tolist(),
+        "friction": assembly.friction,
+        "boundary": np.flatnonzero(assembly.boundary).tolist(),
+        "parts": assembly.part_count,
+        "contact": asdict(assembly.contact_settings),
+    }
+    if assembly.names != tuple(str(part) for part in range(assembly.part_count)):
+        description["names"] = list(assembly.names)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{target.name}-", dir=target.parent) as scratch:
+            fresh = Path(scratch) / "new"
+            fresh.mkdir()
+            for part, mesh in enumerate(assembly.meshes):
+                (fresh / f"{part}.obj").write_text(obj_text(mesh), encoding="utf-8")
+            (fresh / FILE).write_text(json.dumps(description, indent=1) + "\n", encoding="utf-8")
+            if target.exists():
+                target.rename(Path(scratch) / "old")
+            fresh.rename(target)
+            shutil.rmtree(Path(scratch) / "old", ignore_errors=True)
+    except OSError as error:
+        raise InputError(f"cannot write {target}: {error.strerror or error}") from error
+    return target
+
+
+def _read_description(source: Path) -> dict[str, Any]:
+    """What `assembly.json` says, types checked; `contact` is always there, as `ContactSettings`."""
+    file = (source if source.is_dir() else source.parent) / FILE
+    described: dict[str, Any] = {}
+    if file.is_file():
+        try:
+            described = json.loads(file.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise AssemblyError(f"cannot read {file}: {error}; write it again") from error
+        if not isinstance(described, dict):
+            raise AssemblyError(
+                f"{file} holds a {type(described).__name__}; expected an object with name, boundary, ..."
+            )
+        version = described.get("format", FORMAT)
+        if version != FORMAT:
+            raise AssemblyError(f"{file} is of format {version!r}; this version reads {FORMAT!r}")
+        for key, kinds in (
+            ("name", (str,)),
+            ("unit", (str,)),
+            ("friction", (int, float)),
+            ("density", (int, float, list)),
+            ("boundary", (list,)),
+            ("parts", (int,)),
+            ("names", (list,)),
+            ("contact", (dict,)),
+        ):
+            if key in described and (not isinstance(described[key], kinds) or isinstance(described[key], bool)):
+                raise AssemblyError(
+                    f"{key} in {file} is {described[key]!r}; expected {' or '.join(k.__name__ for k in kinds)}"
+                )
+        if not all(isinstance(name, str) for name in described.get("names", [])):
+            raise AssemblyError(f"names in {file} must be strings, one a part")
+    described["contact"] = _contact_settings(described.get("contact", {}), file)
+    return described
+
+
+def _contact_settings(given: Mapping[str, Any], file: Path) -> ContactSettings:
+    known = [field.name for field in fields(ContactSettings)]
+    for key in given:
+        if key not in known:
+            raise AssemblyError(f"contact in {file} has {key!r}; it may have {', '.join(known)}")
+    try:
+        return ContactSettings(**given)
+    except TypeError as error:
+        raise AssemblyError(f"contact in {file} cannot be used: {error}") from error
+
+
+def _ids(boundary: list[Any], names: list[str]) -> list[int]:
+    """Ids of boundary parts, which may be given by name."""
+    ids = []
+    for item in boundary:
+        if isinstance(item, str):
+            if item not in names:
+                raise AssemblyError(f"boundary part {item!r} is not there; parts are {', '.join(names[:8])}")
+            item = names.index(item)
+        if not isinstance(item, int) or isinstance(item, bool):
+            raise AssemblyError(f"boundary names {item!r}; give ids or names of parts")
+        ids.append(item)
+    return ids

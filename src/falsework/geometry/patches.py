@@ -1,0 +1,213 @@
+"""Where a face of one part lies against a face of another: the raw material of contacts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from falsework.geometry.mesh import TriangleMesh
+
+Array = NDArray[np.float64]
+
+_CHUNK = 200_000
+"""Pairs of faces that are intersected at once; bounds the memory of very fine meshes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Pieces of two opposed faces that cover each other; one patch a pair of triangles."""
+
+    parts: NDArray[np.int32]
+    """Part `a` and part `b`, `a < b`, shape (patches, 2)."""
+    normals: Array
+    """From `a` to `b`, unit length, shape (patches, 3)."""
+    areas: Array
+    """Shape (patches,), m2."""
+    points: Array
+    """Corners, midway between the two faces, shape (points, 3), metres."""
+    owner: NDArray[np.int64]
+    """Patch of every corner, ascending, shape (points,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Faces:
+    """All faces of a structure in one row."""
+
+    corners: Array
+    part: NDArray[np.int32]
+    normals: Array
+
+    @staticmethod
+    def of(meshes: Sequence[TriangleMesh]) -> _Faces:
+        corners = np.concatenate([mesh.triangles for mesh in meshes])
+        part = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(mesh.faces) for mesh in meshes])
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(cross, axis=1)
+        solid = length > 0.0  # a face without area has no normal and carries no force
+        return _Faces(corners[solid], part[solid], cross[solid] / length[solid, None])
+
+
+def box_pairs(low: Array, high: Array, query: slice = slice(None)) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of boxes that overlap, by a tree over the two axes along which the boxes are most spread.
+
+    Args:
+        low: lowest corners, shape (boxes, 3), metres.
+        high: highest corners, shape (boxes, 3), metres.
+        query: the boxes to look up against all of them.
+
+    Returns:
+        Two index arrays of equal length; every overlapping pair appears once for each of its boxes in `query`.
+    """
+    size = (high - low).mean(axis=0)
+    spread = (high.max(axis=0) - low.min(axis=0)) / np.maximum(size, 1e-300)
+    third, first, second = np.argsort(spread, kind="stable")
+    boxes = shapely.box(low[:, first], low[:, second], high[:, first], high[:, second])
+    start = query.indices(len(low))[0]
+    i, j = shapely.STRtree(boxes).query(boxes[query])
+    i = i + start
+    keep = (i != j) & (low[i, third] <= high[j, third]) & (low[j, third] <= high[i, third])
+    return i[keep], j[keep]
+
+
+def face_patches(meshes: Sequence[TriangleMesh], *, gap: float, overlap: float, angle: float) -> Patches:
+    """Intersect all pairs of opposed, nearly coplanar faces of different parts.
+
+    Two faces are opposed if their outward normals differ from opposite by at most `angle`. They touch where
+    the distance from one to the other along the mean normal lies in `[-overlap, gap]`.
+
+    Args:
+        meshes: the parts.
+        gap: largest distance between touching faces, metres.
+        overlap: largest depth to which touching faces may pass through each other, metres.
+        angle: degrees.
+    """
+    faces = _Faces.of(meshes)
+    found = [_intersect(faces, i, j, gap=gap, overlap=overlap) for i, j in _opposed(faces, max(gap, overlap), angle)]
+    counts = np.cumsum([0] + [len(patches.areas) for patches in found])
+    return Patches(
+        parts=np.concatenate([patches.parts for patches in found]),
+        normals=np.concatenate([patches.normals for patches in found]),
+        areas=np.concatenate([patches.areas for patches in found]),
+        points=np.concatenate([patches.points for patches in found]),
+        owner=np.concatenate([patches.owner + first for patches, first in zip(found, counts, strict=False)]),
+    )
+
+
+def _opposed(faces: _Faces, reach: float, angle: float) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Pairs of faces that look at each other and whose boxes, grown by `reach`, overlap; in chunks."""
+    low = faces.corners.min(axis=1) - reach / 2
+    high = faces.corners.max(axis=1) + reach / 2
+    limit = -np.cos(np.radians(angle))
+    step = 20_000
+    for start in range(0, max(len(low), 1), step):
+        i, j = box_pairs(low, high, slice(start, start + step)) if len(low) else (np.zeros(0, np.int64),) * 2
+        keep = faces.part[i] < faces.part[j]
+        i, j = i[keep], j[keep]
+        keep = np.einsum("ij,ij->i", faces.normals[i], faces.normals[j]) <= limit
+        i, j = i[keep], j[keep]
+        for chunk in range(0, max(len(i), 1), _CHUNK):
+            yield i[chunk : chunk + _CHUNK], j[chunk : chunk + _CHUNK]
+
+
+def _intersect(faces: _Faces, i: NDArray[np.int64], j: NDArray[np.int64], *, gap: float, overlap: float) -> Patches:
+    """Project pairs of faces along their mean normal, intersect them, and keep what is near enough."""
+    normals = faces.normals[i] - faces.normals[j]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    origin = faces.corners[i].mean(axis=1)
+    frames = frames_of(normals)
+    a = np.einsum("kij,kvj->kvi", frames, faces.corners[i] - origin[:, None])
+    b = np.einsum("kij,kvj->kvi", frames, faces.corners[j] - origin[:, None])
+    # In the frame (n, t1, t2) a face is the graph of a linear height over (t1, t2).
+    slope_a = _slopes(frames, faces.normals[i])
+    slope_b = _slopes(frames, faces.normals[j])
+    level_a = a[:, 0, 0] - np.einsum("ki,ki->k", slope_a, a[:, 0, 1:])
+    level_b = b[:, 0, 0] - np.einsum("ki,ki->k", slope_b, b[:, 0, 1:])
+    slope, level = slope_b - slope_a, level_b - level_a
+
+    near = _may_touch(a[:, :, 1:], b[:, :, 1:], slope, level, gap=gap, overlap=overlap)
+    a, b, slope, level = a[near], b[near], slope[near], level[near]
+    shapes = shapely.intersection(shapely.polygons(a[:, :, 1:]), shapely.polygons(b[:, :, 1:]))
+    shapes = _clip_to_band(shapes, slope, level, gap=gap, overlap=overlap)
+    areas = shapely.area(shapes)
+    solid = areas > (1e-3 * max(gap, overlap)) ** 2
+    shapes, areas = shapes[solid], areas[solid]
+    kept = np.flatnonzero(near)[solid]
+
+    flat, owner = shapely.get_coordinates(shapes, return_index=True)
+    ring_end = np.append(owner[1:] != owner[:-1], True) if len(owner) else np.zeros(0, bool)
+    flat, owner = flat[~ring_end], owner[~ring_end]  # the last corner of a ring repeats the first
+    source = kept[owner]
+    height = np.einsum("pi,pi->p", slope_a[source] + slope_b[source], flat) + level_a[source] + level_b[source]
+    local = np.column_stack([height / 2, flat])
+    return Patches(
+        parts=np.stack([faces.part[i[kept]], faces.part[j[kept]]], axis=1),
+        normals=normals[kept],
+        areas=areas,
+        points=origin[source] + np.einsum("pji,pj->pi", frames[source], local),
+        owner=owner,
+    )
+
+
+def frames_of(normals: Array) -> Array:
+    """Right-handed frames `(n, t1, t2)` as rows, shape (count, 3, 3).
+
+    `t1` is horizontal, and lies along x where the normal is vertical, so that a frame depends on nothing
+    but the normal.
+    """
+    up = np.abs(normals[:, 2:]) > 0.999
+    tangent = np.where(up, np.array([[0.0, 1.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]))
+    first = np.cross(tangent, normals)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([normals, first, np.cross(normals, first)], axis=1)
+
+
+def _slopes(frames: Array, face_normals: Array) -> Array:
+    """Gradient of the height of faces over the tangents of their frames, shape (pairs, 2)."""
+    local = np.einsum("kij,kj->ki", frames, face_normals)
+    return -local[:, 1:] / local[:, :1]
+
+
+def _may_touch(a: Array, b: Array, slope: Array, level: Array, *, gap: float, overlap: float) -> NDArray[np.bool_]:
+    """Cheap necessary conditions: flat boxes overlap, and the gap enters its band somewhere over them."""
+    low = np.maximum(a.min(axis=1), b.min(axis=1))
+    high = np.minimum(a.max(axis=1), b.max(axis=1))
+    middle = level + np.einsum("ki,ki->k", slope, (low + high) / 2)
+    swing = np.einsum("ki,ki->k", np.abs(slope), np.abs(high - low)) / 2
+    return (low < high).all(axis=1) & (middle - swing <= gap) & (middle + swing >= -overlap)
+
+
+def _clip_to_band(shapes: NDArray, slope: Array, level: Array, *, gap: float, overlap: float) -> NDArray:
+    """Keep the parts of polygons over which `level + slope . (t1, t2)` lies in `[-overlap, gap]`."""
+    flat, owner = shapely.get_coordinates(shapes, return_index=True)
+    value = level[owner] + np.einsum("pi,pi->p", slope[owner], flat)
+    outside = np.zeros(len(shapes), dtype=bool)
+    slack = 1e-6 * (gap + overlap)  # rounding must not send parallel faces at the limit through the clipping
+    outside[owner[(value > gap + slack) | (value < -overlap - slack)]] = True
+    if not outside.any():
+        return shapes
+    index = np.flatnonzero(outside)
+    bounds = shapely.bounds(shapes[index])
+    centre = (bounds[:, :2] + bounds[:, 2:]) / 2
+    reach = np.linalg.norm(bounds[:, 2:] - bounds[:, :2], axis=1)
+    steepness = np.linalg.norm(slope[index], axis=1)
+    flat_out = steepness < 1e-12  # parallel faces are wholly outside
+    uphill = slope[index] / np.where(flat_out, 1.0, steepness)[:, None]
+    uphill[flat_out] = (1.0, 0.0)
+    at_centre = level[index] + np.einsum("ki,ki->k", slope[index], centre)
+    steepness[flat_out] = 1.0
+    near = np.clip((-overlap - at_centre) / steepness, -reach, reach)
+    far = np.clip((gap - at_centre) / steepness, -reach, reach)
+    across = np.stack([-uphill[:, 1], uphill[:, 0]], axis=1)
+    corners = [
+        centre + along[:, None] * uphill + side * reach[:, None] * across
+        for along, side in ((near, -1), (far, -1), (far, 1), (near, 1))
+    ]
+    clipped = np.array(shapes)
+    clipped[index] = np.where(
+        flat_out, shapely.Polygon(), shapely.intersection(shapes[index], shapely.polygons(np.stack(corners, axis=1)))
+    )
+    return clipped
