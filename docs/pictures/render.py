@@ -44,6 +44,19 @@ class Camera:
         towards = np.array([np.sin(a) * np.cos(e), -np.cos(a) * np.cos(e), np.sin(e)])
         return np.stack([right, np.cross(towards, right), towards])
 
+    def fit(self, bounds: Array) -> tuple[float, Array]:
+        """Pixels per metre, and the point in the plane of the picture that is its middle, shape (2,)."""
+        corners = np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+        flat = corners @ self.axes[:2].T
+        low, high = flat.min(0), flat.max(0)
+        return self.zoom * min(self.width / (high[0] - low[0]), self.height / (high[1] - low[1])), (low + high) / 2
+
+    def project(self, points: Array, bounds: Array) -> Array:
+        """Pixel coordinates of points, x to the right and y down, shape (..., 2)."""
+        scale, center = self.fit(bounds)
+        flat = (np.asarray(points) @ self.axes[:2].T - center) * scale
+        return np.stack([self.width / 2 + flat[..., 0], self.height / 2 - flat[..., 1]], axis=-1)
+
 
 @dataclass(frozen=True)
 class Solid:
@@ -68,13 +81,10 @@ def render(solids: Sequence[Solid], camera: Camera, bounds: Array, *, floor: boo
         floor: let a floor under the box catch shadows.
         samples: pixels are averaged over `samples` squared.
     """
-    corners = np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     view = camera.axes
-    flat = corners @ view[:2].T
-    low, high = flat.min(0), flat.max(0)
     width, height = camera.width * samples, camera.height * samples
-    scale = camera.zoom * min(width / (high[0] - low[0]), height / (high[1] - low[1]))
-    center = (low + high) / 2
+    scale, center = camera.fit(bounds)
+    scale *= samples
 
     triangles = np.concatenate([solid.vertices[solid.faces] for solid in solids])
     owner = np.repeat(np.arange(len(solids)), [len(solid.faces) for solid in solids])
@@ -98,6 +108,7 @@ def render(solids: Sequence[Solid], camera: Camera, bounds: Array, *, floor: boo
     upward = (height / 2 - row) / scale + center[1]
     hit = face >= 0
     ground = float(bounds[0, 2])
+    depth = np.where(hit, depth, 0.0)
     if floor:
         # The floor is z = ground: solve for the distance towards the viewer at which each pixel's line meets it.
         floor_depth = (ground - across * view[0, 2] - upward * view[1, 2]) / view[2, 2]
@@ -110,7 +121,7 @@ def render(solids: Sequence[Solid], camera: Camera, bounds: Array, *, floor: boo
     colors = np.array([solid.color for solid in solids], dtype=float)
     facing = np.clip(normal @ light, 0, 1)
     sky = 0.5 + 0.5 * normal[..., 2]
-    strength = 0.30 + 0.22 * sky + 0.52 * facing * lit
+    strength = 0.40 + 0.17 * sky + 0.49 * facing * lit
     part = np.where(hit, owner[face], NOTHING)
     image = np.where(hit[..., None], colors[part] * strength[..., None], 1.0)
     if floor:
