@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from dataclasses import replace as _replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import AssemblyError
+from falsework.geometry.collision import nearest
 from falsework.geometry.contact import Contacts, ContactSettings, find_contacts
 from falsework.geometry.mesh import MassProperties, TriangleMesh, mass_properties
 
@@ -34,7 +35,7 @@ class Assembly:
     """Coefficient of friction of every contact."""
     contacts: Contacts
     mass: MassProperties
-    contact_settings: ContactSettings = ContactSettings()
+    contact_settings: ContactSettings = field(default_factory=ContactSettings)
     """Tolerances with which the contacts were found."""
 
     @staticmethod
@@ -45,7 +46,7 @@ class Assembly:
         density: ArrayLike = DENSITY,
         friction: float = FRICTION,
         name: str = "assembly",
-        contact_settings: ContactSettings = ContactSettings(),
+        contact_settings: ContactSettings | None = None,
         ground: bool = False,
     ) -> Assembly:
         """Find contacts and masses, and check that the parts make an assembly.
@@ -80,11 +81,12 @@ class Assembly:
                 "name the fixed parts, or use --ground to put a fixed ground under the lowest point"
             )
         mass = mass_properties(parts, densities)
-        contacts = find_contacts(parts, contact_settings)
+        settings = contact_settings or ContactSettings()
+        contacts = find_contacts(parts, settings)
         _check_touching(parts, fixed, contacts)
         fixed.setflags(write=False)
         densities.setflags(write=False)
-        return Assembly(name, parts, fixed, densities, friction, contacts, mass, contact_settings)
+        return Assembly(name, parts, fixed, densities, friction, contacts, mass, settings)
 
     @property
     def part_count(self) -> int:
@@ -225,7 +227,9 @@ def _check_touching(meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_],
     alone[contacts.parts.ravel()] = False
     if alone.any():
         part = int(np.argmax(alone))
+        other, gap = nearest(part, meshes)
+        where = f"; part {meshes[other].name} is nearest, {1000 * gap:.3g} mm away" if other >= 0 else ""
         raise AssemblyError(
-            f"part {meshes[part].name} touches no other part; move it into place, "
+            f"part {meshes[part].name} touches no other part{where}; move it into place, "
             "or raise the contact tolerance if it is modelled with gaps"
         )

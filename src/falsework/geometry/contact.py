@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.geometry.grouping import curved_groups, planes, segment_mean, segment_sum
 from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.overlap import check_overlap
 from falsework.geometry.patches import Patches, face_patches, frames_of
 
 Array = NDArray[np.float64]
@@ -52,7 +55,10 @@ class ContactSettings:
     gap: float | None = None
     """Largest gap between faces that still touch, metres. None: 1/2000 of the median diagonal of the parts."""
     overlap: float | None = None
-    """Largest depth to which parts may pass through each other, metres. None: as `gap`."""
+    """Largest depth to which faces that touch may pass through each other, metres. None: as `gap`."""
+    corner: float | None = None
+    """Largest depth to which corners and edges may cut into another part, metres. None: 1/50 of the diagonal
+    of the smaller part, or 1/5 of the thickness of the thinner one if that is less."""
     angle: float = 3.0
     """Largest angle between faces that touch, degrees."""
     coplanar: float = 0.1
@@ -63,7 +69,7 @@ class ContactSettings:
     """Pairs of parts with more planes than this have their interface grouped by `curvature`."""
 
     def __post_init__(self) -> None:
-        for name in ("gap", "overlap"):
+        for name in ("gap", "overlap", "corner"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise InputError(f"contact tolerance {name} is {value} m; give a positive length or leave it out")
@@ -80,7 +86,7 @@ class ContactSettings:
         return gap, gap if self.overlap is None else self.overlap
 
 
-def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings = ContactSettings()) -> Contacts:
+def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | None = None) -> Contacts:
     """Find where parts lie against each other.
 
     Opposed faces within the tolerances are intersected; the patches of one pair of parts that lie in one
@@ -102,70 +108,37 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings = Co
     Returns:
         Contacts sorted by their parts; their order and points depend on the geometry alone, not on how
         faces are cut into triangles.
+
+    Raises:
+        AssemblyError: two parts pass through each other; names them and how deep.
     """
+    settings = settings or ContactSettings()
     gap, overlap = settings.lengths(meshes)
+    check_overlap(meshes, overlap, angle=settings.angle, corner=settings.corner)
     tolerance = max(gap, overlap)
     patches = face_patches(meshes, gap=gap, overlap=overlap, angle=settings.angle)
-    plane = _planes(patches, settings.coplanar, tolerance)
-    return _contacts(patches, plane, tolerance)
-
-
-def _planes(patches: Patches, coplanar: float, tolerance: float) -> NDArray[np.int64]:
-    """Assign patches to planes of their pair of parts; returns the plane of every patch.
-
-    All pairs go forward together: in each round the largest patch that is left of a pair collects the
-    patches of that pair within `coplanar` degrees and `tolerance` metres of its plane.
-    """
-    count = len(patches.areas)
-    _, pair = np.unique(patches.parts[:, 0] * np.int64(2**32) + patches.parts[:, 1], return_inverse=True)
-    centre = _segment_mean(patches.points, patches.owner, count)
-    plane = np.full(count, -1, dtype=np.int64)
-    limit = np.cos(np.radians(coplanar))
-    rest = np.lexsort((-patches.areas, pair))
-    found = 0
-    while len(rest):
-        leads = np.append(True, pair[rest[1:]] != pair[rest[:-1]])
-        seed = rest[np.flatnonzero(leads)[np.cumsum(leads) - 1]]
-        parallel = np.einsum("ij,ij->i", patches.normals[rest], patches.normals[seed]) >= limit
-        seed_of = np.full(count, -1, dtype=np.int64)
-        seed_of[rest[parallel]] = seed[parallel]
-        corner = np.flatnonzero(seed_of[patches.owner] >= 0)
-        owner = patches.owner[corner]
-        lead = seed_of[owner]
-        height = np.abs(np.einsum("pi,pi->p", patches.points[corner] - centre[lead], patches.normals[lead]))
-        seed_of[owner[height > tolerance]] = -1
-        seed_of[rest[leads]] = rest[leads]  # a seed always belongs to itself, or the loop would not end
-        taken = seed_of[rest] >= 0
-        plane[rest[taken]] = found + np.cumsum(leads)[taken] - 1
-        found += int(leads.sum())
-        rest = rest[~taken]
-    return plane
-
-
-def _segment_mean(values: Array, owner: NDArray[np.int64], count: int) -> Array:
-    """Mean of the rows of each owner, shape (count, columns)."""
-    total = np.stack([np.bincount(owner, values[:, axis], count) for axis in range(values.shape[1])], axis=1)
-    return total / np.maximum(np.bincount(owner, minlength=count), 1)[:, None]
+    group = planes(patches, settings.coplanar, tolerance)
+    group = curved_groups(patches, group, settings.curvature, settings.curved_from, tolerance)
+    return _contacts(patches, group, tolerance)
 
 
 def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> Contacts:
     """One contact a group of patches: mean frame, hull corners counter-clockwise, slivers left out."""
     count = int(group.max()) + 1 if len(group) else 0
-    weighted = patches.normals * patches.areas[:, None]
-    normals = np.stack([np.bincount(group, weighted[:, axis], count) for axis in range(3)], axis=1)
+    normals = segment_sum(patches.normals * patches.areas[:, None], group, count)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    areas = np.bincount(group, patches.areas, count)
+    areas = segment_sum(patches.areas[:, None], group, count)[:, 0]
     parts = np.zeros((count, 2), dtype=np.int32)
     parts[group] = patches.parts
     frames = frames_of(normals)
 
     owner = group[patches.owner]
-    origin = _segment_mean(patches.points, owner, count)
+    origin = segment_mean(patches.points, owner, count)
     local = np.einsum("pij,pj->pi", frames[owner], patches.points - origin[owner])
     order = np.argsort(owner, kind="stable")
     clouds = shapely.multipoints(shapely.points(local[order][:, [1, 2, 0]]), indices=owner[order])
     # Corners that stand out of the hull by rounding alone depend on the triangulation; simplify drops them.
-    hulls = shapely.simplify(shapely.convex_hull(clouds), tolerance / 100, preserve_topology=True)
+    hulls: Any = shapely.simplify(shapely.convex_hull(clouds), tolerance / 100, preserve_topology=True)
 
     width = 2 * shapely.area(hulls) / np.maximum(shapely.length(hulls), 1e-300)
     keep = width >= tolerance
@@ -173,13 +146,13 @@ def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> C
     index = np.flatnonzero(keep)
     ring_end = np.append(hull[1:] != hull[:-1], True) if len(hull) else np.zeros(0, bool)
     corners, hull = corners[~ring_end], hull[~ring_end]
-    middle = _segment_mean(corners, hull, len(index))
+    middle = segment_mean(corners, hull, len(index))
     turn = np.arctan2(*(corners - middle[hull])[:, 1::-1].T)
     # Sorting by angle makes the hull counter-clockwise; the odd start keeps corners off the branch cut.
     turn = np.mod(turn + 0.7391, 2 * np.pi)
     position = origin[index][hull] + np.einsum("pji,pj->pi", frames[index][hull], corners[:, [2, 0, 1]])
 
-    centre = np.round(_segment_mean(position, hull, len(index)) / tolerance)
+    centre = np.round(segment_mean(position, hull, len(index)) / tolerance)
     rank = np.lexsort((*centre.T[::-1], parts[index, 1], parts[index, 0]))
     place = np.empty(len(index), dtype=np.int64)
     place[rank] = np.arange(len(index))

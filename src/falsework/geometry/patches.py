@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
@@ -81,12 +82,13 @@ def face_patches(meshes: Sequence[TriangleMesh], *, gap: float, overlap: float, 
 
     Args:
         meshes: the parts.
-        gap: largest distance between touching faces, metres.
+        gap: largest distance between touching faces, metres; negative to find overlapping ones alone.
         overlap: largest depth to which touching faces may pass through each other, metres.
         angle: degrees.
     """
     faces = _Faces.of(meshes)
-    found = [_intersect(faces, i, j, gap=gap, overlap=overlap) for i, j in _opposed(faces, max(gap, overlap), angle)]
+    reach = max(abs(gap), overlap)
+    found = [_intersect(faces, i, j, gap=gap, overlap=overlap) for i, j in _opposed(faces, reach, angle)]
     counts = np.cumsum([0] + [len(patches.areas) for patches in found])
     return Patches(
         parts=np.concatenate([patches.parts for patches in found]),
@@ -133,7 +135,7 @@ def _intersect(faces: _Faces, i: NDArray[np.int64], j: NDArray[np.int64], *, gap
     shapes = shapely.intersection(shapely.polygons(a[:, :, 1:]), shapely.polygons(b[:, :, 1:]))
     shapes = _clip_to_band(shapes, slope, level, gap=gap, overlap=overlap)
     areas = shapely.area(shapes)
-    solid = areas > (1e-3 * max(gap, overlap)) ** 2
+    solid = areas > (1e-3 * max(gap, overlap)) ** 2  # touching edges leave slivers of rounding
     shapes, areas = shapes[solid], areas[solid]
     kept = np.flatnonzero(near)[solid]
 
@@ -162,12 +164,12 @@ def frames_of(normals: Array) -> Array:
     tangent = np.where(up, np.array([[0.0, 1.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]))
     first = np.cross(tangent, normals)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([normals, first, np.cross(normals, first)], axis=1)
+    return np.stack([normals, first, np.cross(normals, first)], axis=1).astype(np.float64, copy=False)
 
 
 def _slopes(frames: Array, face_normals: Array) -> Array:
     """Gradient of the height of faces over the tangents of their frames, shape (pairs, 2)."""
-    local = np.einsum("kij,kj->ki", frames, face_normals)
+    local: Array = np.einsum("kij,kj->ki", frames, face_normals)
     return -local[:, 1:] / local[:, :1]
 
 
@@ -185,7 +187,7 @@ def _clip_to_band(shapes: NDArray, slope: Array, level: Array, *, gap: float, ov
     flat, owner = shapely.get_coordinates(shapes, return_index=True)
     value = level[owner] + np.einsum("pi,pi->p", slope[owner], flat)
     outside = np.zeros(len(shapes), dtype=bool)
-    slack = 1e-6 * (gap + overlap)  # rounding must not send parallel faces at the limit through the clipping
+    slack = 1e-6 * max(gap, overlap)  # rounding must not send parallel faces at the limit through the clipping
     outside[owner[(value > gap + slack) | (value < -overlap - slack)]] = True
     if not outside.any():
         return shapes
@@ -206,8 +208,8 @@ def _clip_to_band(shapes: NDArray, slope: Array, level: Array, *, gap: float, ov
         centre + along[:, None] * uphill + side * reach[:, None] * across
         for along, side in ((near, -1), (far, -1), (far, 1), (near, 1))
     ]
-    clipped = np.array(shapes)
-    clipped[index] = np.where(
-        flat_out, shapely.Polygon(), shapely.intersection(shapes[index], shapely.polygons(np.stack(corners, axis=1)))
-    )
+    bands: Any = shapely.polygons(np.stack(corners, axis=1))
+    bands[flat_out] = shapely.Polygon()
+    clipped = shapes.copy()
+    clipped[index] = shapely.intersection(shapes[index], bands)
     return clipped

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.spatial import KDTree
 
 from falsework.errors import MeshError
 from falsework.geometry.mesh import TriangleMesh
@@ -49,7 +50,7 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
     if not len(corners) or not len(points):
         raise MeshError(f"part {name} has no faces; export it as a mesh of triangles")
     TriangleMesh.from_arrays(name, points, corners)
-    finite = np.isfinite(points).all(axis=1)
+    finite = np.asarray(np.isfinite(points).all(axis=1))
     if not finite[corners].all():
         vertex = int(corners.ravel()[np.argmin(finite[corners].ravel())])
         raise MeshError(f"part {name}: vertex {vertex} is NaN or infinite; export the mesh again")
@@ -128,10 +129,8 @@ def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Ar
 
 def _weld(points: Array, corners: Faces) -> NDArray[np.int64]:
     """For every vertex the one that stands for all within the welding distance of each other."""
-    from scipy.spatial import cKDTree
-
     reach = _WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
-    pairs = cKDTree(points).query_pairs(reach, output_type="ndarray")
+    pairs = KDTree(points).query_pairs(reach, output_type="ndarray")
     graph = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     _, label = connected_components(graph, directed=False)
     _, first = np.unique(label, return_index=True)

@@ -1,0 +1,112 @@
+"""Collision queries on closed meshes, by the Flexible Collision Library, and the shrinking that makes them robust."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import fcl
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.geometry.mesh import TriangleMesh
+
+Array = NDArray[np.float64]
+
+_MITRE = 10.0
+"""A vertex moves at most this many times the distance by which its faces move: sharp edges give way."""
+
+
+def shrink(mesh: TriangleMesh, distance: float) -> Array:
+    """Vertices of the mesh with every face moved inwards by `distance`, shape (vertices, 3), metres.
+
+    Parts that touch, or overlap by less than twice `distance`, come apart when both are shrunk, so that a
+    collision of what is left is one of the parts and not of rounding. Each vertex moves by the least vector
+    that moves all planes of its faces by the distance; where more than three planes meet, in the sense of
+    least squares. The distance must be small beside the thickness of the part.
+    """
+    corners = mesh.triangles
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    solid = length > 0
+    normals = normals[solid] / length[solid, None]
+    vertex = mesh.faces[solid].ravel()
+    at = np.repeat(normals, 3, axis=0)
+    count = len(mesh.vertices)
+    outer = (at[:, :, None] * at[:, None, :]).reshape(-1, 9)
+    gram = np.stack([np.bincount(vertex, column, count) for column in outer.T], axis=1).reshape(-1, 3, 3)
+    total = np.stack([np.bincount(vertex, column, count) for column in at.T], axis=1)
+    # Directions in which the planes hardly differ say nothing about where the vertex should go.
+    move = np.einsum("vij,vj->vi", np.linalg.pinv(gram, rcond=1e-3, hermitian=True), total)
+    size = np.linalg.norm(move, axis=1)
+    move *= np.minimum(1.0, _MITRE / np.maximum(size, 1e-12))[:, None]
+    return mesh.vertices - distance * move
+
+
+class Body:
+    """A surface of triangles that can be asked for collisions and distances."""
+
+    def __init__(self, vertices: Array, faces: NDArray[np.integer]) -> None:
+        model = fcl.BVHModel()
+        model.beginModel(len(vertices), len(faces))
+        model.addSubModel(vertices, faces)
+        model.endModel()
+        self._object = fcl.CollisionObject(model)
+
+    def hits(self, other: Body) -> bool:
+        """Whether the two surfaces cross; one inside the other is no hit."""
+        return fcl.collide(self._object, other._object, fcl.CollisionRequest(), fcl.CollisionResult()) > 0
+
+    def distance(self, other: Body) -> float:
+        """Smallest distance between the two surfaces, metres; zero or below where they cross."""
+        return fcl.distance(self._object, other._object, fcl.DistanceRequest(), fcl.DistanceResult())
+
+    def distances(self, points: Array) -> Array:
+        """Distance of points from the surface, shape (points,), metres."""
+        probe = fcl.CollisionObject(fcl.Sphere(1e-12))
+        request = fcl.DistanceRequest()
+        found = np.empty(len(points))
+        for index, point in enumerate(points):
+            probe.setTranslation(point)
+            found[index] = fcl.distance(probe, self._object, request, fcl.DistanceResult())
+        return found
+
+
+def inside(points: Array, corners: Array) -> NDArray[np.bool_]:
+    """Which points a closed surface encloses, by the solid angle that it fills as seen from them.
+
+    Args:
+        points: shape (points, 3), metres.
+        corners: triangles of the surface, shape (faces, 3, 3), metres.
+    """
+    enclosed = np.zeros(len(points), dtype=bool)
+    step = max(1, 2_000_000 // max(len(corners), 1))
+    for start in range(0, len(points), step):
+        arms = corners[None] - points[start : start + step, None, None, :]
+        length = np.linalg.norm(arms, axis=3)
+        a, b, c = arms[:, :, 0], arms[:, :, 1], arms[:, :, 2]
+        above = np.einsum("pfi,pfi->pf", a, np.cross(b, c))
+        below = (
+            length.prod(axis=2)
+            + np.einsum("pfi,pfi->pf", a, b) * length[:, :, 2]
+            + np.einsum("pfi,pfi->pf", b, c) * length[:, :, 0]
+            + np.einsum("pfi,pfi->pf", c, a) * length[:, :, 1]
+        )
+        enclosed[start : start + step] = np.arctan2(above, below).sum(axis=1) > np.pi
+    return enclosed
+
+
+def nearest(part: int, meshes: Sequence[TriangleMesh]) -> tuple[int, float]:
+    """The part nearest to a part, and the gap between the two in metres."""
+    body = Body(meshes[part].vertices, meshes[part].faces)
+    bounds = np.array([mesh.bounds for mesh in meshes])
+    apart = np.maximum(bounds[:, 0] - bounds[part, 1], bounds[part, 0] - bounds[:, 1]).max(axis=1)
+    best, gap = -1, np.inf
+    for other in np.argsort(apart, kind="stable").tolist():
+        if other == part:
+            continue
+        if apart[other] >= gap:
+            break
+        distance = max(body.distance(Body(meshes[other].vertices, meshes[other].faces)), 0.0)
+        if distance < gap:
+            best, gap = other, distance
+    return best, gap

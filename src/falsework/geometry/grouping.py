@@ -1,0 +1,123 @@
+"""Put patches together that one contact can stand for: those of one plane, and of a curved interface in steps."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from falsework.geometry.patches import Patches
+
+Array = NDArray[np.float64]
+
+
+def segment_sum(values: Array, owner: NDArray[np.integer], count: int) -> Array:
+    """Sum of the rows of each owner, shape (count, columns)."""
+    columns = [np.bincount(owner, column, count) for column in values.T]
+    return np.stack(columns, axis=1).astype(np.float64)
+
+
+def segment_mean(values: Array, owner: NDArray[np.integer], count: int) -> Array:
+    """Mean of the rows of each owner, shape (count, columns); zero for an owner without rows."""
+    return segment_sum(values, owner, count) / np.maximum(np.bincount(owner, minlength=count), 1)[:, None]
+
+
+def planes(patches: Patches, coplanar: float, tolerance: float) -> NDArray[np.int64]:
+    """Assign patches to planes of their pair of parts.
+
+    All pairs go forward together: in each round the largest patch that is left of a pair collects the
+    patches of that pair within `coplanar` degrees and `tolerance` metres of its plane.
+
+    Returns:
+        Plane of every patch, counted from 0, shape (patches,).
+    """
+    count = len(patches.areas)
+    pair = _pairs(patches.parts)
+    centre = segment_mean(patches.points, patches.owner, count)
+    plane = np.full(count, -1, dtype=np.int64)
+    limit = np.cos(np.radians(coplanar))
+    rest = np.lexsort((-patches.areas, pair))
+    found = 0
+    while len(rest):
+        leads = np.append(True, pair[rest[1:]] != pair[rest[:-1]])
+        seed = rest[np.flatnonzero(leads)[np.cumsum(leads) - 1]]
+        parallel = np.einsum("ij,ij->i", patches.normals[rest], patches.normals[seed]) >= limit
+        seed_of = np.full(count, -1, dtype=np.int64)
+        seed_of[rest[parallel]] = seed[parallel]
+        corner = np.flatnonzero(seed_of[patches.owner] >= 0)
+        owner = patches.owner[corner]
+        lead = seed_of[owner]
+        height = np.abs(np.einsum("pi,pi->p", patches.points[corner] - centre[lead], patches.normals[lead]))
+        seed_of[owner[height > tolerance]] = -1
+        seed_of[rest[leads]] = rest[leads]  # a seed always belongs to itself, or the loop would not end
+        taken = seed_of[rest] >= 0
+        plane[rest[taken]] = found + np.cumsum(leads)[taken] - 1
+        found += int(leads.sum())
+        rest = rest[~taken]
+    return plane
+
+
+def curved_groups(
+    patches: Patches, plane: NDArray[np.int64], curvature: float, curved_from: int, tolerance: float
+) -> NDArray[np.int64]:
+    """Join planes of pairs of parts that have many, and leave those of all other pairs alone.
+
+    The largest plane that is left collects those that hang together with it, corner to corner, and whose
+    normals differ from its own by at most `curvature` degrees.
+
+    Returns:
+        Group of every patch, counted from 0, shape (patches,).
+    """
+    count = int(plane.max()) + 1 if len(plane) else 0
+    normals = segment_sum(patches.normals * patches.areas[:, None], plane, count)
+    areas = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(areas, 1e-300)[:, None]
+    first = np.zeros(count, dtype=np.int64)
+    first[plane[::-1]] = np.arange(len(plane))[::-1]
+    pair = _pairs(patches.parts[first])
+    many = np.bincount(pair, minlength=1) > curved_from
+    if not many.any():
+        return plane
+    owner = plane[patches.owner]
+    centre = np.round(segment_mean(patches.points, owner, count) / tolerance)
+    group = np.arange(count)
+    limit = np.cos(np.radians(curvature))
+    for one in np.flatnonzero(many).tolist():
+        members = np.flatnonzero(pair == one)
+        # Equal areas come in all triangulations in the same order: by place, not by rounding.
+        size = np.round(areas[members] / areas[members].max(), 6)
+        order = members[np.lexsort((*centre[members].T[::-1], -size))].tolist()
+        beside = _neighbours(patches.points, owner, pair, one, 2 * tolerance)
+        left = set(order)
+        for seed in order:
+            if seed not in left:
+                continue
+            left.discard(seed)
+            stack = [seed]
+            while stack:
+                for other in beside.get(stack.pop(), ()):
+                    if other in left and normals[other] @ normals[seed] >= limit:
+                        left.discard(other)
+                        group[other] = seed
+                        stack.append(other)
+    _, group = np.unique(group, return_inverse=True)
+    return group[plane]
+
+
+def _pairs(parts: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Number of the pair of parts in every row, counted from 0 in order of the pairs."""
+    return np.unique(parts[:, 0] * np.int64(2**32) + parts[:, 1], return_inverse=True)[1].astype(np.int64)
+
+
+def _neighbours(
+    points: Array, owner: NDArray[np.int64], pair: NDArray[np.int64], one: int, reach: float
+) -> dict[int, list[int]]:
+    """Planes of one pair of parts that have a corner within `reach` of each other."""
+    of_pair = np.flatnonzero(pair[owner] == one)
+    near = KDTree(points[of_pair]).query_pairs(reach, output_type="ndarray")
+    edges = np.unique(np.sort(owner[of_pair][near], axis=1), axis=0)
+    beside: dict[int, list[int]] = {}
+    for a, b in edges[edges[:, 0] != edges[:, 1]].tolist():
+        beside.setdefault(a, []).append(b)
+        beside.setdefault(b, []).append(a)
+    return beside

@@ -1,0 +1,166 @@
+"""Parts that pass through each other: found by collision, measured by depth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import AssemblyError
+from falsework.geometry.collision import Body, inside, shrink
+from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.patches import box_pairs, face_patches
+
+Array = NDArray[np.float64]
+
+_MORE, _LESS = 0.56, 0.45
+"""Shares of what is allowed by which the two parts of a pair shrink: together a little more than all."""
+_MEASURED = 20
+"""Pairs whose depth is measured before the deepest is reported."""
+
+
+def check_overlap(meshes: Sequence[TriangleMesh], tolerance: float, *, angle: float, corner: float | None) -> None:
+    """Raise if two parts pass through each other by more than modelling leaves behind.
+
+    Faces that should touch, being opposed within `angle`, may overlap by `tolerance`. Corners and edges that
+    cut into a neighbour lose no contact and may go deeper, to `corner`: where four stones of a dome meet,
+    their bevelled corners often do.
+
+    Each part is shrunk by half of what is allowed, so that shallower overlaps vanish; what then still
+    collides, or lies one inside the other, is measured by `depth`.
+
+    Args:
+        meshes: closed meshes that face outwards.
+        tolerance: metres.
+        angle: degrees.
+        corner: metres. None: for each pair 1/50 of the diagonal of its smaller part, or 1/5 of the
+            thickness of the thinner one, if that is less.
+
+    Raises:
+        AssemblyError: names the parts of the deepest overlap and its depth.
+    """
+    size = np.array([min(np.linalg.norm(np.ptp(mesh.bounds, axis=0)) / 50, _thickness(mesh) / 5) for mesh in meshes])
+    worst, pair, allowed, measured = 0.0, (0, 0), tolerance, 0
+    for a, b in _suspects(meshes, tolerance):
+        limit = max(float(min(size[a], size[b])) if corner is None else corner, tolerance)
+        layer = _have_layer(meshes[a], meshes[b], tolerance, limit, angle)
+        if not layer and not _collide(meshes[a], meshes[b], limit):
+            continue
+        deep = depth(meshes[a], meshes[b])
+        limit = tolerance if layer else limit
+        if deep > max(limit, worst):
+            worst, pair, allowed = deep, (a, b), limit
+        measured += 1
+        if worst and measured >= _MEASURED:
+            break
+    if worst:
+        a, b = pair
+        raise AssemblyError(
+            f"parts {meshes[a].name} and {meshes[b].name} pass through each other by {1000 * worst:.3g} mm, "
+            f"and {1000 * allowed:.3g} mm is allowed; move them apart, or raise the contact tolerance"
+        )
+
+
+def _thickness(mesh: TriangleMesh) -> float:
+    """Twice the volume by the surface: the thickness of a plate, a third of the edge of a cube; metres."""
+    corners = mesh.triangles
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return 4 * mesh.volume / float(np.linalg.norm(cross, axis=1).sum())
+
+
+def _have_layer(a: TriangleMesh, b: TriangleMesh, tolerance: float, limit: float, angle: float) -> bool:
+    """Whether faces of two parts that should touch overlap by more than the tolerance."""
+    patches = face_patches((a, b), gap=-tolerance, overlap=limit, angle=angle)
+    return float(patches.areas.sum()) > limit**2
+
+
+def _collide(a: TriangleMesh, b: TriangleMesh, allowed: float) -> bool:
+    """Whether two parts that are shrunk by half of what is allowed still share space.
+
+    They are not shrunk by the same amount: parts that coincide would leave surfaces that coincide, and
+    none that cross.
+    """
+    a_points, b_points = shrink(a, _MORE * allowed), shrink(b, _LESS * allowed)
+    return Body(a_points, a.faces).hits(Body(b_points, b.faces)) or _nested(a, a_points, b, b_points)
+
+
+def _suspects(meshes: Sequence[TriangleMesh], tolerance: float) -> list[tuple[int, int]]:
+    """Pairs of parts that still collide after shrinking, in order."""
+    bounds = np.array([mesh.bounds for mesh in meshes])
+    low, high = bounds[:, 0] + tolerance / 2, bounds[:, 1] - tolerance / 2
+    i, j = box_pairs(low, np.maximum(low, high))
+    ahead = i < j
+    i, j = i[ahead], j[ahead]
+    order = np.lexsort((j, i))
+    bodies: dict[tuple[int, bool], Body] = {}
+    vertices: dict[tuple[int, bool], Array] = {}
+
+    def body(part: int, second: bool) -> Body:
+        if (part, second) not in bodies:
+            vertices[part, second] = shrink(meshes[part], (_LESS if second else _MORE) * tolerance)
+            bodies[part, second] = Body(vertices[part, second], meshes[part].faces)
+        return bodies[part, second]
+
+    found = []
+    for a, b in zip(i[order].tolist(), j[order].tolist(), strict=True):
+        if body(a, False).hits(body(b, True)) or _nested(
+            meshes[a], vertices[a, False], meshes[b], vertices[b, True]
+        ):
+            found.append((a, b))
+    return found
+
+
+def _nested(a: TriangleMesh, a_points: Array, b: TriangleMesh, b_points: Array) -> bool:
+    """Whether one of two surfaces that do not cross lies inside the other."""
+    a_low, a_high, b_low, b_high = a_points.min(0), a_points.max(0), b_points.min(0), b_points.max(0)
+    if (a_low >= b_low).all() and (a_high <= b_high).all() and inside(a_points[:1], b_points[b.faces])[0]:
+        return True
+    return bool(
+        (b_low >= a_low).all() and (b_high <= a_high).all() and inside(b_points[:1], a_points[a.faces])[0]
+    )
+
+
+def depth(a: TriangleMesh, b: TriangleMesh) -> float:
+    """How deep two parts pass into each other, metres; zero if they only touch or are apart.
+
+    It is the largest distance to the surface of one part from a point of the other inside it: the thickness
+    of the common region where that is a layer, and how far a corner sticks in where it is a tip. Points are
+    taken on both surfaces, and in the common region for parts that coincide, at about 1/40 of its size; the
+    depth is then low by at most that, and exact where the deepest point is a vertex or the faces are parallel.
+    """
+    low = np.maximum(a.bounds[0], b.bounds[0])
+    high = np.minimum(a.bounds[1], b.bounds[1])
+    if (low >= high).any():
+        return 0.0
+    spacing = float(np.linalg.norm(high - low)) / 40
+    deepest = 0.0
+    for one, other in ((a, b), (b, a)):
+        points = _surface_points(one, low, high, spacing)
+        points = points[inside(points, other.triangles)]
+        if len(points):
+            deepest = max(deepest, float(Body(other.vertices, other.faces).distances(points).max()))
+    steps = [np.linspace(low[axis], high[axis], 15)[1:-1] for axis in range(3)]
+    grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = grid[inside(grid, a.triangles)]
+    grid = grid[inside(grid, b.triangles)]
+    if len(grid):
+        both = np.minimum(Body(a.vertices, a.faces).distances(grid), Body(b.vertices, b.faces).distances(grid))
+        deepest = max(deepest, float(both.max()))
+    return deepest
+
+
+def _surface_points(mesh: TriangleMesh, low: Array, high: Array, spacing: float) -> Array:
+    """Points of a surface in a box, corners of faces among them, about `spacing` apart. Shape (points, 3)."""
+    corners = mesh.triangles
+    near = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= low).all(axis=1)
+    found = []
+    for triangle in corners[near]:
+        longest = max(np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1))
+        count = int(np.clip(np.ceil(longest / spacing), 1, 200))
+        first, second = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing="ij")
+        keep = first + second <= count
+        weights = np.stack([first[keep], second[keep], count - first[keep] - second[keep]], axis=1) / count
+        points = weights @ triangle
+        found.append(points[((points >= low) & (points <= high)).all(axis=1)])
+    return np.unique(np.concatenate(found), axis=0) if found else np.zeros((0, 3))
