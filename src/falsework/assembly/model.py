@@ -6,11 +6,13 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as _replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import AssemblyError
+from falsework.geometry.clearance import ClearanceTable, clearance_table
 from falsework.geometry.collision import nearest
 from falsework.geometry.contact import Contacts, ContactSettings, find_contacts
 from falsework.geometry.mesh import MassProperties, TriangleMesh, mass_properties
@@ -115,6 +117,12 @@ class Assembly:
         digest.update(repr(self.contact_settings).encode())
         return digest.hexdigest()
 
+    @cached_property
+    def clearance(self) -> ClearanceTable:
+        """Ways out of every part and what blocks them; computed at the first use, seconds to minutes."""
+        _, overlap = self.contact_settings.lengths(self.meshes)
+        return clearance_table(self.meshes, self.contacts, tolerance=overlap)
+
     def replace(
         self,
         *,
@@ -143,6 +151,8 @@ class Assembly:
         )
         for array in (fixed, densities):
             array.setflags(write=False)
+        if "clearance" in self.__dict__:  # depends on the meshes alone
+            changed.__dict__["clearance"] = self.clearance
         return changed
 
     def with_ground(self) -> Assembly:

@@ -104,9 +104,7 @@ def _suspects(meshes: Sequence[TriangleMesh], tolerance: float) -> list[tuple[in
 
     found = []
     for a, b in zip(i[order].tolist(), j[order].tolist(), strict=True):
-        if body(a, False).hits(body(b, True)) or _nested(
-            meshes[a], vertices[a, False], meshes[b], vertices[b, True]
-        ):
+        if body(a, False).hits(body(b, True)) or _nested(meshes[a], vertices[a, False], meshes[b], vertices[b, True]):
             found.append((a, b))
     return found
 
@@ -116,9 +114,7 @@ def _nested(a: TriangleMesh, a_points: Array, b: TriangleMesh, b_points: Array) 
     a_low, a_high, b_low, b_high = a_points.min(0), a_points.max(0), b_points.min(0), b_points.max(0)
     if (a_low >= b_low).all() and (a_high <= b_high).all() and inside(a_points[:1], b_points[b.faces])[0]:
         return True
-    return bool(
-        (b_low >= a_low).all() and (b_high <= a_high).all() and inside(b_points[:1], a_points[a.faces])[0]
-    )
+    return bool((b_low >= a_low).all() and (b_high <= a_high).all() and inside(b_points[:1], a_points[a.faces])[0])
 
 
 def depth(a: TriangleMesh, b: TriangleMesh) -> float:

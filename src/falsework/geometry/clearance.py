@@ -1,0 +1,164 @@
+"""Which part can leave along which direction: a lookup table, computed once per structure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import InputError
+from falsework.geometry.contact import Contacts
+from falsework.geometry.directions import exit_directions
+from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.sweep import Sweeper
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ClearanceTable:
+    """For every part the ways out, each with the set of parts that block it.
+
+    A way whose blockers include all blockers of another way of the same part is never needed and is left
+    out, so what remains answers every question exactly as the whole table would.
+    """
+
+    directions: Array
+    """Ways out, unit vectors, shape (ways, 3)."""
+    blockers: NDArray[np.uint64]
+    """Parts that block each way, one bit a part, lowest bit first, shape (ways, words)."""
+    start: NDArray[np.int32]
+    """Part `i` owns the ways `start[i]:start[i + 1]`, shape (parts + 1,)."""
+
+    def can_leave(self, states: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Whether each part has a straight way out past the parts that are present.
+
+        Args:
+            states: 0 removed, 1 installed, 2 held, shape (batch, parts).
+
+        Returns:
+            Shape (batch, parts); whether the part itself is present does not matter.
+
+        Raises:
+            InputError: states of another number of parts.
+        """
+        return _ways_out(self._pack(states), self.blockers, self.start) >= 0
+
+    def exit_direction(self, state: NDArray[np.uint8], part: int) -> Array | None:
+        """A unit vector along which the part leaves in a straight line, or None. `state` has shape (parts,)."""
+        way = _ways_out(self._pack(np.asarray(state)[None]), self.blockers, self.start)[0, part]
+        return None if way < 0 else self.directions[way].copy()
+
+    def blocking(self, state: NDArray[np.uint8], part: int) -> NDArray[np.int64]:
+        """The present parts in the way of `part` along its least blocked way out, ascending ids."""
+        ways = slice(self.start[part], self.start[part + 1])
+        words = (self.blockers[ways] & self._pack(np.asarray(state)[None])).astype("<u8", copy=False)
+        bits = np.unpackbits(words.view(np.uint8), axis=1, bitorder="little")
+        return np.flatnonzero(bits[np.argmin(bits.sum(axis=1))])
+
+    def _pack(self, states: NDArray[np.uint8]) -> NDArray[np.uint64]:
+        parts = len(self.start) - 1
+        if states.ndim != 2 or states.shape[1] != parts:
+            raise InputError(f"states have shape {states.shape}; expected (batch, {parts}), one value a part")
+        return _pack(states > 0)
+
+
+def clearance_table(
+    meshes: Sequence[TriangleMesh], contacts: Contacts, directions: int = 1000, *, tolerance: float
+) -> ClearanceTable:
+    """Sweep every part along every direction to infinity and note which parts it would hit.
+
+    Directions are those of `exit_directions`. Parts are shrunk by a little more than the tolerance between the
+    two of a pair, so that parts that touch can slide along each other; a way is blocked where more than
+    that is in it.
+
+    Args:
+        meshes: closed meshes that face outwards.
+        contacts: their contacts; a contact blocks all directions into it, without a sweep.
+        directions: how many to try for each part.
+        tolerance: overlap of touching parts that modelling may leave, metres.
+
+    Raises:
+        InputError: fewer than one direction.
+    """
+    if directions < 1:
+        raise InputError(f"{directions} directions lead nowhere; give at least 1")
+    sweeper = Sweeper(meshes, contacts, tolerance)
+    ways, blockers, counts = [], [], []
+    for part in range(len(meshes)):
+        tried = exit_directions(contacts, part, directions)
+        blocked = sweeper.blocked(part, tried)
+        least = _minimal(blocked)
+        ways.append(tried[least])
+        blockers.append(_pack(blocked[least]))
+        counts.append(len(least))
+    arrays = (
+        np.concatenate(ways),
+        np.concatenate(blockers),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int32),
+    )
+    for array in arrays:
+        array.setflags(write=False)
+    return ClearanceTable(*arrays)
+
+
+def _pack(rows: NDArray[np.bool_]) -> NDArray[np.uint64]:
+    """Rows of bits as words of 64, lowest bit first, shape (rows, words)."""
+    words = -(-rows.shape[1] // 64)
+    padded = np.zeros((len(rows), words * 8), dtype=np.uint8)
+    packed = np.packbits(rows, axis=1, bitorder="little")
+    padded[:, : packed.shape[1]] = packed
+    return padded.view("<u8").astype(np.uint64, copy=False)
+
+
+def _minimal(blocked: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Rows that include no other row; of equal rows the first. Ascending indices."""
+    rows = _pack(blocked)
+    _, first = np.unique(rows, axis=0, return_index=True)
+    first = first[np.lexsort((first, blocked[first].sum(axis=1)))]
+    return np.sort(first[_is_minimal(np.ascontiguousarray(rows[first]))])
+
+
+@numba.njit(cache=True)
+def _is_minimal(rows: NDArray[np.uint64]) -> NDArray[np.bool_]:  # pragma: no cover - compiled
+    """Which of distinct rows, sorted by the number of bits, include no earlier row."""
+    count, words = rows.shape
+    minimal = np.ones(count, dtype=np.bool_)
+    for row in range(count):
+        for other in range(row):
+            if not minimal[other]:
+                continue
+            subset = True
+            for word in range(words):
+                if rows[other, word] & ~rows[row, word]:
+                    subset = False
+                    break
+            if subset:
+                minimal[row] = False
+                break
+    return minimal
+
+
+@numba.njit(cache=True)
+def _ways_out(
+    present: NDArray[np.uint64], blockers: NDArray[np.uint64], start: NDArray[np.int32]
+) -> NDArray[np.int32]:  # pragma: no cover - compiled
+    """First way of each part that no present part blocks, or -1; shape (batch, parts)."""
+    batch, words = present.shape
+    parts = len(start) - 1
+    found = np.full((batch, parts), -1, dtype=np.int32)
+    for row in range(batch):
+        for part in range(parts):
+            for way in range(start[part], start[part + 1]):
+                free = True
+                for word in range(words):
+                    if blockers[way, word] & present[row, word]:
+                        free = False
+                        break
+                if free:
+                    found[row, part] = way
+                    break
+    return found

@@ -1,0 +1,180 @@
+"""What a part hits when it is moved along a straight line without end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+
+from falsework.geometry.collision import Body, shrink
+from falsework.geometry.contact import Contacts
+from falsework.geometry.directions import sphere_directions
+from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.patches import box_pairs
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_SHARE = 0.75
+"""Share of the tolerance by which each part shrinks: touching parts are then half of it apart at least."""
+_LEVELS = 8
+"""How often the shrinking may double for parts whose corners cut into each other."""
+_INTO = np.sin(np.radians(3.0))
+"""Sine of the angle to a contact from which on a move counts as into it."""
+_PLANES = 1000
+"""Normals of planes that are tried to separate parts before any collision is computed."""
+
+
+class Sweeper:
+    """Straight moves of single parts through all the others."""
+
+    def __init__(self, meshes: Sequence[TriangleMesh], contacts: Contacts, tolerance: float) -> None:
+        """Shrink the parts, and find planes that keep pairs of them apart.
+
+        Args:
+            meshes: closed meshes that face outwards.
+            contacts: their contacts.
+            tolerance: overlap of touching parts that modelling may leave, metres.
+        """
+        self._meshes = meshes
+        self._contacts = contacts
+        self._tolerance = tolerance
+        self._edges = [_Edges(mesh.faces) for mesh in meshes]
+        self._shapes: dict[tuple[int, int], _Shape] = {}
+        points = np.concatenate([self._shape(part, 0).vertices for part in range(len(meshes))])
+        first = np.concatenate([[0], np.cumsum([len(mesh.vertices) for mesh in meshes])[:-1]])
+        self._reach = 2.0 * float(np.linalg.norm(np.ptp(points, axis=0)))
+        self._planes = sphere_directions(_PLANES)
+        level = points @ self._planes.T
+        self._low = np.minimum.reduceat(level, first, axis=0)
+        self._high = np.maximum.reduceat(level, first, axis=0)
+        self._apart = self._separating_contacts(points, first)
+        self._level = self._tangled(np.minimum.reduceat(points, first), np.maximum.reduceat(points, first))
+
+    def blocked(self, part: int, directions: Array) -> Mask:
+        """Which parts are in the way of a part, shape (directions, parts).
+
+        Most pairs are decided without a collision. A plane that has the part on one side and the other part
+        on the other leaves all directions away from the other open; a contact closes all directions into it.
+        The rest are swept.
+        """
+        free, hit = self._known(part, directions)
+        open_pairs = ~free & ~hit
+        for way in np.flatnonzero(open_pairs.any(axis=1)).tolist():
+            others = np.flatnonzero(open_pairs[way]).tolist()
+            hit[way, others] = self._sweep(part, directions[way], others)
+        return hit
+
+    def _known(self, part: int, directions: Array) -> tuple[Mask, Mask]:
+        """Pairs known to be free and known to be blocked, each of shape (directions, parts)."""
+        ahead = (self._low[part] >= self._high).astype(np.float32)
+        away = (self._planes @ directions.T >= 0).astype(np.float32)
+        free = (ahead @ away > 0).T
+        hit = np.zeros_like(free)
+        for side, sign in ((0, -1.0), (1, 1.0)):
+            mine = np.flatnonzero(self._contacts.parts[:, side] == part)
+            neighbour = self._contacts.parts[mine, 1 - side]
+            along = sign * (directions @ self._contacts.normals[mine].T)
+            for column, contact in enumerate(mine.tolist()):
+                if self._apart[contact]:
+                    free[:, neighbour[column]] |= along[:, column] >= -1e-9
+                hit[:, neighbour[column]] |= along[:, column] < -_INTO
+        free[:, part] = True
+        return free, hit & ~free
+
+    def _sweep(self, part: int, direction: Array, others: list[int]) -> list[bool]:
+        """Whether the part hits each of the others on its way along the direction.
+
+        The swept volume is bounded by the wall that the outline of the part sweeps, apart from its two
+        ends. Another part that it meets either crosses that wall or is enclosed by the volume; then the
+        wall of any of its edges, swept backwards, crosses the part.
+        """
+        walls: dict[int, Body] = {}
+        result = []
+        for other in others:
+            level = self._level.get((part, other), 0)
+            shape, obstacle = self._shape(part, level), self._shape(other, level)
+            if level not in walls:
+                walls[level] = shape.wall(direction * self._reach)
+            result.append(
+                walls[level].hits(obstacle.body) or obstacle.edge_wall(-direction * self._reach).hits(shape.body)
+            )
+        return result
+
+    def _shape(self, part: int, level: int) -> _Shape:
+        """A part shrunk by its share of the tolerance, doubled `level` times."""
+        if (part, level) not in self._shapes:
+            distance = _SHARE * self._tolerance * 2**level
+            self._shapes[part, level] = _Shape(self._meshes[part], distance, self._edges[part])
+        return self._shapes[part, level]
+
+    def _collide(self, a: int, b: int, level: int) -> bool:
+        return self._shape(a, level).body.hits(self._shape(b, level).body)
+
+    def _separating_contacts(self, points: Array, first: NDArray[np.integer]) -> Mask:
+        """Contacts whose plane has one part wholly on one side and the other on the other, shape (contacts,)."""
+        ends = np.append(first[1:], len(points))
+        apart = np.zeros(len(self._contacts), dtype=bool)
+        for contact, (a, b) in enumerate(self._contacts.parts.tolist()):
+            normal = self._contacts.normals[contact]
+            apart[contact] = (points[first[a] : ends[a]] @ normal).max() <= (points[first[b] : ends[b]] @ normal).min()
+        return apart
+
+    def _tangled(self, low: Array, high: Array) -> dict[tuple[int, int], int]:
+        """How often the shrinking must double for pairs whose corners cut into each other."""
+        levels: dict[tuple[int, int], int] = {}
+        one, two = box_pairs(low, high)
+        for a, b in zip(one.tolist(), two.tolist(), strict=True):
+            if a < b and self._collide(a, b, 0):
+                level = next((level for level in range(1, _LEVELS) if not self._collide(a, b, level)), _LEVELS)
+                levels[a, b] = levels[b, a] = level
+        return levels
+
+
+class _Shape:
+    """A shrunken part, ready to be hit and to be swept."""
+
+    def __init__(self, mesh: TriangleMesh, distance: float, edges: _Edges) -> None:
+        self.vertices = shrink(mesh, distance)
+        self.body = Body(self.vertices, mesh.faces)
+        self._edges = edges
+        corners = self.vertices[mesh.faces]
+        self._normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+    def wall(self, move: Array) -> Body:
+        """What the outline of the part, seen along the move, sweeps over the move."""
+        front = self._normals @ move > 0
+        return self._swept(self._edges.ends[front[self._edges.one] != front[self._edges.two]], move)
+
+    def edge_wall(self, move: Array) -> Body:
+        """What one edge of every surface of the part sweeps over the move."""
+        return self._swept(self._edges.samples, move)
+
+    def _swept(self, ends: NDArray[np.integer], move: Array) -> Body:
+        near = self.vertices[ends.ravel()]
+        count = len(ends)
+        first = 2 * np.arange(count)[:, None]
+        faces = np.concatenate([first + (0, 1, 2 * count), first + (1, 2 * count + 1, 2 * count)])
+        return Body(np.concatenate([near, near + move]), faces)
+
+
+class _Edges:
+    """Edges of a closed mesh with the two faces of each."""
+
+    def __init__(self, faces: NDArray[np.int32]) -> None:
+        tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+        owner = np.repeat(np.arange(len(faces)), 3)
+        # A closed surface passes each edge as often forwards as backwards: sorting both ways pairs them up.
+        up, down = tail < head, tail > head
+        up_order = np.lexsort((head[up], tail[up]))
+        down_order = np.lexsort((tail[down], head[down]))
+        self.ends = np.stack([tail[up], head[up]], axis=1)[up_order]
+        self.one = owner[up][up_order]
+        self.two = owner[down][down_order]
+        graph = csr_matrix((np.ones(len(self.one)), (self.one, self.two)), shape=(len(faces), len(faces)))
+        _, surface = connected_components(graph, directed=False)
+        _, sample = np.unique(surface[self.one], return_index=True)
+        self.samples = self.ends[sample]
