@@ -1,0 +1,16 @@
+"""Does a partial structure stand while robots hold some of its parts? With a proof either way."""
+
+from falsework.stability.certificate import Claim as Claim
+from falsework.stability.certificate import accept as accept
+from falsework.stability.exact import ExactSolver as ExactSolver
+from falsework.stability.oracle import Counters as Counters
+from falsework.stability.oracle import Stability as Stability
+from falsework.stability.oracle import describe_motion as describe_motion
+from falsework.stability.problem import Problem as Problem
+from falsework.stability.problem import build_problem as build_problem
+from falsework.stability.settings import CpuSettings as CpuSettings
+from falsework.stability.settings import StabilitySettings as StabilitySettings
+from falsework.stability.verdict import Proof as Proof
+from falsework.stability.verdict import Solver as Solver
+from falsework.stability.verdict import Verdict as Verdict
+from falsework.stability.verdict import Verdicts as Verdicts

@@ -1,0 +1,92 @@
+"""Over-relaxed ADMM on one state, in the form of Douglas and Rachford: one vector `u` a contact point.
+
+With `z = proj_K(u)`, an iteration solves `S w = G (2 z - u) + g` and adds `1.6 (z - u - G^T w)` to `u`
+(DESIGN, section 4). `z` are the forces, `w` the motion.
+"""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+
+from falsework.stability.cones import project
+from falsework.stability.elimination import factor, solve
+from falsework.stability.judge import UNDECIDED, judge
+from falsework.stability.structure import (
+    FAST,
+    add_wrenches,
+    clear_matrix,
+    pair_strain,
+    pair_stress,
+    point_strain,
+    set_gravity,
+)
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def factor_admm(structure, work, pairs, rho):
+    """Factor `S = rho I + G G^T` of the state."""
+    clear_matrix(work, rho)
+    pair, slot_a, slot_b = work.pair, work.slot_a, work.slot_b
+    diagonal, lower, filled, block = work.diagonal, work.lower, work.filled, structure.elimination.pair_block
+    stiff_a, stiff_b, stiff_low = structure.stiffness_aa, structure.stiffness_bb, structure.stiffness_low
+    for p in range(pairs):
+        q, a, b = pair[p], slot_a[p], slot_b[p]
+        for r in range(6):
+            for c in range(6):
+                if a >= 0:
+                    diagonal[a, r, c] += stiff_a[q, r, c]
+                if b >= 0:
+                    diagonal[b, r, c] += stiff_b[q, r, c]
+                if a >= 0 and b >= 0:
+                    lower[block[q], r, c] += stiff_low[q, r, c]
+        if a >= 0 and b >= 0:
+            filled[block[q]] = True
+    return factor(structure.elimination, work.free, diagonal, lower, filled)
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def run_admm(structure, work, pairs, options):
+    """Run ADMM from `work.u`; return verdict, residual and iterations. The velocity is in `work.velocity`."""
+    alpha, mu, cone = options.relaxation, structure.friction, structure.cone
+    basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
+    transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
+    free, u, z, v, w, rhs = work.free, work.u, work.z, work.v, work.velocity, work.rhs
+    for j in range(start[pairs]):
+        z[j, 0], z[j, 1], z[j, 2] = project(cone, u[j, 0], u[j, 1], u[j, 2], mu)
+        for r in range(3):
+            v[j, r] = 2.0 * z[j, r] - u[j, r]
+    set_gravity(structure, work, rhs)
+    add_wrenches(structure, work, pairs, v, rhs)
+    for iteration in range(1, options.iterations + 1):
+        for j in range(len(free)):
+            if free[j]:
+                for r in range(6):
+                    w[j, r] = rhs[j, r]
+        solve(structure.elimination, free, work.diagonal, work.lower, work.filled, w)
+        set_gravity(structure, work, rhs)
+        for p in range(pairs):
+            q, a, b = pair[p], slot_a[p], slot_b[p]
+            s0, s1, s2, s3, s4, s5 = pair_strain(transfer_a, transfer_b, q, a, b, w)
+            a0, a1, a2, a3, a4, a5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for j in range(start[p], start[p + 1]):
+                t0, t1, t2 = point_strain(basis, j, s0, s1, s2, s3, s4, s5)
+                u0 = u[j, 0] + alpha * (z[j, 0] - u[j, 0] - t0)
+                u1 = u[j, 1] + alpha * (z[j, 1] - u[j, 1] - t1)
+                u2 = u[j, 2] + alpha * (z[j, 2] - u[j, 2] - t2)
+                z0, z1, z2 = project(cone, u0, u1, u2, mu)
+                u[j, 0], u[j, 1], u[j, 2] = u0, u1, u2
+                z[j, 0], z[j, 1], z[j, 2] = z0, z1, z2
+                v0, v1, v2 = 2.0 * z0 - u0, 2.0 * z1 - u1, 2.0 * z2 - u2
+                a0 += basis[j, 0, 0] * v0 + basis[j, 0, 1] * v1 + basis[j, 0, 2] * v2
+                a1 += basis[j, 1, 0] * v0 + basis[j, 1, 1] * v1 + basis[j, 1, 2] * v2
+                a2 += basis[j, 2, 0] * v0 + basis[j, 2, 1] * v1 + basis[j, 2, 2] * v2
+                a3 += basis[j, 3, 0] * v0 + basis[j, 3, 1] * v1 + basis[j, 3, 2] * v2
+                a4 += basis[j, 4, 0] * v0 + basis[j, 4, 1] * v1 + basis[j, 4, 2] * v2
+                a5 += basis[j, 5, 0] * v0 + basis[j, 5, 1] * v1 + basis[j, 5, 2] * v2
+            pair_stress(transfer_a, transfer_b, q, a, b, a0, a1, a2, a3, a4, a5, rhs)
+        if iteration % options.check_every == 0:
+            verdict, residual = judge(structure, work, pairs, w, options)
+            if verdict != UNDECIDED:
+                return verdict, residual, iteration
+    return UNDECIDED, np.nan, options.iterations

@@ -1,0 +1,74 @@
+"""Verdicts that are known already, and those that follow from them by two rules.
+
+Among states with the same parts present, holding more keeps a stable state stable, and holding less keeps
+an unstable one unstable. The proofs carry over too: forces that balance a part balance it whoever is held
+besides, and a velocity that nothing can stop stays one when a held part, which it leaves still, is let go.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, REMOVED, States
+from falsework.stability.verdict import Verdict
+
+
+class VerdictCache:
+    """Remembers verdicts by the set of parts present and the set of parts held, as bit sets."""
+
+    def __init__(self, limit: int = 2_000_000) -> None:
+        self._known: dict[bytes, tuple[dict[int, float], dict[int, float]]] = {}
+        self._size = 0
+        self._limit = limit
+
+    def __len__(self) -> int:
+        return self._size
+
+    def look_up(self, states: States) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.bool_]]:
+        """Verdicts and residuals of the states that are known or follow, 0 and NaN elsewhere.
+
+        Returns:
+            Verdict, residual, and whether it followed by a rule; each of shape (batch,).
+        """
+        verdict = np.zeros(len(states), np.int8)
+        residual = np.full(len(states), np.nan)
+        by_rule = np.zeros(len(states), bool)
+        for row, (present, held) in enumerate(_keys(states)):
+            entry = self._known.get(present)
+            if entry is None:
+                continue
+            stable, unstable = entry
+            for known, value in ((stable, Verdict.STABLE), (unstable, Verdict.UNSTABLE)):
+                if held in known:
+                    verdict[row], residual[row] = value, known[held]
+                    break
+            else:
+                found = next((r for h, r in stable.items() if h & held == h), None)
+                if found is not None:
+                    verdict[row], residual[row], by_rule[row] = Verdict.STABLE, found, True
+                    continue
+                found = next((r for h, r in unstable.items() if h & held == held), None)
+                if found is not None:
+                    verdict[row], residual[row], by_rule[row] = Verdict.UNSTABLE, found, True
+        return verdict, residual, by_rule
+
+    def store(self, states: States, verdict: NDArray[np.int8], residual: NDArray[np.float64]) -> None:
+        """Remember decided verdicts; when full, forget everything and start again."""
+        if self._size + len(states) > self._limit:
+            self._known.clear()
+            self._size = 0
+        for (present, held), value, left in zip(_keys(states), verdict.tolist(), residual.tolist(), strict=True):
+            if value == Verdict.UNDECIDED:
+                continue
+            stable, unstable = self._known.setdefault(present, ({}, {}))
+            known = stable if value == Verdict.STABLE else unstable
+            self._size += held not in known
+            known[held] = left
+
+
+def _keys(states: States) -> list[tuple[bytes, int]]:
+    """Present parts as bytes and held parts as an integer, for every state."""
+    present = np.packbits(states != REMOVED, axis=1)
+    held = np.packbits(states == HELD, axis=1)
+    return [(p.tobytes(), int.from_bytes(h.tobytes(), "big")) for p, h in zip(present, held, strict=True)]

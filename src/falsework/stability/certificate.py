@@ -1,0 +1,177 @@
+"""Checks a proof in float64 from the assembly alone; it trusts no solver and shares no code with them.
+
+Both checks bound the same number, the smallest that the largest acceleration of a part can be made by
+admissible contact forces: forces in the friction cones whose normal components sum to at most the force
+bound. Forces bound it from above, a virtual velocity from below, so a state cannot pass both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import States
+from falsework.stability.verdict import Verdict, Verdicts
+
+Array = NDArray[np.float64]
+
+_ROUNDING = 1e-9
+"""How far a force may stand outside its cone, as a share of itself and of the weight of the structure."""
+_CHUNK = 256
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What is claimed of every verdict."""
+
+    cone: str = "octagon"
+    """Friction cone, `octagon` or `quadratic`."""
+    gravity: float = 9.81
+    """m/s2 along -z."""
+    tolerance: float = 1e-3
+    """Largest acceleration of a stable state, m/s2 and rad/s2."""
+    force_bound: float = 1e3
+    """Bound on the sum of all normal forces, in weights of the structure."""
+
+
+def accept(assembly: Assembly, states: States, verdicts: Verdicts, claim: Claim = Claim()) -> NDArray[np.bool_]:
+    """Whether each verdict is proven by the certificate that comes with it.
+
+    Args:
+        assembly: the structure.
+        states: shape (batch, parts).
+        verdicts: with forces and velocity.
+        claim: cone, gravity, tolerance and force bound.
+
+    Returns:
+        Shape (batch,); an undecided verdict is never accepted.
+    """
+    if verdicts.forces is None or verdicts.velocity is None:
+        raise ValueError("verdicts carry no certificates; ask for them with certificates=True")
+    accepted = np.zeros(len(states), dtype=bool)
+    stable, unstable = np.flatnonzero(verdicts.stable), np.flatnonzero(verdicts.verdict == Verdict.UNSTABLE)
+    for rows in _chunks(stable):
+        residual = residual_of_forces(assembly, states[rows], verdicts.forces[rows], claim)
+        accepted[rows] = residual <= claim.tolerance
+    for rows in _chunks(unstable):
+        bound = residual_bound_of_velocity(assembly, states[rows], verdicts.velocity[rows], claim)
+        accepted[rows] = bound > claim.tolerance
+    return accepted
+
+
+def residual_of_forces(assembly: Assembly, states: States, forces: Array, claim: Claim = Claim()) -> Array:
+    """Largest acceleration that contact forces leave, or infinity where they are not admissible.
+
+    Args:
+        assembly: the structure.
+        states: shape (batch, parts).
+        forces: `(n, t1, t2)` in N at every contact point, shape (batch, points, 3); those that do not act in
+            a state are ignored.
+        claim: cone, gravity and force bound.
+
+    Returns:
+        m/s2 (rad/s2 for rotation), shape (batch,).
+    """
+    contacts, mass = assembly.contacts, assembly.mass
+    owner = contacts.contact_of_point
+    a, b = contacts.parts[owner, 0], contacts.parts[owner, 1]
+    forces = np.where(_acts(states, a, b)[:, :, None], forces, 0.0)
+    weight = claim.gravity * mass.mass[~assembly.boundary].sum()
+
+    outside = _outside_cone(forces, assembly.friction, claim.cone)
+    size = np.linalg.norm(forces, axis=2)
+    admissible = (outside <= _ROUNDING * (size + weight)).all(axis=1)
+    admissible &= np.isfinite(size).all(axis=1)
+    admissible &= forces[:, :, 0].sum(axis=1) <= claim.force_bound * weight * (1 + _ROUNDING)
+
+    world = np.einsum("bci,cij->bcj", forces, contacts.frames[owner])
+    batch, parts = states.shape
+    net = np.zeros((batch, parts, 6))
+    for part, sign in ((a, -1.0), (b, 1.0)):
+        moment = np.cross(contacts.points - mass.center[part], world)
+        wrench = sign * np.concatenate([world, moment], axis=2)
+        rows = (np.arange(batch)[:, None] * parts + part).ravel()
+        for axis in range(6):
+            net[:, :, axis] += np.bincount(rows, wrench[:, :, axis].ravel(), batch * parts).reshape(batch, parts)
+    net[:, :, 2] -= claim.gravity * mass.mass
+    linear = net[:, :, :3] / mass.mass[None, :, None]
+    angular = np.linalg.solve(mass.inertia[None], net[:, :, 3:, None])[..., 0]
+    largest = np.maximum(np.abs(linear).max(axis=2), np.abs(angular).max(axis=2))
+    residual = np.where(states == 1, largest, 0.0).max(axis=1, initial=0.0)
+    return np.where(admissible, residual, np.inf)
+
+
+def residual_bound_of_velocity(assembly: Assembly, states: States, velocity: Array, claim: Claim = Claim()) -> Array:
+    """Acceleration that every admissible set of contact forces leaves at least, as a velocity proves it.
+
+    For forces with sum of normals at most `B`, the power of all forces on velocity `w` is at least
+    `w . gravity - B max_c s_c`, where `s_c` is the most power that contact point `c` can take out per newton of
+    normal force. The power is also the acceleration times the momentum of `w`, at most the largest
+    acceleration times the 1-norm of the momentum (the lemma of Farkas with both bounds in numbers).
+
+    Args:
+        assembly: the structure.
+        states: shape (batch, parts).
+        velocity: `(linear, angular)` about the centres of mass, shape (batch, parts, 6); parts that do not
+            move in a state are taken as still.
+        claim: cone, gravity and force bound.
+
+    Returns:
+        m/s2, shape (batch,); zero or less where nothing is proven.
+    """
+    contacts, mass = assembly.contacts, assembly.mass
+    owner = contacts.contact_of_point
+    a, b = contacts.parts[owner, 0], contacts.parts[owner, 1]
+    velocity = np.where((states == 1)[:, :, None], velocity, 0.0)
+    linear, angular = velocity[:, :, :3], velocity[:, :, 3:]
+
+    relative = np.zeros((len(states), len(owner), 3))
+    for part, sign in ((a, -1.0), (b, 1.0)):
+        relative += sign * (linear[:, part] + np.cross(angular[:, part], contacts.points - mass.center[part]))
+    relative = np.einsum("bcj,cij->bci", relative, contacts.frames[owner])
+    taken = _most_power_taken(relative, assembly.friction, claim.cone)
+    taken = np.where(_acts(states, a, b), taken, 0.0).max(axis=1, initial=0.0)
+
+    power = -claim.gravity * (mass.mass * linear[:, :, 2]).sum(axis=1)
+    weight = claim.gravity * mass.mass[~assembly.boundary].sum()
+    momentum = np.abs(mass.mass[None, :, None] * linear).sum(axis=(1, 2))
+    momentum += np.abs(np.einsum("pij,bpj->bpi", mass.inertia, angular)).sum(axis=(1, 2))
+    proven = power - claim.force_bound * weight * taken
+    bound = np.divide(proven, momentum, out=np.zeros_like(proven), where=momentum > 0)
+    return np.where(np.isfinite(bound), bound, 0.0)
+
+
+def _acts(states: States, a: NDArray, b: NDArray) -> NDArray[np.bool_]:
+    """Contact points with both parts present and at least one that can move. Shape (batch, points)."""
+    return (states[:, a] > 0) & (states[:, b] > 0) & ((states[:, a] == 1) | (states[:, b] == 1))
+
+
+def _outside_cone(forces: Array, friction: float, cone: str) -> Array:
+    """How far forces stand outside the cone, in N, measured along the tangent. Shape (batch, points)."""
+    normal, tangent = forces[..., 0], forces[..., 1:]
+    if cone == "quadratic":
+        reach, limit = np.hypot(tangent[..., 0], tangent[..., 1]), friction * normal
+    else:
+        # An octagon with corners at multiples of 45 degrees has its sides' normals half way between them.
+        angle = (np.arange(8) + 0.5) * np.pi / 4
+        sides = np.stack([np.cos(angle), np.sin(angle)])
+        reach, limit = (tangent @ sides).max(axis=-1), friction * np.cos(np.pi / 8) * normal
+    return np.maximum(reach - limit, -normal)
+
+
+def _most_power_taken(relative: Array, friction: float, cone: str) -> Array:
+    """Most power that a contact point can take out of a relative velocity, per newton of normal force."""
+    tangent = relative[..., 1:]
+    if cone == "quadratic":
+        slip = np.hypot(tangent[..., 0], tangent[..., 1])
+    else:
+        angle = np.arange(8) * np.pi / 4
+        slip = (tangent @ np.stack([np.cos(angle), np.sin(angle)])).max(axis=-1)
+    return friction * slip - relative[..., 0]
+
+
+def _chunks(rows: NDArray) -> list[NDArray]:
+    return [rows[first : first + _CHUNK] for first in range(0, len(rows), _CHUNK)]

@@ -1,0 +1,96 @@
+"""The solver on the processor: batches of states, one state a thread, no BLAS."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import States
+from falsework.stability.cpu_kernel import solve_range
+from falsework.stability.judge import Options
+from falsework.stability.problem import Problem
+from falsework.stability.settings import StabilitySettings
+from falsework.stability.structure import build_structure
+from falsework.stability.verdict import Solver, Verdicts, proof_of
+
+_TASK = 16
+"""States a thread takes at a time: few enough to share hard states out, enough to hide the cost of a call."""
+
+
+class CpuSolver:
+    """Judges batches of states of one structure with compiled code.
+
+    ADMM on the force with one sparse factor a state, then an interior point method for what it leaves open
+    (`docs/decisions/0002`). Both stop at the first proof.
+    """
+
+    def __init__(self, problem: Problem, settings: StabilitySettings = StabilitySettings()) -> None:
+        self.problem = problem
+        self.settings = settings
+        self.structure = build_structure(problem)
+        cpu = settings.cpu
+        self._options = Options(
+            rho=cpu.rho,
+            relaxation=cpu.relaxation,
+            iterations=cpu.iterations,
+            check_every=cpu.check_every,
+            interior_steps=cpu.interior_steps,
+            tolerance=settings.tolerance,
+            force_bound=settings.force_bound,
+        )
+        self._threads = cpu.threads or os.cpu_count() or 1
+        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
+
+    def check(self, states: States, *, certificates: bool = True, guess: NDArray[np.float64] | None = None) -> Verdicts:
+        """Judge a batch.
+
+        Args:
+            states: checked states, shape (batch, parts).
+            certificates: return forces and velocity too.
+            guess: contact forces in N to start from, shape (batch, points, 3); overwritten with the
+                forces that were found.
+
+        Returns:
+            Verdicts; `UNDECIDED` where neither proof was found within the limits of the settings.
+        """
+        batch, problem = len(states), self.problem
+        verdicts = Verdicts.undecided(
+            batch, points=problem.points if certificates else None, parts=problem.parts if certificates else None
+        )
+        forces = guess if guess is not None else verdicts.forces
+        if forces is None:
+            forces = np.zeros((0, problem.points, 3))
+        velocity = verdicts.velocity if verdicts.velocity is not None else np.zeros((0, problem.parts, 6))
+        steps = np.zeros(batch, np.int32)
+
+        def work(first: int) -> None:
+            rows = slice(first, first + task)
+            solve_range(
+                self.structure,
+                states[rows],
+                self._options,
+                forces[rows],
+                velocity[rows],
+                guess is not None,
+                verdicts.verdict[rows],
+                verdicts.residual[rows],
+                verdicts.iterations[rows],
+                steps[rows],
+            )
+
+        task = batch if self._pool is None else min(_TASK, -(-batch // self._threads))
+        starts = range(0, batch, max(task, 1))
+        if self._pool is None or len(starts) < 2:
+            for first in starts:
+                work(first)
+        else:
+            list(self._pool.map(work, starts))
+        if verdicts.forces is not None and forces is not verdicts.forces:
+            verdicts.forces[:] = forces
+        verdicts.iterations[:] += steps
+        verdicts.proof[:] = proof_of(verdicts.verdict)
+        verdicts.decided_by[:] = np.where(verdicts.verdict != 0, Solver.CPU, Solver.NONE)
+        return verdicts

@@ -1,0 +1,78 @@
+"""The compiled verdict of one state, and of a run of states without the interpreter's lock.
+
+ADMM settles most states within fifty cheap iterations; the interior point method settles the rest.
+"""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+
+from falsework.stability.admm import factor_admm, run_admm
+from falsework.stability.interior import run_interior
+from falsework.stability.judge import STABLE, UNDECIDED
+from falsework.stability.structure import make_work, restrict
+
+
+@nb.njit(cache=True)
+def solve_state(structure, state, options, work, forces, velocity, warm):
+    """Judge one state.
+
+    Args:
+        structure, options, work: see there.
+        state: shape (parts,).
+        forces: in: a guess at the contact forces in N where `warm`; out: the forces. Shape (points, 3) or (0, 3).
+        velocity: out: the virtual velocity, zero where parts do not move, shape (parts, 6) or (0, 6).
+        warm: whether `forces` holds a guess.
+
+    Returns:
+        Verdict, the residual it rests on, ADMM iterations, interior-point steps.
+    """
+    pairs, count = restrict(structure, state, work)
+    if count == 0:
+        return STABLE, 0.0, 0, 0
+    for p in range(pairs):
+        shift = structure.pair_start[work.pair[p]] - work.start[p]
+        for j in range(work.start[p], work.start[p + 1]):
+            for r in range(3):
+                work.u[j, r] = forces[j + shift, r] / work.force_scale[j] if warm else 0.0
+    verdict, residual, iterations, steps = UNDECIDED, np.nan, 0, 0
+    if factor_admm(structure, work, pairs, options.rho):
+        verdict, residual, iterations = run_admm(structure, work, pairs, options)
+        if verdict == UNDECIDED and options.interior_steps > 0:
+            verdict, residual, steps = run_interior(structure, work, pairs, options)
+    if len(forces):
+        forces[:] = 0.0
+        for p in range(pairs):
+            shift = structure.pair_start[work.pair[p]] - work.start[p]
+            for j in range(work.start[p], work.start[p + 1]):
+                for r in range(3):
+                    forces[j + shift, r] = work.z[j, r] * work.force_scale[j]
+    if len(velocity):
+        velocity[:] = 0.0
+        for j in range(len(work.free)):
+            if work.free[j]:
+                part = structure.elimination.order[j]
+                for r in range(6):
+                    for c in range(6):
+                        velocity[part, r] += structure.acceleration[part, r, c] * work.velocity[j, c]
+    return verdict, residual, iterations, steps
+
+
+@nb.njit(nogil=True, cache=True)
+def solve_range(structure, states, options, forces, velocity, warm, verdict, residual, iterations, steps):
+    """Judge states one after another without the interpreter's lock; arrays as in `solve_state`, batched.
+
+    `forces` and `velocity` may be empty where no certificates are wanted.
+    """
+    nothing_f = np.zeros((0, 3))
+    nothing_v = np.zeros((0, 6))
+    work = make_work(structure)
+    for i in range(len(states)):
+        force = forces[i] if len(forces) else nothing_f
+        motion = velocity[i] if len(velocity) else nothing_v
+        v, r, k, s = solve_state(structure, states[i], options, work, force, motion, warm)
+        verdict[i] = v
+        residual[i] = r
+        iterations[i] = k
+        steps[i] = s

@@ -1,0 +1,351 @@
+"""A primal-dual interior point method on one state, for what ADMM leaves open.
+
+It solves `min 1/2 |r|^2 - g.r` over velocities `r` with `G^T r` in the dual cone (the least residual's own
+dual; its multipliers are the contact forces) and converges in some ten steps however degenerate the
+structure is. A Newton step reads, with `y = G^T r` and a weight `W` and a target force `b` a contact point,
+
+    (I + G W G^T) dr = g - r + G (b - W y)
+
+where for the octagon `W = sum_k (l_k / s_k) ray_k ray_k^T` over the multipliers `l` and slacks `s` of its
+eight rays, and for the quadratic cone `W` is the square of the scaling of Nesterov and Todd. The matrix has
+the pattern of `S`, so the same elimination factors it. Predictor and corrector as in Mehrotra (1992).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba as nb
+import numpy as np
+
+from falsework.stability.cones import OCTAGON
+from falsework.stability.elimination import factor, solve
+from falsework.stability.judge import UNDECIDED, judge
+from falsework.stability.structure import (
+    FAST,
+    add_wrenches,
+    clear_matrix,
+    dot,
+    pair_strain,
+    pair_stress,
+    point_strain,
+    set_gravity,
+)
+
+_RAY_X = np.array([math.cos(k * math.pi / 4) for k in range(8)])
+_RAY_Y = np.array([math.sin(k * math.pi / 4) for k in range(8)])
+_BACK_OFF = 0.99
+
+
+@nb.njit(inline="always", fastmath=FAST)
+def _system(octagon, mu, x, s, j, target, second, w, b):
+    """Write weight and target force of one contact point.
+
+    `x` and `s` are multipliers and slacks (octagon: one a ray; quadratic: force and slack in coordinates in
+    which the cone is its own dual); `second` is the product of their predicted steps.
+    """
+    if octagon:
+        w00, w01, w02, w11, w12, w22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        b0, b1, b2 = 0.0, 0.0, 0.0
+        for k in range(8):
+            inverse = 1.0 / s[j, k]
+            ratio = x[j, k] * inverse
+            rx, ry = mu * _RAY_X[k], mu * _RAY_Y[k]
+            w00 += ratio
+            w01 += ratio * rx
+            w02 += ratio * ry
+            w11 += ratio * rx * rx
+            w12 += ratio * rx * ry
+            w22 += ratio * ry * ry
+            force = x[j, k] + (target - second[k]) * inverse
+            b0 += force
+            b1 += force * rx
+            b2 += force * ry
+        w[0], w[1], w[2], w[3], w[4], w[5] = w00, w01, w02, w11, w12, w22
+        b[0], b[1], b[2] = b0, b1, b2
+        return
+    det_x = x[j, 0] * x[j, 0] - x[j, 1] * x[j, 1] - x[j, 2] * x[j, 2]
+    det_s = s[j, 0] * s[j, 0] - s[j, 1] * s[j, 1] - s[j, 2] * s[j, 2]
+    fx, fs = 1.0 / math.sqrt(det_x), 1.0 / math.sqrt(det_s)
+    both = fx * fs * (x[j, 0] * s[j, 0] + x[j, 1] * s[j, 1] + x[j, 2] * s[j, 2])
+    f = 1.0 / math.sqrt(2.0 * (1.0 + both))
+    v0, v1, v2 = f * (fx * x[j, 0] + fs * s[j, 0]), f * (fx * x[j, 1] - fs * s[j, 1]), f * (fx * x[j, 2] - fs * s[j, 2])
+    scale = math.sqrt(det_x / det_s)
+    # Back from self-dual coordinates: the normal was multiplied by mu.
+    w[0] = scale * (2.0 * v0 * v0 - 1.0) / (mu * mu)
+    w[1] = scale * 2.0 * v0 * v1 / mu
+    w[2] = scale * 2.0 * v0 * v2 / mu
+    w[3] = scale * (2.0 * v1 * v1 + 1.0)
+    w[4] = scale * 2.0 * v1 * v2
+    w[5] = scale * (2.0 * v2 * v2 + 1.0)
+    t = target / det_s
+    b[0] = (x[j, 0] + t * s[j, 0]) / mu
+    b[1] = x[j, 1] - t * s[j, 1]
+    b[2] = x[j, 2] - t * s[j, 2]
+
+
+@nb.njit(inline="always", fastmath=FAST)
+def _step(octagon, mu, x, s, j, target, second, y0, y1, y2, dx, ds):
+    """Write the steps of one contact point towards `y = G^T (r + dr)`; return how far both may go."""
+    reach = 1e30
+    if octagon:
+        for k in range(8):
+            y = y0 + mu * (_RAY_X[k] * y1 + _RAY_Y[k] * y2)
+            ds[j, k] = y - s[j, k]
+            dx[j, k] = (target - second[k] - x[j, k] * y) / s[j, k]
+            if ds[j, k] < 0.0:
+                reach = min(reach, -s[j, k] / ds[j, k])
+            if dx[j, k] < 0.0:
+                reach = min(reach, -x[j, k] / dx[j, k])
+        return reach
+    y0 /= mu
+    det_x = x[j, 0] * x[j, 0] - x[j, 1] * x[j, 1] - x[j, 2] * x[j, 2]
+    det_s = s[j, 0] * s[j, 0] - s[j, 1] * s[j, 1] - s[j, 2] * s[j, 2]
+    fx, fs = 1.0 / math.sqrt(det_x), 1.0 / math.sqrt(det_s)
+    both = fx * fs * (x[j, 0] * s[j, 0] + x[j, 1] * s[j, 1] + x[j, 2] * s[j, 2])
+    f = 1.0 / math.sqrt(2.0 * (1.0 + both))
+    v0, v1, v2 = f * (fx * x[j, 0] + fs * s[j, 0]), f * (fx * x[j, 1] - fs * s[j, 1]), f * (fx * x[j, 2] - fs * s[j, 2])
+    scale = math.sqrt(det_x / det_s)
+    along = 2.0 * (v0 * y0 + v1 * y1 + v2 * y2)
+    t = target / det_s
+    dx[j, 0] = t * s[j, 0] - scale * (along * v0 - y0)
+    dx[j, 1] = -t * s[j, 1] - scale * (along * v1 + y1)
+    dx[j, 2] = -t * s[j, 2] - scale * (along * v2 + y2)
+    ds[j, 0], ds[j, 1], ds[j, 2] = y0 - s[j, 0], y1 - s[j, 1], y2 - s[j, 2]
+    return min(_to_boundary(x, dx, j), _to_boundary(s, ds, j))
+
+
+@nb.njit(inline="always", fastmath=FAST)
+def _to_boundary(x, dx, j):
+    """Largest step along `dx` that stays in the cone `x0 >= |(x1, x2)|`."""
+    a = dx[j, 0] * dx[j, 0] - dx[j, 1] * dx[j, 1] - dx[j, 2] * dx[j, 2]
+    b = x[j, 0] * dx[j, 0] - x[j, 1] * dx[j, 1] - x[j, 2] * dx[j, 2]
+    c = x[j, 0] * x[j, 0] - x[j, 1] * x[j, 1] - x[j, 2] * x[j, 2]
+    reach = 1e30
+    if dx[j, 0] < 0.0:
+        reach = -x[j, 0] / dx[j, 0]
+    discriminant = b * b - a * c
+    if discriminant > 0.0:
+        root = math.sqrt(discriminant)
+        q = -(b + math.copysign(root, b))
+        for t in (q / a if a != 0.0 else -1.0, c / q if q != 0.0 else -1.0):
+            if t > 0.0:
+                reach = min(reach, t)
+    return reach
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def _start(structure, work, pairs, octagon, mu, r):
+    """Interior multipliers and slacks near what ADMM left in `work.z` and `r`."""
+    z, v, weights, slacks = work.z, work.v, work.weights, work.slacks
+    points = work.start[pairs]
+    _strains(structure, work, pairs, r)
+    mean_force, mean_slack = 0.0, 0.0
+    for j in range(points):
+        mean_force += z[j, 0]
+        mean_slack += abs(v[j, 0])
+    mean_force = max(mean_force / points, 1e-8)
+    mean_slack = max(mean_slack / points, 1e-8)
+    for j in range(points):
+        force = z[j, 0] + mean_force
+        slack = max(v[j, 0], 0.0) + mean_slack
+        if octagon:
+            for k in range(8):
+                weights[j, k] = force / 8.0
+                slacks[j, k] = slack
+        else:
+            weights[j, 0], weights[j, 1], weights[j, 2] = mu * force, 0.0, 0.0
+            slacks[j, 0], slacks[j, 1], slacks[j, 2] = slack / mu, 0.0, 0.0
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def _strains(structure, work, pairs, velocity):
+    """`work.v = G^T velocity`."""
+    basis, start, pair, slot_a, slot_b, v = work.basis, work.start, work.pair, work.slot_a, work.slot_b, work.v
+    transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
+    for p in range(pairs):
+        s0, s1, s2, s3, s4, s5 = pair_strain(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], velocity)
+        for j in range(start[p], start[p + 1]):
+            v[j, 0], v[j, 1], v[j, 2] = point_strain(basis, j, s0, s1, s2, s3, s4, s5)
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
+    """Write the right-hand side, and the matrix if asked for."""
+    size = 8 if octagon else 3
+    basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
+    ta, tb, block = structure.transfer_a, structure.transfer_b, structure.elimination.pair_block
+    free, v, rhs, diagonal, lower, filled = work.free, work.v, work.rhs, work.diagonal, work.lower, work.filled
+    weights, slacks, dx, ds = work.weights, work.slacks, work.weight_steps, work.slack_steps
+    if matrix:
+        clear_matrix(work, 1.0)
+    _strains(structure, work, pairs, r)
+    set_gravity(structure, work, rhs)
+    for j in range(len(free)):
+        if free[j]:
+            for i in range(6):
+                rhs[j, i] -= r[j, i]
+    w, b, second = np.empty(6), np.empty(3), np.zeros(8)
+    local, left = np.empty((6, 6)), np.empty((6, 6))
+    for p in range(pairs):
+        local[:] = 0.0
+        a0, a1, a2, a3, a4, a5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(start[p], start[p + 1]):
+            if not matrix:
+                for k in range(size):
+                    second[k] = dx[j, k] * ds[j, k]
+            _system(octagon, mu, weights, slacks, j, target, second, w, b)
+            w00, w01, w02, w11, w12, w22 = w[0], w[1], w[2], w[3], w[4], w[5]
+            c0 = b[0] - w00 * v[j, 0] - w01 * v[j, 1] - w02 * v[j, 2]
+            c1 = b[1] - w01 * v[j, 0] - w11 * v[j, 1] - w12 * v[j, 2]
+            c2 = b[2] - w02 * v[j, 0] - w12 * v[j, 1] - w22 * v[j, 2]
+            a0 += basis[j, 0, 0] * c0 + basis[j, 0, 1] * c1 + basis[j, 0, 2] * c2
+            a1 += basis[j, 1, 0] * c0 + basis[j, 1, 1] * c1 + basis[j, 1, 2] * c2
+            a2 += basis[j, 2, 0] * c0 + basis[j, 2, 1] * c1 + basis[j, 2, 2] * c2
+            a3 += basis[j, 3, 0] * c0 + basis[j, 3, 1] * c1 + basis[j, 3, 2] * c2
+            a4 += basis[j, 4, 0] * c0 + basis[j, 4, 1] * c1 + basis[j, 4, 2] * c2
+            a5 += basis[j, 5, 0] * c0 + basis[j, 5, 1] * c1 + basis[j, 5, 2] * c2
+            if matrix:
+                for i in range(6):
+                    h0 = basis[j, i, 0] * w00 + basis[j, i, 1] * w01 + basis[j, i, 2] * w02
+                    h1 = basis[j, i, 0] * w01 + basis[j, i, 1] * w11 + basis[j, i, 2] * w12
+                    h2 = basis[j, i, 0] * w02 + basis[j, i, 1] * w12 + basis[j, i, 2] * w22
+                    for k in range(i + 1):
+                        local[i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
+        q, a, b_ = pair[p], slot_a[p], slot_b[p]
+        pair_stress(ta, tb, q, a, b_, a0, a1, a2, a3, a4, a5, rhs)
+        if not matrix:
+            continue
+        for i in range(6):
+            for k in range(i):
+                local[k, i] = local[i, k]
+        if a >= 0:
+            _multiply(ta, q, local, left)
+            _add_product(left, ta, q, diagonal, a)
+            if b_ >= 0:
+                filled[block[q]] = True
+                if b_ < a:
+                    _add_product(left, tb, q, lower, block[q])
+        if b_ >= 0:
+            _multiply(tb, q, local, left)
+            _add_product(left, tb, q, diagonal, b_)
+            if a >= 0 and b_ > a:
+                _add_product(left, ta, q, lower, block[q])
+
+
+@nb.njit(inline="always", fastmath=FAST)
+def _multiply(left, q, right, out):
+    """`out = left[q] right`."""
+    for i in range(6):
+        for j in range(6):
+            total = 0.0
+            for k in range(6):
+                total += left[q, i, k] * right[k, j]
+            out[i, j] = total
+
+
+@nb.njit(inline="always", fastmath=FAST)
+def _add_product(left, right, q, out, e):
+    """`out[e] += left right[q]^T`."""
+    for i in range(6):
+        for j in range(6):
+            total = 0.0
+            for k in range(6):
+                total += left[i, k] * right[q, j, k]
+            out[e, i, j] += total
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def _steps(structure, work, pairs, octagon, mu, r, step, target, corrector):
+    """Write all steps of multipliers and slacks; return how far they may go."""
+    size = 8 if octagon else 3
+    free, ahead, v = work.free, work.residual, work.v
+    weights, slacks, dx, ds = work.weights, work.slacks, work.weight_steps, work.slack_steps
+    second = np.zeros(8)
+    for j in range(len(free)):
+        if free[j]:
+            for i in range(6):
+                ahead[j, i] = r[j, i] + step[j, i]
+    _strains(structure, work, pairs, ahead)
+    reach = 1e30
+    for j in range(work.start[pairs]):
+        if corrector:
+            for k in range(size):
+                second[k] = dx[j, k] * ds[j, k]
+        here = _step(octagon, mu, weights, slacks, j, target, second, v[j, 0], v[j, 1], v[j, 2], dx, ds)
+        reach = min(reach, here)
+    return reach
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def _complementarity(work, points, size, length):
+    """Mean product of multipliers and slacks after a step of this length."""
+    weights, slacks, dx, ds = work.weights, work.slacks, work.weight_steps, work.slack_steps
+    total = 0.0
+    for j in range(points):
+        for k in range(size):
+            total += (weights[j, k] + length * dx[j, k]) * (slacks[j, k] + length * ds[j, k])
+    return total / points
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def _advance(work, points, octagon, mu, length):
+    """Step multipliers and slacks, and write the forces they stand for to `work.z`."""
+    z, weights, slacks, dx, ds = work.z, work.weights, work.slacks, work.weight_steps, work.slack_steps
+    for j in range(points):
+        for k in range(8 if octagon else 3):
+            weights[j, k] += length * dx[j, k]
+            slacks[j, k] += length * ds[j, k]
+        if octagon:
+            n, x, y = 0.0, 0.0, 0.0
+            for k in range(8):
+                n += weights[j, k]
+                x += _RAY_X[k] * weights[j, k]
+                y += _RAY_Y[k] * weights[j, k]
+            z[j, 0], z[j, 1], z[j, 2] = n, mu * x, mu * y
+        else:
+            z[j, 0], z[j, 1], z[j, 2] = weights[j, 0] / mu, weights[j, 1], weights[j, 2]
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def run_interior(structure, work, pairs, options):
+    """Run from the iterate of ADMM; return verdict, residual and steps. The velocity is in `work.velocity`."""
+    mu = structure.friction
+    octagon = structure.cone == OCTAGON or mu < 1e-9  # without friction both cones are the same ray
+    size = 8 if octagon else 3
+    points = work.start[pairs]
+    r, step = work.velocity, work.rhs
+    set_gravity(structure, work, r)
+    add_wrenches(structure, work, pairs, work.z, r)
+    if points == 0:
+        verdict, residual = judge(structure, work, pairs, r, options)
+        return verdict, residual, 0
+    _start(structure, work, pairs, octagon, mu, r)
+    residual = np.nan
+    for iteration in range(1, options.interior_steps + 1):
+        work.weight_steps[:points] = 0.0
+        work.slack_steps[:points] = 0.0
+        gap = _complementarity(work, points, size, 0.0)
+        _assemble(structure, work, pairs, octagon, mu, r, 0.0, True)
+        if not factor(structure.elimination, work.free, work.diagonal, work.lower, work.filled):
+            break
+        solve(structure.elimination, work.free, work.diagonal, work.lower, work.filled, step)
+        reach = min(1.0, _steps(structure, work, pairs, octagon, mu, r, step, 0.0, False))
+        centring = max(_complementarity(work, points, size, reach) / gap, 0.0) ** 3
+        target = centring * gap / (8.0 if octagon else 1.0)
+        if not octagon:
+            work.weight_steps[:points] = 0.0  # the second-order term of the quadratic cone is left out
+        _assemble(structure, work, pairs, octagon, mu, r, target, False)
+        solve(structure.elimination, work.free, work.diagonal, work.lower, work.filled, step)
+        reach = min(1.0, _BACK_OFF * _steps(structure, work, pairs, octagon, mu, r, step, target, octagon))
+        for j in range(len(work.free)):
+            if work.free[j]:
+                for i in range(6):
+                    r[j, i] += reach * step[j, i]
+        _advance(work, points, octagon, mu, reach)
+        if not dot(work, r, r) < np.inf:
+            break
+        verdict, residual = judge(structure, work, pairs, r, options)
+        if verdict != UNDECIDED:
+            return verdict, residual, iteration
+    return UNDECIDED, residual, options.interior_steps

@@ -1,0 +1,107 @@
+"""The two tests that end a solver's iterations, in float64: forces that hold, a velocity that cannot be held.
+
+`certificate.py` repeats both from the meshes' contacts alone; these run inside the compiled loop.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+
+from falsework.stability.cones import support
+from falsework.stability.structure import FAST, add_wrenches, pair_strain, point_strain, set_gravity
+
+STABLE, UNSTABLE, UNDECIDED = 1, -1, 0
+_MARGIN = 1e-3
+"""Both tests ask for this much more than the tolerance, so that rounding cannot overturn them."""
+
+
+class Options(NamedTuple):
+    """Numbers that steer the kernel; see `CpuSettings` for their meaning."""
+
+    rho: float
+    relaxation: float
+    iterations: int
+    check_every: int
+    interior_steps: int
+    tolerance: float
+    force_bound: float
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def judge_forces(structure, work, pairs, forces, options, residual):
+    """Largest acceleration that forces of the cone leave, or infinity if they exceed the force bound.
+
+    Leaves the whitened residual in `residual`.
+    """
+    set_gravity(structure, work, residual)
+    add_wrenches(structure, work, pairs, forces, residual)
+    free, order, turn, scale = work.free, structure.elimination.order, structure.acceleration, work.force_scale
+    worst = 0.0
+    for j in range(len(free)):
+        if not free[j]:
+            continue
+        part = order[j]
+        for r in range(6):
+            total = 0.0
+            for c in range(6):
+                total += turn[part, r, c] * residual[j, c]
+            worst = max(worst, abs(total))
+    pressed = 0.0
+    for j in range(work.start[pairs]):
+        pressed += forces[j, 0] * scale[j]
+    if pressed > options.force_bound * structure.weight:
+        return np.inf
+    return worst
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def judge_velocity(structure, work, pairs, velocity, options):
+    """Largest acceleration that every force of the cone below the bound leaves, as proven by a velocity.
+
+    For forces `f` of the cone with sum of normals at most `U W`, `velocity . (G f + g)` is at least
+    `velocity . g - U W max_c support(-G^T velocity)_c`, and at most the largest acceleration times the
+    1-norm of the momentum of `velocity`.
+    """
+    free, order, gravity, mass = work.free, structure.elimination.order, structure.gravity, structure.momentum
+    power = 0.0
+    momentum = 0.0
+    for j in range(len(free)):
+        if not free[j]:
+            continue
+        part = order[j]
+        for r in range(6):
+            power += velocity[j, r] * gravity[part, r]
+            total = 0.0
+            for c in range(6):
+                total += mass[part, r, c] * velocity[j, c]
+            momentum += abs(total)
+    bound = options.force_bound * structure.weight
+    allowed = (power - options.tolerance * momentum) / bound
+    if allowed <= 0.0:
+        return 0.0
+    basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
+    transfer_a, transfer_b, scale = structure.transfer_a, structure.transfer_b, work.force_scale
+    worst = 0.0
+    for p in range(pairs):
+        s0, s1, s2, s3, s4, s5 = pair_strain(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], velocity)
+        for j in range(start[p], start[p + 1]):
+            n, x, y = point_strain(basis, j, s0, s1, s2, s3, s4, s5)
+            worst = max(worst, support(structure.cone, -n, -x, -y, structure.friction) / scale[j])
+        if worst > allowed:
+            return 0.0
+    return (power - worst * bound) / momentum
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def judge(structure, work, pairs, velocity, options):
+    """Verdict on the current forces `work.z` and a velocity, with the residual that it rests on."""
+    worst = judge_forces(structure, work, pairs, work.z, options, work.residual)
+    if worst < (1.0 - _MARGIN) * options.tolerance:
+        return STABLE, worst
+    least = judge_velocity(structure, work, pairs, velocity, options)
+    if least > (1.0 + _MARGIN) * options.tolerance:
+        return UNSTABLE, least
+    return UNDECIDED, worst

@@ -1,0 +1,223 @@
+"""The oracle that everything calls: batches, cache, warm starts, and the exact solver for what is left."""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import States, as_states
+from falsework.stability.cache import VerdictCache
+from falsework.stability.certificate import accept
+from falsework.stability.cpu import CpuSolver
+from falsework.stability.exact import ExactSolver
+from falsework.stability.problem import build_problem
+from falsework.stability.settings import StabilitySettings
+from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
+
+_GUESSES = 64 * 1024 * 1024
+"""Bytes kept of contact forces to start children from."""
+
+
+@dataclass
+class Counters:
+    """What the oracle was asked, and who answered."""
+
+    asked: int = 0
+    """States asked about, repetitions included."""
+    cached: int = 0
+    """Answered because the same state had been asked before."""
+    by_rule: int = 0
+    """Answered because a proof of another state holds for this one."""
+    cpu: int = 0
+    """Decided by the solver on the processor."""
+    exact: int = 0
+    """Decided by the exact solver."""
+    undecided: int = 0
+    """Left open by all solvers."""
+    rejected: int = 0
+    """Proofs of the fast solver that the checker did not accept; the exact solver then decided."""
+    warm: int = 0
+    """Solved from the forces of a parent."""
+
+    def as_dict(self) -> dict[str, int]:
+        """Plain numbers for reports."""
+        return asdict(self)
+
+
+class Stability:
+    """Says of partial structures whether they stand, with proofs.
+
+    One object serves one structure under one set of settings. It keeps what it learns: ask the same object
+    again rather than making a new one.
+    """
+
+    def __init__(self, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> None:
+        self.assembly = assembly
+        self.settings = settings
+        self.problem = build_problem(assembly, cone=settings.cone, gravity=settings.gravity)
+        self.exact = ExactSolver(assembly, settings, self.problem)
+        self.counters = Counters()
+        self._cpu = CpuSolver(self.problem, settings) if settings.solver == "cpu" else None
+        self._cache = VerdictCache()
+        self._forces: OrderedDict[bytes, NDArray[np.float32]] = OrderedDict()
+        self._forces_limit = _GUESSES // max(self.problem.points * 12, 1)
+
+    def check(self, states: ArrayLike) -> Verdicts:
+        """Judge states and return the proofs, each accepted by the certificate checker.
+
+        Args:
+            states: one state `(parts,)` or a batch `(batch, parts)`; 0 removed, 1 installed, 2 held.
+
+        Returns:
+            Verdicts with forces and velocity; a batch of one for one state.
+
+        Raises:
+            StateError: states of the wrong length or with other values.
+        """
+        batch = as_states(states, self.assembly.boundary)
+        self.counters.asked += len(batch)
+        unique, back = _unique(batch)
+        if self._cpu is None:
+            verdicts = self.exact.check(unique)
+        else:
+            verdicts = self._cpu.check(unique, certificates=True)
+            accepted = accept(self.assembly, unique, verdicts, self.settings.claim)
+            self.counters.rejected += int((~accepted & (verdicts.verdict != Verdict.UNDECIDED)).sum())
+            rest = np.flatnonzero(~accepted)
+            if len(rest):
+                verdicts.put(rest, self.exact.check(unique[rest]))
+        self._count(verdicts)
+        self._cache.store(unique, verdicts.verdict, verdicts.residual)
+        self.counters.cached += len(batch) - len(unique)
+        return verdicts[back]
+
+    def judge(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> Verdicts:
+        """Judge states without returning forces and velocities, from the cache where it can.
+
+        Every verdict rests on a proof found in float64; the cache remembers the verdict, not the proof.
+
+        Args:
+            states: shape (batch, parts).
+            parents: for each state a similar one that was judged before, such as the state it comes from;
+                its forces are the first guess. Shape (batch, parts).
+
+        Returns:
+            Verdicts without certificates.
+
+        Raises:
+            StateError: states of the wrong length or with other values.
+        """
+        batch = as_states(states, self.assembly.boundary)
+        self.counters.asked += len(batch)
+        verdicts = Verdicts.undecided(len(batch))
+        verdict, residual, by_rule = self._cache.look_up(batch)
+        verdicts.verdict[:], verdicts.residual[:] = verdict, residual
+        verdicts.decided_by[:] = np.where(verdict != 0, Solver.RULE, Solver.NONE)
+        self.counters.by_rule += int(by_rule.sum())
+        self.counters.cached += int(((verdict != 0) & ~by_rule).sum())
+        rest = np.flatnonzero(verdict == 0)
+        if len(rest):
+            first, back = _unique_rows(batch[rest])
+            rows = rest[first]
+            guess = None if parents is None else as_states(parents, self.assembly.boundary)[rows]
+            solved = self._solve(batch[rows], guess)
+            self._count(solved)
+            self._cache.store(batch[rows], solved.verdict, solved.residual)
+            self.counters.cached += len(rest) - len(rows)
+            verdicts.put(rest, solved[back])
+        verdicts.proof[:] = proof_of(verdicts.verdict)
+        return verdicts
+
+    def stable(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> NDArray[np.bool_]:
+        """Which states are proven stable; arguments as for `judge`. Shape (batch,)."""
+        return self.judge(states, parents=parents).stable
+
+    def _solve(self, states: States, parents: States | None) -> Verdicts:
+        if self._cpu is None:
+            return self.exact.check(states).without_certificates()
+        guess = None
+        if parents is not None and self._forces_limit > 0:
+            guess = np.zeros((len(states), self.problem.points, 3))
+            for row, parent in enumerate(parents):
+                known = self._forces.get(parent.tobytes())
+                if known is not None:
+                    guess[row] = known
+                    self.counters.warm += 1
+        verdicts = self._cpu.check(states, certificates=False, guess=guess)
+        if guess is not None:
+            self._remember(states[verdicts.stable], guess[verdicts.stable])
+        rest = np.flatnonzero(verdicts.verdict == Verdict.UNDECIDED)
+        if len(rest):
+            verdicts.put(rest, self.exact.check(states[rest]))
+        return verdicts
+
+    def _remember(self, states: States, forces: NDArray[np.float64]) -> None:
+        for state, force in zip(states, forces.astype(np.float32), strict=True):
+            self._forces[state.tobytes()] = force
+        while len(self._forces) > self._forces_limit:
+            self._forces.popitem(last=False)
+
+    def _count(self, verdicts: Verdicts) -> None:
+        self.counters.cpu += int((verdicts.decided_by == Solver.CPU).sum())
+        self.counters.exact += int((verdicts.decided_by == Solver.EXACT).sum())
+        self.counters.undecided += int((verdicts.verdict == Verdict.UNDECIDED).sum())
+
+
+def describe_motion(velocity: NDArray[np.float64], *, share: float = 0.05) -> list[tuple[int, str]]:
+    """The parts that move most in an unstable state, and how, in plain words.
+
+    Args:
+        velocity: virtual velocity of one state, shape (parts, 6).
+        share: parts slower than this share of the fastest are left out.
+
+    Returns:
+        Part and words such as `falls and tips about +x`, fastest first.
+    """
+    speed = np.linalg.norm(velocity[:, :3], axis=1)
+    turn = np.linalg.norm(velocity[:, 3:], axis=1)
+    top, spin = max(speed.max(initial=0.0), 1e-300), max(turn.max(initial=0.0), 1e-300)
+    moving = np.flatnonzero((speed > share * top) | (turn > share * spin))
+    moving = moving[np.argsort(-np.maximum(speed[moving] / top, turn[moving] / spin), kind="stable")]
+    return [
+        (int(part), _words(velocity[part], speed[part] > share * top, turn[part] > share * spin)) for part in moving
+    ]
+
+
+def _words(velocity: NDArray[np.float64], moves: bool, turns: bool) -> str:
+    words = []
+    if moves:
+        x, y, z = velocity[:3]
+        side = math.hypot(x, y)
+        vertical = "falls" if z < 0 else "rises"
+        horizontal = f"slides towards {_axis(np.array([x, y, 0.0]))}"
+        if side < 0.3 * abs(z):
+            words.append(vertical)
+        elif abs(z) < 0.3 * side:
+            words.append(horizontal)
+        else:
+            words.append(f"{vertical} and {horizontal}")
+    if turns:
+        words.append(f"tips about {_axis(velocity[3:])}")
+    return " and ".join(words)
+
+
+def _axis(direction: NDArray[np.float64]) -> str:
+    axis = int(np.argmax(np.abs(direction)))
+    return f"{'+' if direction[axis] >= 0 else '-'}{'xyz'[axis]}"
+
+
+def _unique_rows(states: States) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First row of every distinct state, and which of them each row is."""
+    keys = np.ascontiguousarray(states).view(np.dtype((np.void, states.shape[1]))).ravel()
+    _, first, back = np.unique(keys, return_index=True, return_inverse=True)
+    return first, back
+
+
+def _unique(states: States) -> tuple[States, NDArray[np.intp]]:
+    first, back = _unique_rows(states)
+    return states[first], back

@@ -1,0 +1,234 @@
+"""What all solvers share: wrench maps, masses, scalings, and the masks that a state implies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
+from falsework.errors import AssemblyError, InputError
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+
+Cone = Literal["octagon", "quadratic"]
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FORCE_BOUND = 1e3
+"""Default bound on the sum of all normal forces, in weights of the structure (the paper bounds forces too)."""
+TOLERANCE = 1e-3
+"""Default largest acceleration of a stable state, m/s2 and rad/s2 (paper, section 4)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The equilibrium problem of one structure, computed once and read by every solver.
+
+    Contact point `c` acts between part `a` and part `b` with a force in the frame `(n, t1, t2)`; the force
+    acts on `b`, its opposite on `a`. Wrenches are `(force, moment about the centre of mass)`.
+
+    Solvers iterate on a scaled problem. Rows are whitened by the masses (`M = L L^T` a part, rows multiplied
+    by `L^-1`), each contact point's columns are divided by their Frobenius norm, and the whole map by its
+    largest singular value; `variable * force_scale = force`. The friction cone does not change, since each
+    contact point is scaled by one positive number. The map is kept in factors: all points between one pair
+    of parts act through the same 6-vector (force and moment about the middle of the pair's points), so
+
+        block of part a = transfer_a[pair] @ basis[point],    block of part b = transfer_b[pair] @ basis[point]
+
+    which halves the work of an iteration and leaves `S = G G^T` a sum of one small matrix a pair.
+    """
+
+    parts: int
+    boundary: Mask
+    """Shape (parts,)."""
+    part_a: NDArray[np.int32]
+    """Part on which the opposite of the force acts, shape (points,)."""
+    part_b: NDArray[np.int32]
+    """Part on which the force acts, shape (points,)."""
+    friction: float
+    cone: Cone
+    wrench_a: Array
+    """Wrench on part `a` of a unit force, shape (points, 6, 3), N and Nm per N."""
+    wrench_b: Array
+    """Wrench on part `b` of a unit force, shape (points, 6, 3)."""
+    gravity_wrench: Array
+    """Shape (parts, 6), N and Nm."""
+    pair_parts: NDArray[np.int32]
+    """Parts `a < b` of every pair in contact, shape (pairs, 2)."""
+    pair_start: NDArray[np.int32]
+    """Pair `q` owns contact points `pair_start[q]:pair_start[q + 1]`, shape (pairs + 1,)."""
+    basis: Array
+    """Scaled force and moment about the pair's middle, shape (points, 6, 3)."""
+    transfer_a: Array
+    """Whitened wrench on part `a` of the pair's 6-vector (sign included), shape (pairs, 6, 6)."""
+    transfer_b: Array
+    """Whitened wrench on part `b` of the pair's 6-vector, shape (pairs, 6, 6)."""
+    scaled_gravity: Array
+    """Whitened gravity wrench, shape (parts, 6)."""
+    whitening: Array
+    """`L^-1`, shape (parts, 6, 6)."""
+    momentum: Array
+    """`L`: turns a whitened velocity into a momentum, shape (parts, 6, 6)."""
+    acceleration: Array
+    """`L^-T`: turns a whitened residual into an acceleration, shape (parts, 6, 6)."""
+    force_scale: Array
+    """Force in N of a scaled variable of 1, shape (points,)."""
+    weight: float
+    """Weight of all parts that are not boundary, N."""
+
+    @property
+    def points(self) -> int:
+        """Number of contact points."""
+        return len(self.part_a)
+
+    @property
+    def pairs(self) -> int:
+        """Number of pairs of parts in contact."""
+        return len(self.pair_parts)
+
+    def free(self, states: States) -> Mask:
+        """Parts that can move: installed and not held. Shape (batch, parts)."""
+        return states == INSTALLED
+
+    def active(self, states: States) -> Mask:
+        """Contact points that act: both parts present, not both fixed. Shape (batch, points)."""
+        a, b = states[:, self.part_a], states[:, self.part_b]
+        return (a != REMOVED) & (b != REMOVED) & ((a != HELD) | (b != HELD))
+
+
+def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float = 9.81) -> Problem:
+    """Set up the equilibrium problem of an assembly (paper, equations 2 to 6; DESIGN, section 4).
+
+    Args:
+        assembly: parts, contacts, masses and friction.
+        cone: `octagon` (the paper's eight tangents) or `quadratic` (Coulomb).
+        gravity: acceleration of gravity along -z, m/s2.
+
+    Raises:
+        InputError: unknown cone, or gravity that is not positive.
+        AssemblyError: a part whose inertia is not positive definite.
+    """
+    if cone not in ("octagon", "quadratic"):
+        raise InputError(f"unknown friction cone {cone!r}; choose octagon or quadratic")
+    if not (np.isfinite(gravity) and gravity > 0):
+        raise InputError(f"gravity is {gravity} m/s2; give a positive number such as 9.81")
+    contacts, mass = assembly.contacts, assembly.mass
+    owner = contacts.contact_of_point
+    part_a, part_b = contacts.parts[owner, 0], contacts.parts[owner, 1]
+    axes = contacts.frames[owner].transpose(0, 2, 1)  # columns n, t1, t2
+
+    first = np.flatnonzero(np.r_[True, (np.diff(part_a) != 0) | (np.diff(part_b) != 0)]) if len(owner) else []
+    pair_start = np.r_[first, len(owner)].astype(np.int32)
+    pair_parts = contacts.parts[owner[pair_start[:-1]]] if len(owner) else np.zeros((0, 2), np.int32)
+    pair_of_point = np.repeat(np.arange(len(pair_parts)), np.diff(pair_start))
+    middle = np.zeros((len(pair_parts), 3))
+    np.add.at(middle, pair_of_point, contacts.points)
+    middle /= np.diff(pair_start)[:, None]
+
+    whitening, momentum = _mass_factors(assembly)
+    basis = _unit_wrenches(axes, contacts.points - middle[pair_of_point])
+    a, b = pair_parts.T
+    transfer_a = -whitening[a] @ _shift(middle - mass.center[a])
+    transfer_b = whitening[b] @ _shift(middle - mass.center[b])
+    # A boundary part never moves, so its rows take no part in any state: they must not spoil the scaling.
+    transfer_a[assembly.boundary[a]] = 0.0
+    transfer_b[assembly.boundary[b]] = 0.0
+    norms = np.sqrt(
+        ((transfer_a[pair_of_point] @ basis) ** 2).sum((1, 2)) + ((transfer_b[pair_of_point] @ basis) ** 2).sum((1, 2))
+    )
+    norms[norms == 0] = 1.0
+    basis = basis / norms[:, None, None]
+    top = _largest_singular_value(basis, pair_of_point, pair_parts, transfer_a, transfer_b, assembly.part_count)
+
+    gravity_wrench = np.zeros((assembly.part_count, 6))
+    gravity_wrench[:, 2] = -gravity * mass.mass
+    arrays: dict[str, NDArray] = {
+        "boundary": np.array(assembly.boundary, dtype=bool),
+        "part_a": part_a.astype(np.int32),
+        "part_b": part_b.astype(np.int32),
+        "wrench_a": -_unit_wrenches(axes, contacts.points - mass.center[part_a]),
+        "wrench_b": _unit_wrenches(axes, contacts.points - mass.center[part_b]),
+        "gravity_wrench": gravity_wrench,
+        "pair_parts": pair_parts.astype(np.int32),
+        "pair_start": pair_start,
+        "basis": basis / top,
+        "transfer_a": transfer_a,
+        "transfer_b": transfer_b,
+        "scaled_gravity": (whitening @ gravity_wrench[:, :, None])[:, :, 0],
+        "whitening": whitening,
+        "momentum": momentum,
+        "acceleration": whitening.transpose(0, 2, 1),
+        "force_scale": 1.0 / (norms * top),
+    }
+    for name, array in arrays.items():
+        arrays[name] = array = np.ascontiguousarray(array)
+        array.setflags(write=False)
+    return Problem(
+        parts=assembly.part_count,
+        friction=float(assembly.friction),
+        cone=cone,
+        weight=float(gravity * mass.mass[~assembly.boundary].sum()),
+        **arrays,
+    )
+
+
+def _mass_factors(assembly: Assembly) -> tuple[Array, Array]:
+    """`L^-1` and `L` of every part's mass matrix `L L^T`, shapes (parts, 6, 6)."""
+    mass = assembly.mass
+    try:
+        inertia_factor = np.linalg.cholesky(mass.inertia)
+    except np.linalg.LinAlgError:
+        worst = int(np.argmin(np.linalg.eigvalsh(mass.inertia)[:, 0]))
+        raise AssemblyError(f"part {worst} has an inertia that is not positive; repair its mesh") from None
+    whitening = np.zeros((assembly.part_count, 6, 6))
+    momentum = np.zeros_like(whitening)
+    momentum[:, :3, :3] = np.eye(3) * np.sqrt(mass.mass)[:, None, None]
+    momentum[:, 3:, 3:] = inertia_factor
+    whitening[:, :3, :3] = np.eye(3) / np.sqrt(mass.mass)[:, None, None]
+    whitening[:, 3:, 3:] = np.linalg.inv(inertia_factor)
+    return whitening, momentum
+
+
+def _unit_wrenches(axes: Array, arms: Array) -> Array:
+    """Force and moment of unit forces along the columns of `axes` at `arms`. Shape (points, 6, 3)."""
+    moments = np.cross(arms[:, None, :], axes.transpose(0, 2, 1)).transpose(0, 2, 1)
+    return np.concatenate([axes, moments], axis=1)
+
+
+def _shift(arms: Array) -> Array:
+    """Matrices that turn (force, moment) at a point into (force, moment) about a point `-arm` away."""
+    shift = np.zeros((len(arms), 6, 6))
+    shift[:] = np.eye(6)
+    x, y, z = arms.T
+    shift[:, 3, 1], shift[:, 3, 2] = -z, y
+    shift[:, 4, 0], shift[:, 4, 2] = z, -x
+    shift[:, 5, 0], shift[:, 5, 1] = -y, x
+    return shift
+
+
+def _largest_singular_value(
+    basis: Array, pair_of_point: NDArray, pair_parts: NDArray, transfer_a: Array, transfer_b: Array, parts: int
+) -> float:
+    """Largest singular value of the wrench map over the parts that can move, by power iteration."""
+    if not len(basis):
+        return 1.0
+    stiffness = np.zeros((len(pair_parts), 6, 6))
+    np.add.at(stiffness, pair_of_point, basis @ basis.transpose(0, 2, 1))
+    a, b = pair_parts.T
+    vector = np.random.default_rng(0).standard_normal((parts, 6))
+    value = 1.0
+    for _ in range(60):
+        vector /= np.linalg.norm(vector)
+        strain = np.einsum("qji,qj->qi", transfer_a, vector[a]) + np.einsum("qji,qj->qi", transfer_b, vector[b])
+        stress = np.einsum("qij,qj->qi", stiffness, strain)
+        image = np.zeros_like(vector)
+        np.add.at(image, a, np.einsum("qij,qj->qi", transfer_a, stress))
+        np.add.at(image, b, np.einsum("qij,qj->qi", transfer_b, stress))
+        value, vector = float(np.sqrt(max(np.vdot(vector, image), 0.0))), image
+        if value == 0.0:
+            return 1.0
+    return value

@@ -1,0 +1,60 @@
+"""Settings of a stability check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from falsework.errors import InputError
+from falsework.stability.certificate import Claim
+from falsework.stability.problem import FORCE_BOUND, TOLERANCE, Cone
+
+
+@dataclass(frozen=True)
+class CpuSettings:
+    """Numbers that steer the solver on the processor; the defaults were tuned on the nine real structures."""
+
+    rho: float = 1e-3
+    """Penalty of ADMM, relative to the scaled problem."""
+    relaxation: float = 1.3
+    """Over-relaxation of ADMM, between 1 and 2."""
+    iterations: int = 60
+    """ADMM iterations before the interior point method takes over."""
+    check_every: int = 5
+    """Iterations between two tests for a proof."""
+    interior_steps: int = 50
+    """Steps of the interior point method before a state is left to the exact solver."""
+    threads: int | None = None
+    """Worker threads; all cores by default."""
+
+
+@dataclass(frozen=True)
+class StabilitySettings:
+    """What stable means, and who decides."""
+
+    cone: Cone = "octagon"
+    """Friction cone: the paper's octagon, or Coulomb's quadratic cone."""
+    gravity: float = 9.81
+    """m/s2 along -z."""
+    tolerance: float = TOLERANCE
+    """Largest acceleration of a stable state, m/s2 and rad/s2 (paper, section 4)."""
+    force_bound: float = FORCE_BOUND
+    """Bound on the sum of all normal forces, in weights of the structure."""
+    solver: Literal["cpu", "exact"] = "cpu"
+    """Who is asked first; what it leaves undecided goes to the exact solver."""
+    cpu: CpuSettings = CpuSettings()
+
+    def __post_init__(self) -> None:
+        for name in ("gravity", "tolerance", "force_bound"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"{name} is {value}; give a positive number")
+        if self.solver not in ("cpu", "exact"):
+            raise InputError(f"unknown solver {self.solver!r}; choose cpu or exact")
+
+    @property
+    def claim(self) -> Claim:
+        """What the certificate checker needs to know."""
+        return Claim(self.cone, self.gravity, self.tolerance, self.force_bound)

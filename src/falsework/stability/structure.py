@@ -1,0 +1,289 @@
+"""Compiled building blocks: a structure laid out for the processor, and sparse products with its wrench map."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.stability.cones import CONES
+from falsework.stability.elimination import Elimination, eliminate
+from falsework.stability.problem import Problem
+
+FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
+"""Freedoms given to the compiler: all of fast mathematics, but NaN and infinity keep their meaning."""
+
+
+class Structure(NamedTuple):
+    """Arrays of a `Problem` in the layout of the kernel; fields as there."""
+
+    elimination: Elimination
+    pair_parts: NDArray[np.int32]
+    pair_start: NDArray[np.int32]
+    basis: NDArray[np.float64]
+    transfer_a: NDArray[np.float64]
+    transfer_b: NDArray[np.float64]
+    stiffness_aa: NDArray[np.float64]
+    """Contribution of each pair to the diagonal block of `S` of part `a`, shape (pairs, 6, 6)."""
+    stiffness_bb: NDArray[np.float64]
+    stiffness_low: NDArray[np.float64]
+    """Contribution to the block below the diagonal, shape (pairs, 6, 6)."""
+    gravity: NDArray[np.float64]
+    momentum: NDArray[np.float64]
+    acceleration: NDArray[np.float64]
+    force_scale: NDArray[np.float64]
+    weight: float
+    friction: float
+    cone: int
+
+
+def build_structure(problem: Problem) -> Structure:
+    """Lay a problem out for the kernel and eliminate its pattern once."""
+    pattern = eliminate(problem)
+    pair_of_point = np.repeat(np.arange(problem.pairs), np.diff(problem.pair_start))
+    stiffness = np.zeros((problem.pairs, 6, 6))
+    np.add.at(stiffness, pair_of_point, problem.basis @ problem.basis.transpose(0, 2, 1))
+    a, b = problem.transfer_a, problem.transfer_b
+    cross = b @ stiffness @ a.transpose(0, 2, 1)
+    later_is_b = pattern.position[problem.pair_parts[:, 1]] > pattern.position[problem.pair_parts[:, 0]]
+    return Structure(
+        elimination=pattern,
+        pair_parts=problem.pair_parts,
+        pair_start=problem.pair_start,
+        basis=problem.basis,
+        transfer_a=a,
+        transfer_b=b,
+        stiffness_aa=np.ascontiguousarray(a @ stiffness @ a.transpose(0, 2, 1)),
+        stiffness_bb=np.ascontiguousarray(b @ stiffness @ b.transpose(0, 2, 1)),
+        stiffness_low=np.ascontiguousarray(np.where(later_is_b[:, None, None], cross, cross.transpose(0, 2, 1))),
+        gravity=problem.scaled_gravity,
+        momentum=problem.momentum,
+        acceleration=problem.acceleration,
+        force_scale=problem.force_scale,
+        weight=problem.weight,
+        friction=problem.friction,
+        cone=CONES[problem.cone],
+    )
+
+
+class Work(NamedTuple):
+    """Scratch of one thread; pairs and points stand in the compact order of the state at hand."""
+
+    free: NDArray[np.bool_]
+    """Which positions can move, shape (n,)."""
+    slot_a: NDArray[np.int32]
+    """Position of part `a` of each acting pair, -1 where it is held or boundary."""
+    slot_b: NDArray[np.int32]
+    pair: NDArray[np.int32]
+    """Acting pairs."""
+    start: NDArray[np.int32]
+    """Acting pair `p` owns compact points `start[p]:start[p + 1]`."""
+    basis: NDArray[np.float64]
+    """Basis of the acting points, shape (points, 6, 3)."""
+    force_scale: NDArray[np.float64]
+    u: NDArray[np.float64]
+    """ADMM iterate before projection, shape (points, 3)."""
+    z: NDArray[np.float64]
+    """Forces in the cone, shape (points, 3)."""
+    v: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    """Interior point: multipliers of the eight rays (or the force), shape (points, 8)."""
+    slacks: NDArray[np.float64]
+    weight_steps: NDArray[np.float64]
+    slack_steps: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    """Shape (n, 6), whitened."""
+    rhs: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    diagonal: NDArray[np.float64]
+    lower: NDArray[np.float64]
+    filled: NDArray[np.bool_]
+
+
+@nb.njit(cache=True)
+def make_work(structure):
+    """Scratch large enough for every state of a structure."""
+    n = len(structure.elimination.order)
+    blocks = len(structure.elimination.row)
+    pairs = len(structure.pair_parts)
+    points = len(structure.basis)
+    return Work(
+        np.zeros(n, dtype=np.bool_),
+        np.zeros(pairs, dtype=np.int32),
+        np.zeros(pairs, dtype=np.int32),
+        np.zeros(pairs, dtype=np.int32),
+        np.zeros(pairs + 1, dtype=np.int32),
+        np.zeros((points, 6, 3)),
+        np.zeros(points),
+        np.zeros((points, 3)),
+        np.zeros((points, 3)),
+        np.zeros((points, 3)),
+        np.zeros((points, 8)),
+        np.zeros((points, 8)),
+        np.zeros((points, 8)),
+        np.zeros((points, 8)),
+        np.zeros((n, 6)),
+        np.zeros((n, 6)),
+        np.zeros((n, 6)),
+        np.zeros((n, 6, 6)),
+        np.zeros((blocks, 6, 6)),
+        np.zeros(blocks, dtype=np.bool_),
+    )
+
+
+@nb.njit(cache=True)
+def restrict(structure, state, work):
+    """Copy what acts in a state to the front of the scratch; return the number of pairs and of free parts."""
+    position, order = structure.elimination.position, structure.elimination.order
+    parts, first, basis, scale = structure.pair_parts, structure.pair_start, structure.basis, structure.force_scale
+    free, pair, start = work.free, work.pair, work.start
+    slot_a, slot_b, local, local_scale = work.slot_a, work.slot_b, work.basis, work.force_scale
+    count = 0
+    for j in range(len(order)):
+        free[j] = state[order[j]] == 1
+        count += free[j]
+    pairs = 0
+    points = 0
+    for q in range(len(parts)):
+        a, b = parts[q, 0], parts[q, 1]
+        if state[a] == 0 or state[b] == 0 or (state[a] == 2 and state[b] == 2):
+            continue
+        pair[pairs] = q
+        slot_a[pairs] = position[a] if state[a] == 1 else -1
+        slot_b[pairs] = position[b] if state[b] == 1 else -1
+        start[pairs] = points
+        for c in range(first[q], first[q + 1]):
+            for i in range(6):
+                for k in range(3):
+                    local[points, i, k] = basis[c, i, k]
+            local_scale[points] = scale[c]
+            points += 1
+        pairs += 1
+    start[pairs] = points
+    return pairs, count
+
+
+# In every inner loop below: arrays in local names and elements by index. A field of a named tuple or a row
+# view costs two atomic reference counts each time, which made an iteration six times slower.
+
+
+@nb.njit(inline="always", fastmath=FAST)
+def pair_strain(transfer_a, transfer_b, q, a, b, velocity):
+    """What pair `q` feels of a velocity: relative velocity and rotation at its middle, six numbers.
+
+    `a` and `b` are the positions of its parts, -1 where a part is held or boundary.
+    """
+    s0, s1, s2, s3, s4, s5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    if a >= 0:
+        for r in range(6):
+            w = velocity[a, r]
+            s0 += transfer_a[q, r, 0] * w
+            s1 += transfer_a[q, r, 1] * w
+            s2 += transfer_a[q, r, 2] * w
+            s3 += transfer_a[q, r, 3] * w
+            s4 += transfer_a[q, r, 4] * w
+            s5 += transfer_a[q, r, 5] * w
+    if b >= 0:
+        for r in range(6):
+            w = velocity[b, r]
+            s0 += transfer_b[q, r, 0] * w
+            s1 += transfer_b[q, r, 1] * w
+            s2 += transfer_b[q, r, 2] * w
+            s3 += transfer_b[q, r, 3] * w
+            s4 += transfer_b[q, r, 4] * w
+            s5 += transfer_b[q, r, 5] * w
+    return s0, s1, s2, s3, s4, s5
+
+
+@nb.njit(inline="always", fastmath=FAST)
+def pair_stress(transfer_a, transfer_b, q, a, b, f0, f1, f2, f3, f4, f5, out):
+    """Add the six numbers of a force and moment at the middle of pair `q` to its parts that can move."""
+    if a >= 0:
+        for r in range(6):
+            out[a, r] += (
+                transfer_a[q, r, 0] * f0
+                + transfer_a[q, r, 1] * f1
+                + transfer_a[q, r, 2] * f2
+                + transfer_a[q, r, 3] * f3
+                + transfer_a[q, r, 4] * f4
+                + transfer_a[q, r, 5] * f5
+            )
+    if b >= 0:
+        for r in range(6):
+            out[b, r] += (
+                transfer_b[q, r, 0] * f0
+                + transfer_b[q, r, 1] * f1
+                + transfer_b[q, r, 2] * f2
+                + transfer_b[q, r, 3] * f3
+                + transfer_b[q, r, 4] * f4
+                + transfer_b[q, r, 5] * f5
+            )
+
+
+@nb.njit(inline="always", fastmath=FAST)
+def point_strain(basis, j, s0, s1, s2, s3, s4, s5):
+    """Relative velocity of contact point `j` in its frame, given what its pair feels."""
+    return (
+        basis[j, 0, 0] * s0 + basis[j, 1, 0] * s1 + basis[j, 2, 0] * s2
+        + basis[j, 3, 0] * s3 + basis[j, 4, 0] * s4 + basis[j, 5, 0] * s5,
+        basis[j, 0, 1] * s0 + basis[j, 1, 1] * s1 + basis[j, 2, 1] * s2
+        + basis[j, 3, 1] * s3 + basis[j, 4, 1] * s4 + basis[j, 5, 1] * s5,
+        basis[j, 0, 2] * s0 + basis[j, 1, 2] * s1 + basis[j, 2, 2] * s2
+        + basis[j, 3, 2] * s3 + basis[j, 4, 2] * s4 + basis[j, 5, 2] * s5,
+    )  # fmt: skip
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def set_gravity(structure, work, out):
+    """`out =` whitened gravity of the parts that can move."""
+    free, gravity, order = work.free, structure.gravity, structure.elimination.order
+    for j in range(len(free)):
+        if free[j]:
+            for r in range(6):
+                out[j, r] = gravity[order[j], r]
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def add_wrenches(structure, work, pairs, forces, out):
+    """`out += G forces`."""
+    basis, start = work.basis, work.start
+    pair, slot_a, slot_b = work.pair, work.slot_a, work.slot_b
+    transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
+    for p in range(pairs):
+        a0, a1, a2, a3, a4, a5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(start[p], start[p + 1]):
+            f0, f1, f2 = forces[j, 0], forces[j, 1], forces[j, 2]
+            a0 += basis[j, 0, 0] * f0 + basis[j, 0, 1] * f1 + basis[j, 0, 2] * f2
+            a1 += basis[j, 1, 0] * f0 + basis[j, 1, 1] * f1 + basis[j, 1, 2] * f2
+            a2 += basis[j, 2, 0] * f0 + basis[j, 2, 1] * f1 + basis[j, 2, 2] * f2
+            a3 += basis[j, 3, 0] * f0 + basis[j, 3, 1] * f1 + basis[j, 3, 2] * f2
+            a4 += basis[j, 4, 0] * f0 + basis[j, 4, 1] * f1 + basis[j, 4, 2] * f2
+            a5 += basis[j, 5, 0] * f0 + basis[j, 5, 1] * f1 + basis[j, 5, 2] * f2
+        pair_stress(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], a0, a1, a2, a3, a4, a5, out)
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def clear_matrix(work, shift):
+    """Set `S` to `shift` times the identity."""
+    free, diagonal = work.free, work.diagonal
+    work.lower[:] = 0.0
+    work.filled[:] = False
+    for j in range(len(free)):
+        if free[j]:
+            for r in range(6):
+                for c in range(6):
+                    diagonal[j, r, c] = shift if r == c else 0.0
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def dot(work, left, right):
+    """Inner product over the parts that can move."""
+    free = work.free
+    total = 0.0
+    for j in range(len(free)):
+        if free[j]:
+            for i in range(6):
+                total += left[j, i] * right[j, i]
+    return total

@@ -1,0 +1,128 @@
+"""What a stability check answers: verdicts, and the proofs that they rest on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Verdict(IntEnum):
+    """Does a partial structure stand?"""
+
+    UNSTABLE = -1
+    UNDECIDED = 0
+    STABLE = 1
+
+
+class Proof(IntEnum):
+    """What proves a verdict."""
+
+    NONE = 0
+    FORCES = 1
+    """Contact forces inside the friction cones that hold every part (stable)."""
+    VELOCITY = 2
+    """A virtual velocity that no admissible forces can stop (unstable)."""
+
+
+class Solver(IntEnum):
+    """Who found the proof."""
+
+    NONE = 0
+    CPU = 1
+    GPU = 2
+    EXACT = 3
+    RULE = 4
+    """A proof of another state that holds for this one: the two monotone rules of the cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class Verdicts:
+    """Verdicts of a batch of states."""
+
+    verdict: NDArray[np.int8]
+    """`Verdict` of each state, shape (batch,)."""
+    proof: NDArray[np.int8]
+    """`Proof` of each state, shape (batch,)."""
+    residual: NDArray[np.float64]
+    """Largest acceleration of a part, m/s2 or rad/s2, shape (batch,): stable, what the forces leave, at most
+    the tolerance; unstable, what every admissible set of forces leaves at least, above the tolerance."""
+    iterations: NDArray[np.int32]
+    """Steps of the solver that decided, shape (batch,)."""
+    decided_by: NDArray[np.int8]
+    """`Solver` of each state, shape (batch,)."""
+    forces: NDArray[np.float64] | None = None
+    """Contact forces `(n, t1, t2)` in N, shape (batch, points, 3); only meaningful where stable."""
+    velocity: NDArray[np.float64] | None = None
+    """Virtual velocity `(linear, angular)` about the centres of mass, shape (batch, parts, 6); only meaningful
+    where unstable."""
+
+    @classmethod
+    def undecided(cls, batch: int, *, points: int | None = None, parts: int | None = None) -> Verdicts:
+        """Verdicts to be filled in; with room for certificates where `points` and `parts` are given."""
+        return cls(
+            verdict=np.zeros(batch, np.int8),
+            proof=np.zeros(batch, np.int8),
+            residual=np.full(batch, np.nan),
+            iterations=np.zeros(batch, np.int32),
+            decided_by=np.zeros(batch, np.int8),
+            forces=None if points is None else np.zeros((batch, points, 3)),
+            velocity=None if parts is None else np.zeros((batch, parts, 6)),
+        )
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """Shape (batch,)."""
+        return self.verdict == Verdict.STABLE
+
+    @property
+    def unstable(self) -> NDArray[np.bool_]:
+        """Shape (batch,)."""
+        return self.verdict == Verdict.UNSTABLE
+
+    def __len__(self) -> int:
+        return len(self.verdict)
+
+    def __getitem__(self, index: int | slice | NDArray) -> Verdicts:
+        """Verdicts of some of the states, as a batch."""
+        if isinstance(index, (int, np.integer)):
+            index = np.arange(len(self))[[index]]
+        return Verdicts(
+            self.verdict[index],
+            self.proof[index],
+            self.residual[index],
+            self.iterations[index],
+            self.decided_by[index],
+            None if self.forces is None else self.forces[index],
+            None if self.velocity is None else self.velocity[index],
+        )
+
+    def put(self, rows: NDArray, other: Verdicts) -> None:
+        """Overwrite the verdicts of some states."""
+        for mine, theirs in zip(self._fields(), other._fields(), strict=True):
+            if mine is not None and theirs is not None:
+                mine[rows] = theirs
+
+    def without_certificates(self) -> Verdicts:
+        """The same verdicts without forces and velocity."""
+        return replace(self, forces=None, velocity=None)
+
+    def _fields(self) -> tuple[NDArray | None, ...]:
+        return (
+            self.verdict,
+            self.proof,
+            self.residual,
+            self.iterations,
+            self.decided_by,
+            self.forces,
+            self.velocity,
+        )
+
+
+def proof_of(verdict: NDArray[np.int8]) -> NDArray[np.int8]:
+    """The kind of proof that belongs to each verdict."""
+    return np.select(
+        [verdict == Verdict.STABLE, verdict == Verdict.UNSTABLE], [Proof.FORCES, Proof.VELOCITY], Proof.NONE
+    ).astype(np.int8)
