@@ -58,7 +58,7 @@ def eliminate(problem: Problem) -> Elimination:
             first_target.append(len(target))
     pair_block = np.full(problem.pairs, -1, dtype=np.int32)
     for q, (a, b) in enumerate(problem.pair_parts.tolist()):
-        i, j = position[a], position[b]
+        i, j = int(position[a]), int(position[b])
         if i >= 0 and j >= 0:
             pair_block[q] = block_of[max(i, j), min(i, j)]
     return Elimination(
