@@ -138,7 +138,8 @@ def _read_solids(file: Path) -> list[_Solid]:
         try:
             scene = trimesh.load_scene(file, process=False)
         except Exception as error:  # readers of foreign formats fail in their own ways
-            raise MeshError(f"cannot read {file}: {error or type(error).__name__}; export it again") from error
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise MeshError(f"cannot read {file}: {reason}; export it again") from error
         solids = []
         for node in sorted(scene.graph.nodes_geometry, key=natural_key):
             transform, geometry = scene.graph[node]

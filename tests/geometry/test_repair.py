@@ -1,0 +1,123 @@
+"""What is mended, what is refused, and that a sound mesh is left alone."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+from falsework.errors import MeshError
+from falsework.geometry import RepairWarning, check_mesh
+
+
+@pytest.fixture
+def box(shapes):
+    return shapes.box((0, 0, 0), (0.2, 0.3, 0.4))
+
+
+def test_a_sound_mesh_is_left_alone(box):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mesh = check_mesh("p", box.vertices, box.faces)
+    assert (mesh.triangles == box.triangles).all()
+
+
+def test_separate_vertices_are_joined_silently(box):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mesh = check_mesh("p", box.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3))
+    assert len(mesh.vertices) == 8
+    assert (mesh.triangles == box.triangles).all()
+
+
+def test_edges_that_four_faces_share_are_closed(shapes):
+    one, two = shapes.box((0, 0, 0), (1, 1, 1)), shapes.box((1, 1, 0), (2, 2, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mesh = check_mesh("p", np.concatenate([one.vertices, two.vertices]), np.concatenate([one.faces, two.faces + 8]))
+    assert mesh.volume == pytest.approx(2.0)
+    assert len(mesh.vertices) == 14
+
+
+def test_inside_out_is_turned(box):
+    with pytest.warns(RepairWarning, match="part p .*inside out"):
+        mesh = check_mesh("p", box.vertices, box.faces[:, ::-1])
+    assert mesh.volume == pytest.approx(0.024)
+
+
+@pytest.mark.parametrize("wrong", [[0], [3, 7], [1, 2, 5, 11], list(range(7))])
+def test_faces_that_look_the_other_way_are_turned(box, wrong):
+    faces = box.faces.copy()
+    faces[wrong] = faces[wrong][:, ::-1]
+    with pytest.warns(RepairWarning, match="look the same way"):
+        mesh = check_mesh("p", box.vertices, faces)
+    assert mesh.volume == pytest.approx(0.024)
+
+
+def test_vertices_that_almost_coincide_are_merged(box):
+    scattered = box.triangles.reshape(-1, 3) + np.random.default_rng(0).uniform(-1e-8, 1e-8, (36, 3))
+    with pytest.warns(RepairWarning, match="almost coincide"):
+        mesh = check_mesh("p", scattered, np.arange(36).reshape(-1, 3))
+    assert len(mesh.vertices) == 8
+    assert mesh.volume == pytest.approx(0.024, rel=1e-6)
+
+
+def test_doubled_and_degenerate_faces_are_dropped(box):
+    faces = np.concatenate([box.faces, box.faces[:2], [(0, 0, 1)]])
+    with pytest.warns(RepairWarning, match="dropped"):
+        mesh = check_mesh("p", box.vertices, faces)
+    assert len(mesh.faces) == 12
+
+
+@pytest.mark.parametrize("missing", [[0], [0, 1], [4, 5], [0, 1, 2, 3]])
+def test_flat_holes_are_closed(shapes, missing):
+    box = shapes.moved(shapes.box((0, 0, 0), (0.2, 0.3, 0.4)), rotation=shapes.rotation(4))
+    with pytest.warns(RepairWarning, match="flat holes"):
+        mesh = check_mesh("p", box.vertices, np.delete(box.faces, missing, axis=0))
+    assert mesh.volume == pytest.approx(0.024)
+
+
+def test_a_concave_flat_hole_is_closed_without_folds(shapes):
+    prism = shapes.extruded([(0, 0), (3, 0), (3, 1), (1, 1), (1, 2), (3, 2), (3, 3), (0, 3)], 0, 1)
+    tops = (prism.vertices[prism.faces][:, :, 2] == 1).all(axis=1)
+    with pytest.warns(RepairWarning, match="flat holes"):
+        mesh = check_mesh("p", prism.vertices, prism.faces[~tops])
+    assert mesh.volume == pytest.approx(prism.volume)
+    corners = mesh.triangles
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normals[:, 2] > 0).sum() == tops.sum(), "every triangle of the cap looks up"
+
+
+def test_a_hole_that_is_not_flat_is_refused(box):
+    with pytest.raises(MeshError, match=r"part wedge is not closed: \d+ edges"):
+        check_mesh("wedge", box.vertices, np.delete(box.faces, [1, 10], axis=0))
+
+
+def test_one_lone_face_is_refused():
+    with pytest.raises(MeshError, match="part leaf"):
+        check_mesh("leaf", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+
+
+def test_no_volume_is_refused():
+    flat = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    with pytest.raises(MeshError, match="part sheet has no volume"):
+        check_mesh("sheet", flat, [(0, 1, 2), (0, 2, 1)])
+
+
+def test_nan_is_refused_by_vertex(box):
+    vertices = box.vertices.copy()
+    vertices[5, 1] = np.nan
+    with pytest.raises(MeshError, match="part p: vertex 5 is NaN"):
+        check_mesh("p", vertices, box.faces)
+
+
+@pytest.mark.parametrize("scale", [1e4, 1e-4])
+def test_a_size_that_betrays_the_unit_is_refused(box, scale):
+    with pytest.raises(MeshError, match=r"part p is .* m long.*unit"):
+        check_mesh("p", box.vertices * scale, box.faces)
+
+
+def test_no_faces_is_refused():
+    with pytest.raises(MeshError, match="part p has no faces"):
+        check_mesh("p", np.zeros((3, 3)), np.zeros((0, 3)))
