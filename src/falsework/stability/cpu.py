@@ -57,7 +57,7 @@ class CpuSolver:
             Verdicts; `UNDECIDED` where neither proof was found within the limits of the settings.
         """
         batch, problem = len(states), self.problem
-        verdicts = Verdicts.undecided(
+        verdicts = Verdicts.blank(
             batch, points=problem.points if certificates else None, parts=problem.parts if certificates else None
         )
         forces = guess if guess is not None else verdicts.forces

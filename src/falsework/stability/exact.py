@@ -44,14 +44,14 @@ class ExactSolver:
 
     def check(self, states: States) -> Verdicts:
         """Judge a batch; forces and velocity are always returned. Shape (batch, parts)."""
-        verdicts = Verdicts.undecided(len(states), points=self.problem.points, parts=self.problem.parts)
+        verdicts = Verdicts.blank(len(states), points=self.problem.points, parts=self.problem.parts)
         for row, state in enumerate(states):
             verdicts.put(np.array([row]), self._check_one(state))
         return verdicts
 
     def _check_one(self, state: States) -> Verdicts:
         claim, problem = self.settings.claim, self.problem
-        verdict = Verdicts.undecided(1, points=problem.points, parts=problem.parts)
+        verdict = Verdicts.blank(1, points=problem.points, parts=problem.parts)
         assert verdict.forces is not None
         assert verdict.velocity is not None
         free, active = problem.free(state[None])[0], problem.active(state[None])[0]

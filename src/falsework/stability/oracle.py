@@ -114,7 +114,7 @@ class Stability:
         """
         batch = as_states(states, self.assembly.boundary)
         self.counters.asked += len(batch)
-        verdicts = Verdicts.undecided(len(batch))
+        verdicts = Verdicts.blank(len(batch))
         verdict, residual, by_rule = self._cache.look_up(batch)
         verdicts.verdict[:], verdicts.residual[:] = verdict, residual
         verdicts.decided_by[:] = np.where(verdict != 0, Solver.RULE, Solver.NONE)
@@ -151,7 +151,7 @@ class Stability:
         verdicts = self._cpu.check(states, certificates=False, guess=guess)
         if guess is not None:
             self._remember(states[verdicts.stable], guess[verdicts.stable])
-        rest = np.flatnonzero(verdicts.verdict == Verdict.UNDECIDED)
+        rest = np.flatnonzero(verdicts.undecided)
         if len(rest):
             verdicts.put(rest, self.exact.check(states[rest]))
         return verdicts
@@ -165,7 +165,7 @@ class Stability:
     def _count(self, verdicts: Verdicts) -> None:
         self.counters.cpu += int((verdicts.decided_by == Solver.CPU).sum())
         self.counters.exact += int((verdicts.decided_by == Solver.EXACT).sum())
-        self.counters.undecided += int((verdicts.verdict == Verdict.UNDECIDED).sum())
+        self.counters.undecided += int(verdicts.undecided.sum())
 
 
 def describe_motion(velocity: NDArray[np.float64], *, share: float = 0.05) -> list[tuple[int, str]]:

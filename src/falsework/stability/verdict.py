@@ -36,6 +36,9 @@ class Solver(IntEnum):
     EXACT = 3
     RULE = 4
     """A proof of another state that holds for this one: the two monotone rules of the cache."""
+    SHARED_INVERSE = 5
+    """The paper's method, which proves nothing."""
+    GUROBI = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +63,8 @@ class Verdicts:
     where unstable."""
 
     @classmethod
-    def undecided(cls, batch: int, *, points: int | None = None, parts: int | None = None) -> Verdicts:
-        """Verdicts to be filled in; with room for certificates where `points` and `parts` are given."""
+    def blank(cls, batch: int, *, points: int | None = None, parts: int | None = None) -> Verdicts:
+        """Undecided verdicts to be filled in; with room for certificates where `points` and `parts` are given."""
         return cls(
             verdict=np.zeros(batch, np.int8),
             proof=np.zeros(batch, np.int8),
@@ -81,6 +84,11 @@ class Verdicts:
     def unstable(self) -> NDArray[np.bool_]:
         """Shape (batch,)."""
         return self.verdict == Verdict.UNSTABLE
+
+    @property
+    def undecided(self) -> NDArray[np.bool_]:
+        """Shape (batch,)."""
+        return self.verdict == Verdict.UNDECIDED
 
     def __len__(self) -> int:
         return len(self.verdict)
