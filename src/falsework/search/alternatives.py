@@ -1,0 +1,213 @@
+"""Plans that differ: how different two are, and how to choose some that differ as much as they can."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import REMOVED, States
+from falsework.errors import InputError
+from falsework.search.graph import StateGraph
+from falsework.search.result import Route
+
+_CHUNK = 8192
+
+
+@dataclass(frozen=True, eq=False)
+class Alternatives:
+    """Routes of one task and the distances between them."""
+
+    routes: tuple[Route, ...]
+    order_distance: NDArray[np.float64]
+    """Kendall distance of the orders of removal: share of pairs of parts that leave in another order, (k, k)."""
+    state_distance: NDArray[np.float64]
+    """Jaccard distance of the sets of states on the way: 1 - common / all, (k, k)."""
+
+    @classmethod
+    def of(cls, routes: Sequence[Route]) -> Alternatives:
+        """Measure given routes of one task against each other."""
+        order = np.zeros((len(routes), len(routes)))
+        states = np.zeros_like(order)
+        for i, a in enumerate(routes):
+            for j, b in enumerate(routes[:i]):
+                order[i, j] = order[j, i] = order_distance(a, b)
+                states[i, j] = states[j, i] = state_distance(a, b)
+        return cls(tuple(routes), order, states)
+
+    @property
+    def distance(self) -> NDArray[np.float64]:
+        """Mean of both distances, between 0 (the same plan) and 1, shape (k, k)."""
+        return (self.order_distance + self.state_distance) / 2
+
+    @property
+    def least_distance(self) -> float:
+        """Distance between the two plans that differ least; 1 for a single plan."""
+        others = ~np.eye(len(self.routes), dtype=bool)
+        return float(self.distance[others].min()) if others.any() else 1.0
+
+
+def removal_rank(route: Route) -> NDArray[np.int64]:
+    """For each part how many were removed before it, or -1 if it stays. Shape (parts,)."""
+    parts = route.states.shape[1]
+    removed = route.actions[route.actions >= parts] - parts
+    rank = np.full(parts, -1, dtype=np.int64)
+    rank[removed] = np.arange(len(removed))
+    return rank
+
+
+def order_distance(a: Route, b: Route) -> float:
+    """Kendall distance: share of pairs of removed parts that leave in opposite order, between 0 and 1."""
+    rank_a, rank_b = removal_rank(a), removal_rank(b)
+    removed = np.flatnonzero((rank_a >= 0) & (rank_b >= 0))
+    pairs = len(removed) * (len(removed) - 1) // 2
+    if pairs == 0:
+        return 0.0
+    first, second = np.triu_indices(len(removed), 1)
+    order_a = rank_a[removed][first] < rank_a[removed][second]
+    order_b = rank_b[removed][first] < rank_b[removed][second]
+    return float((order_a != order_b).sum() / pairs)
+
+
+def state_distance(a: Route, b: Route) -> float:
+    """Jaccard distance of the sets of states on the way, between 0 and 1."""
+    # Levels are the same in all plans of a task, so equal states stand in the same row.
+    common = int((a.states == b.states).all(axis=1).sum())
+    return 1.0 - common / (2 * len(a.states) - common)
+
+
+def choose_alternatives(
+    graph: StateGraph, count: int, *, first: Route | None = None, seed: int = 0, rounds: int = 12
+) -> Alternatives:
+    """Choose routes of a state graph so that the two most similar ones differ as much as possible.
+
+    Both distances to a given route are sums over the edges of another (a removal of `j` inverts as many pairs as parts
+    are still present that the given route removes before `j`), so the route that is farthest from several given ones,
+    by a weighted sum, is found exactly by dynamic programming over the levels of the graph. The weights are raised
+    on the nearest of the given routes in turn (multiplicative weights), which aims at the least distance instead of
+    the sum. Routes are added this way one by one, and then each is chosen anew against the rest until nothing improves.
+
+    Args:
+        graph: where the routes run.
+        count: number of routes wanted.
+        first: a route of the graph to begin with; a random one if not given.
+        seed: breaks ties.
+        rounds: changes of weights for each choice.
+
+    Returns:
+        At most `count` different routes; fewer if the graph has fewer, none if it has none.
+
+    Raises:
+        InputError: fewer than one wanted.
+    """
+    if count < 1:
+        raise InputError(f"{count} alternatives is no number of plans; ask for at least 1")
+    rng = np.random.default_rng(seed)
+    first = first if first is not None else graph.sample_route(rng)
+    if first is None:
+        return Alternatives.of([])
+    count = min(count, graph.count_routes())
+    chooser = _Farthest(graph, rng, rounds)
+    routes = [first]
+    while len(routes) < count:
+        route = chooser.from_all(routes)
+        if route is None:
+            break
+        routes.append(route)
+    best = Alternatives.of(routes)
+    improved = len(routes) > 1
+    while improved:
+        improved = False
+        for place in range(len(routes)):
+            others = routes[:place] + routes[place + 1 :]
+            route = chooser.from_all(others)
+            if route is None:
+                continue
+            trial = Alternatives.of([*routes[:place], route, *routes[place + 1 :]])
+            if _spread(trial) > _spread(best):
+                routes[place], best, improved = route, trial, True
+    return best
+
+
+def _spread(alternatives: Alternatives) -> tuple[float, float]:
+    """Least distance, and the sum of all where that is equal; rounded, so that improvement comes to an end."""
+    return round(alternatives.least_distance, 6), round(float(alternatives.distance.sum()), 6)
+
+
+class _Farthest:
+    """Finds the route of a graph that is farthest from given ones."""
+
+    def __init__(self, graph: StateGraph, rng: np.random.Generator, rounds: int) -> None:
+        useful = graph.solvable[graph.target] & graph.reachable[graph.source]
+        self._graph = graph
+        self._levels = [np.arange(edges.start, edges.stop)[useful[edges]] for edges in graph.edges_by_level()]
+        self._rng = rng
+        self._rounds = rounds
+        self._gains: dict[bytes, NDArray[np.float32]] = {}
+
+    def from_all(self, routes: Sequence[Route]) -> Route | None:
+        """Route that is farthest from the nearest of `routes`, or None where every route tried is one of them."""
+        gains = np.stack([self._gain(route) for route in routes]).astype(np.float64)
+        weight = np.full(len(routes), 1.0 / len(routes))
+        best, best_distance = None, 0.0
+        for _ in range(self._rounds):
+            route = self._best_route(weight @ gains)
+            distance = np.array([(order_distance(route, r) + state_distance(route, r)) / 2 for r in routes])
+            if distance.min() > best_distance:
+                best, best_distance = route, float(distance.min())
+            if len(routes) == 1 and best is not None:
+                break
+            weight *= np.exp(-4.0 * (distance - distance.min()))
+            weight /= weight.sum()
+        return best
+
+    def _gain(self, route: Route) -> NDArray[np.float32]:
+        """What each edge adds to the distance from `route`, shape (edges,)."""
+        key = route.states.tobytes()
+        if key in self._gains:
+            return self._gains[key]
+        graph, parts = self._graph, self._graph.task.part_count
+        rank = removal_rank(route)
+        removed = int((rank >= 0).sum())
+        gain = np.zeros(len(graph.source), dtype=np.float32)
+        if removed > 1:
+            removals = np.flatnonzero(graph.action >= parts)
+            for begin in range(0, len(removals), _CHUNK):
+                edges = removals[begin : begin + _CHUNK]
+                part = graph.action[edges] - parts
+                present = (graph.states[graph.source[edges]] != REMOVED) & (rank >= 0)
+                gain[edges] = (present & (rank < rank[part][:, None])).sum(axis=1)
+            gain /= removed * (removed - 1) / 2
+        gain -= self._on_route(route.states)[graph.target] / len(route.states)
+        self._gains[key] = gain
+        return gain
+
+    def _on_route(self, states: States) -> NDArray[np.bool_]:
+        marked = np.zeros(len(self._graph), dtype=bool)
+        found = self._graph.index.find(states)
+        marked[found[found >= 0]] = True
+        return marked
+
+    def _best_route(self, gain: NDArray[np.float64]) -> Route:
+        graph = self._graph
+        # Noise far below the smallest real difference picks among equals.
+        gain = gain + 1e-9 * self._rng.random(len(gain))
+        value = np.zeros(len(graph))
+        choice = np.full(len(graph), -1, dtype=np.int64)
+        for edges in reversed(self._levels):
+            total = gain[edges] + value[graph.target[edges]]
+            order = np.lexsort((total, graph.source[edges]))
+            source = graph.source[edges][order]
+            last = np.flatnonzero(np.append(source[1:] != source[:-1], True)) if len(source) else order
+            value[source[last]] = total[order[last]]
+            choice[source[last]] = edges[order[last]]
+        row = int(graph.index.find(graph.task.start[None])[0])
+        rows, actions = [row], []
+        for _ in range(graph.task.steps):
+            edge = choice[row]
+            actions.append(graph.action[edge])
+            row = int(graph.target[edge])
+            rows.append(row)
+        return Route(graph.states[rows], np.array(actions, dtype=np.int64))

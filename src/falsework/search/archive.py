@@ -1,0 +1,83 @@
+"""Versioned `.npz` files: a JSON header beside plain arrays, written whole or not at all, never pickled."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import InputError
+
+_HEADER = "header"
+
+
+def write_whole(path: Path | str, write: Callable[[IO[bytes]], None]) -> None:
+    """Write a file under a temporary name beside it, then rename; an interruption leaves no half of it.
+
+    Raises:
+        InputError: the folder does not exist or cannot be written to.
+    """
+    path = Path(path)
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        file = draft.open("xb")
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror}; choose another place") from None
+    try:
+        with file:
+            write(file)
+        os.replace(draft, path)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise
+
+
+def write_archive(path: Path | str, form: str, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Save arrays with a header.
+
+    Args:
+        path: file to write, replaced if there.
+        form: what the file is and which version, such as `falsework.graph/1`.
+        header: anything JSON can say.
+        arrays: named arrays of numbers.
+    """
+    entries: dict[str, Any] = {_HEADER: np.array(json.dumps({"format": form, **header})), **arrays}
+    write_whole(path, lambda file: np.savez_compressed(file, **entries))
+
+
+def read_archive(
+    path: Path | str, form: str, names: frozenset[str] | None = None
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Read what `write_archive` wrote.
+
+    Args:
+        path: file to read.
+        form: the one format and version that is accepted.
+        names: the arrays that must be there and no others; unchecked if not given.
+
+    Raises:
+        InputError: no such file, not such a file, damaged, or of another format or version.
+    """
+    path = Path(path)
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            arrays = {name: data[name] for name in data.files}
+        header = json.loads(str(arrays.pop(_HEADER)[()]))
+    except FileNotFoundError:
+        raise InputError(f"there is no file {path}") from None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+        raise InputError(f"{path} is damaged or not a {form} file ({type(error).__name__}); write it again") from None
+    found = header.get("format") if isinstance(header, dict) else None
+    if found != form:
+        raise InputError(f"{path} has format {found!r}; this version reads {form!r} only")
+    if names is not None and set(arrays) != names:
+        odd = ", ".join(sorted(set(arrays) ^ names))
+        raise InputError(f"{path} is not a valid {form} file: unexpected or absent entries {odd}")
+    return header, arrays

@@ -1,0 +1,306 @@
+"""Beam search in either direction, with diversity by clustering (paper, section 5.1)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import States
+from falsework.errors import InputError
+from falsework.search.archive import read_archive, write_archive
+from falsework.search.frontier import expand
+from falsework.search.guide import Guide
+from falsework.search.hashing import StateHash
+from falsework.search.judge import Judge, Oracle
+from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
+from falsework.search.selection import Selector
+from falsework.search.task import Direction, Task
+
+FORMAT = "falsework.beam/1"
+
+_REPORTED = 64
+"""States handed back as deepest and as rejected, at most."""
+
+
+@dataclass(frozen=True)
+class BeamSettings:
+    """How a beam search walks."""
+
+    width: int = 64
+    """States kept at a level."""
+    direction: Direction = Direction.ASSEMBLY
+    """Which end to begin at."""
+    diversity: Literal["k-means", "none"] = "k-means"
+    """How states are chosen where there are too many: one from each of `width` clusters, or the best scored."""
+    ahead: int = 0
+    """0: ask for all verdicts of a level, then choose `width` among the stable states, as the paper does.
+    Above 0: ask in the order of promise (robots free, then score) until `width` states are found stable, and keep this
+    many more that need no verdict, so that the next level has a choice. Narrow beams then go far with few verdicts."""
+    commit: bool = False
+    """With `ahead`: drop states that keep more robots busy than the `width` states found stable."""
+    seed: int = 0
+    """Same seed, same machine, same result."""
+    pool: int = 8_000_000
+    """Bound on candidates times parts that are written down and clustered at once; beyond it a random sample is."""
+
+    def __post_init__(self) -> None:
+        if self.width < 1:
+            raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
+        if self.ahead < 0:
+            raise InputError(f"a beam cannot keep {self.ahead} states ahead; give 0 or more")
+        if self.pool < 1:
+            raise InputError("the pool of a beam search must hold at least one number")
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """States that a beam kept the same number of steps away from its origin."""
+
+    states: States
+    """Shape (kept, parts)."""
+    parent: NDArray[np.int64]
+    """Row of the level before, shape (kept,)."""
+    action: NDArray[np.int64]
+    """Shape (kept,)."""
+    score: NDArray[np.float64]
+    """Sum of the guide's scores on the way, shape (kept,)."""
+
+
+class BeamSearch:
+    """A beam search that can be stepped, interrupted, saved and resumed."""
+
+    def __init__(
+        self, task: Task, oracle: Oracle, settings: BeamSettings = BeamSettings(), *, guide: Guide | None = None
+    ) -> None:
+        """Begin at the origin of the direction; the start and the target are taken as stable.
+
+        Args:
+            task: rules between start and target.
+            oracle: decides stability.
+            settings: width, direction and how states are chosen.
+            guide: scores actions; without it only diversity decides.
+        """
+        self.task = task
+        self.settings = settings
+        self.levels: list[Level] = []
+        self.exhaustive = True
+        """No state was left out so far: if the search dies now, there is no plan."""
+        self._judge = Judge(oracle)
+        self._guide = guide
+        self._hash = StateHash.for_parts(task.part_count)
+        self._candidates = 0
+        self._rejected = np.empty((0, task.part_count), dtype=np.uint8)
+        self._dead = False
+        self._before = SearchCounters()
+        self._undecided = 0
+        self._seconds = 0.0
+        origin = task.origin(settings.direction)[None]
+        if task.contains(origin)[0]:
+            self.levels.append(Level(origin, np.zeros(1, np.int64), np.full(1, -1, np.int64), np.zeros(1)))
+        else:
+            self._dead = True
+
+    @property
+    def done(self) -> bool:
+        """Whether the goal is reached or nothing is left to expand."""
+        return self._dead or len(self.levels) == self.task.steps + 1
+
+    @property
+    def found(self) -> bool:
+        """Whether the goal is reached."""
+        return len(self.levels) == self.task.steps + 1
+
+    @property
+    def counters(self) -> SearchCounters:
+        """Work done so far, earlier runs included."""
+        now = SearchCounters(0, self._candidates, self._judge.asked, self._judge.rejected)
+        return self._before + now + SearchCounters(states=sum(len(level.states) for level in self.levels))
+
+    def states(self) -> States:
+        """All states kept so far, level by level from the origin. Shape (count, parts)."""
+        empty = np.empty((0, self.task.part_count), dtype=np.uint8)
+        return np.concatenate([empty, *(level.states for level in self.levels)])
+
+    def step(self) -> bool:
+        """Find the next level; False if there is none.
+
+        An interruption from the keyboard leaves the search as it was before the step.
+        """
+        if self.done:
+            return False
+        settings, level = self.settings, self.levels[-1]
+        frontier = expand(self.task, settings.direction, level.states, self._hash(level.states), self._hash)
+        score = level.score[frontier.parent]
+        if self._guide is not None:
+            mask = self.task.moves(level.states, settings.direction)
+            scores = np.asarray(self._guide(level.states, mask, settings.direction), dtype=np.float64)
+            if scores.shape != mask.shape:
+                raise InputError(f"the guide returned scores of shape {scores.shape}; expected {mask.shape}")
+            score = score + scores[frontier.parent, frontier.action]
+        rng = np.random.default_rng((settings.seed, len(self.levels)))
+        selector = Selector(frontier, score, settings.diversity == "k-means", settings.pool, rng)
+        if settings.ahead > 0:
+            choice = selector.most_promising(self._judge, settings.width, settings.ahead, commit=settings.commit)
+        else:
+            choice = selector.all_judged(self._judge, settings.width)
+        self._candidates += len(frontier)
+        self._rejected = frontier.states(choice.rejected[:_REPORTED])
+        self._dead = len(choice.kept) == 0
+        self.exhaustive &= choice.exhaustive
+        if self._dead:
+            return False
+        kept = choice.kept
+        self.levels.append(Level(frontier.states(kept), frontier.parent[kept], frontier.action[kept], score[kept]))
+        return True
+
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        """Step until the goal is reached, nothing is left, or somebody stops it.
+
+        Args:
+            progress: called after every level.
+            stop: asked before every level; true stops the search, which can then be saved or run on.
+
+        Returns:
+            A found route, or how far the search came; `interrupted` after `stop` or an interruption from the keyboard.
+        """
+        begun = time.perf_counter()
+        interrupted = False
+        try:
+            while not self.done:
+                if stop is not None and stop():
+                    interrupted = True
+                    break
+                self.step()
+                if progress is not None:
+                    progress(self._report(time.perf_counter() - begun))
+        except KeyboardInterrupt:
+            interrupted = True
+        self._seconds += time.perf_counter() - begun
+        return self._result(interrupted)
+
+    def route(self) -> Route:
+        """The best scored way from start to target, in disassembly order; only once `found`."""
+        if not self.found:
+            raise InputError("the beam search has not reached its goal; there is no route yet")
+        row, states, actions = 0, [], []
+        for level in reversed(self.levels):
+            states.append(level.states[row])
+            actions.append(level.action[row])
+            row = int(level.parent[row])
+        moves = np.array(actions[:-1], dtype=np.int64)
+        if self.settings.direction is Direction.DISASSEMBLY:
+            return Route(np.array(states[::-1]), moves[::-1].copy())
+        return Route(np.array(states), moves)
+
+    def save(self, path: Path | str) -> None:
+        """Write the search as it stands, to be resumed by `load`."""
+        write_archive(path, FORMAT, *self.pack())
+
+    @classmethod
+    def load(cls, path: Path | str, task: Task, oracle: Oracle, *, guide: Guide | None = None) -> BeamSearch:
+        """Read a search that `save` wrote and go on where it stood.
+
+        Raises:
+            InputError: no such file, a damaged one, or one of another task.
+        """
+        header, arrays = read_archive(path, FORMAT)
+        if header.get("task") != task.describe():
+            raise InputError(f"{path} belongs to another structure or task; begin a new search")
+        try:
+            return cls.unpack(header, arrays, task, oracle, guide=guide)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{path} is damaged ({error}); begin a new search") from None
+
+    def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """The search as it stands: plain values, and arrays."""
+        header: dict[str, Any] = {
+            "task": self.task.describe(),
+            "settings": asdict(self.settings),
+            "counters": asdict(self.counters) | {"states": 0},
+            "seconds": self._seconds,
+            "undecided": self._judge.undecided + self._undecided,
+            "exhaustive": self.exhaustive,
+            "dead": self._dead,
+        }
+        arrays: dict[str, NDArray[Any]] = {
+            "states": self.states(),
+            "sizes": np.array([len(level.states) for level in self.levels], dtype=np.int64),
+            "rejected": self._rejected,
+        }
+        for name in ("parent", "action", "score"):
+            arrays[name] = np.concatenate([getattr(level, name) for level in self.levels] or [np.empty(0)])
+        return header, arrays
+
+    @classmethod
+    def unpack(
+        cls,
+        header: dict[str, Any],
+        arrays: dict[str, NDArray[Any]],
+        task: Task,
+        oracle: Oracle,
+        *,
+        guide: Guide | None = None,
+    ) -> BeamSearch:
+        """The search that `pack` described.
+
+        Raises:
+            KeyError, TypeError, ValueError: not what `pack` returned for this task.
+        """
+        settings = dict(header["settings"])
+        settings["direction"] = Direction(settings["direction"])
+        search = cls(task, oracle, BeamSettings(**settings), guide=guide)
+        sizes = arrays["sizes"]
+        if len(sizes) > task.steps + 1 or any(
+            len(arrays[name]) != sizes.sum() for name in ("states", "parent", "action", "score")
+        ):
+            raise ValueError("levels of different sizes")
+        ends = np.cumsum(sizes)[:-1]
+        columns = [np.split(arrays[name], ends) for name in ("states", "parent", "action", "score")]
+        search.levels = [Level(*column) for column in zip(*columns, strict=True)] if len(sizes) else []
+        search._before = SearchCounters(**header["counters"])
+        search._seconds, search._undecided = float(header["seconds"]), int(header["undecided"])
+        search._dead, search.exhaustive = bool(header["dead"]), bool(header["exhaustive"])
+        search._rejected = arrays["rejected"]
+        return search
+
+    def _report(self, seconds: float) -> SearchProgress:
+        return SearchProgress(
+            self.settings.direction,
+            len(self.levels) - 1,
+            self.task.steps,
+            len(self.levels[-1].states) if self.levels else 0,
+            self.settings.width,
+            self._judge.asked,
+            seconds,
+        )
+
+    def _result(self, interrupted: bool) -> SearchResult:
+        undecided, limit = self._judge.undecided + self._undecided, ""
+        outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
+        if not self.found and not interrupted:
+            if not self.exhaustive:
+                limit = f"the beam keeps {self.settings.width} states a level; a wider one may find a plan"
+            elif undecided:
+                limit = f"{undecided} states could be proved neither stable nor unstable"
+            else:
+                outcome = Outcome.PROVED_IMPOSSIBLE
+        deepest = self.levels[-1].states if self.levels else self._rejected[:0]
+        return SearchResult(
+            outcome=outcome,
+            routes=(self.route(),) if self.found else (),
+            direction=self.settings.direction,
+            steps=self.task.steps,
+            reached=max(len(self.levels) - 1, 0),
+            deepest=deepest[:_REPORTED],
+            rejected=self._rejected if self._dead else self._rejected[:0],
+            counters=self.counters,
+            seconds=self._seconds,
+            interrupted=interrupted,
+            limit=limit,
+            undecided=undecided,
+        )

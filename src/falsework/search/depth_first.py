@@ -1,0 +1,263 @@
+"""Depth-first search with backtracking: the baseline (paper, section 6.1)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import States
+from falsework.errors import InputError
+from falsework.search.archive import read_archive, write_archive
+from falsework.search.frontier import expand
+from falsework.search.guide import Guide
+from falsework.search.hashing import StateHash
+from falsework.search.judge import Judge, Oracle
+from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
+from falsework.search.task import Direction, Task
+
+FORMAT = "falsework.depth-first/1"
+
+_REPORTED = 64
+
+
+@dataclass(frozen=True)
+class DepthFirstSettings:
+    """How a depth-first search walks."""
+
+    direction: Direction = Direction.DISASSEMBLY
+    """Which end to begin at."""
+    seed: int = 0
+    """Order of moves that are otherwise equal."""
+    state_limit: int = 100_000
+    """Give up after this many states were entered."""
+
+    def __post_init__(self) -> None:
+        if self.state_limit < 1:
+            raise InputError(f"a limit of {self.state_limit} states allows no search; give at least 1")
+
+
+class DepthFirstSearch:
+    """Goes on from the newest state, and back where no untried stable move is left.
+
+    A state is entered once: one that was left behind without success cannot succeed on another way. Moves that free a
+    robot come first, since holding more is nearly always possible and rarely of use by itself.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        oracle: Oracle,
+        settings: DepthFirstSettings = DepthFirstSettings(),
+        *,
+        guide: Guide | None = None,
+    ) -> None:
+        """Begin at the origin of the direction; the start and the target are taken as stable.
+
+        Args:
+            task: rules between start and target.
+            oracle: decides stability.
+            settings: direction, seed, and when to give up.
+            guide: scores actions; without it moves of a kind are tried in random order.
+        """
+        self.task = task
+        self.settings = settings
+        self._judge = Judge(oracle)
+        self._guide = guide
+        self._hash = StateHash.for_parts(task.part_count)
+        self._path: list[States] = []
+        self._untried: list[list[int]] = []
+        self._entered: set[bytes] = set()
+        self._candidates = 0
+        self._before = SearchCounters()
+        self._seconds = 0.0
+        self._undecided = 0
+        self._reached = 0
+        self._deepest = np.empty((0, task.part_count), dtype=np.uint8)
+        self._rejected = np.empty((0, task.part_count), dtype=np.uint8)
+        origin = task.origin(settings.direction)
+        if task.contains(origin[None])[0]:
+            self._enter(origin)
+
+    @property
+    def found(self) -> bool:
+        """Whether the goal is reached."""
+        return len(self._path) == self.task.steps + 1
+
+    @property
+    def done(self) -> bool:
+        """Whether the goal is reached or every state was tried."""
+        return self.found or not self._path
+
+    @property
+    def gave_up(self) -> bool:
+        """Whether the limit on states is reached."""
+        return len(self._entered) >= self.settings.state_limit
+
+    @property
+    def counters(self) -> SearchCounters:
+        """Work done so far, earlier runs included."""
+        now = SearchCounters(len(self._entered), self._candidates, self._judge.asked, self._judge.rejected)
+        return self._before + now
+
+    def step(self) -> None:
+        """Enter the next state, or go back by one."""
+        if self.done:
+            return
+        state, untried = self._path[-1], self._untried[-1]
+        while untried:
+            child = self.task.follow(state[None], np.array(untried[-1:]), self.settings.direction)[0]
+            if child.tobytes() not in self._entered:
+                # The move is crossed out only afterwards, so that an interruption in between does not lose it.
+                self._enter(child)
+                untried.pop()
+                return
+            untried.pop()
+        self._path.pop()
+        self._untried.pop()
+
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        """Step until the goal is reached, every state was tried, or something stops it.
+
+        Args:
+            progress: called after every step.
+            stop: asked before every step; true stops the search, which can then be saved or run on.
+        """
+        begun = time.perf_counter()
+        interrupted = False
+        try:
+            while not self.done and not self.gave_up:
+                if stop is not None and stop():
+                    interrupted = True
+                    break
+                self.step()
+                if progress is not None:
+                    progress(self._report(time.perf_counter() - begun))
+        except KeyboardInterrupt:
+            interrupted = True
+        self._seconds += time.perf_counter() - begun
+        return self._result(interrupted)
+
+    def save(self, path: Path | str) -> None:
+        """Write the search as it stands, to be resumed by `load`."""
+        parts = self.task.part_count
+        entered = np.frombuffer(b"".join(sorted(self._entered)), dtype=np.uint8).reshape(-1, parts)
+        arrays = {
+            "path": np.array(self._path, dtype=np.uint8).reshape(-1, parts),
+            "untried": np.array([action for actions in self._untried for action in actions], dtype=np.int64),
+            "sizes": np.array([len(actions) for actions in self._untried], dtype=np.int64),
+            "entered": entered,
+            "deepest": self._deepest,
+            "rejected": self._rejected,
+        }
+        header = {
+            "task": self.task.describe(),
+            "settings": asdict(self.settings),
+            "counters": asdict(self.counters) | {"states": 0},
+            "seconds": self._seconds,
+            "reached": self._reached,
+            "undecided": self._judge.undecided + self._undecided,
+        }
+        write_archive(path, FORMAT, header, arrays)
+
+    @classmethod
+    def load(cls, path: Path | str, task: Task, oracle: Oracle, *, guide: Guide | None = None) -> DepthFirstSearch:
+        """Read a search that `save` wrote and go on where it stood.
+
+        Raises:
+            InputError: no such file, a damaged one, or one of another task.
+        """
+        names = frozenset({"path", "untried", "sizes", "entered", "deepest", "rejected"})
+        header, arrays = read_archive(path, FORMAT, names)
+        if header.get("task") != task.describe():
+            raise InputError(f"{path} belongs to another structure or task; begin a new search")
+        try:
+            settings = dict(header["settings"])
+            settings["direction"] = Direction(settings["direction"])
+            search = cls(task, oracle, DepthFirstSettings(**settings), guide=guide)
+            search._path = list(arrays["path"])
+            ends = np.cumsum(arrays["sizes"])[:-1]
+            search._untried = [part.tolist() for part in np.split(arrays["untried"], ends)][: len(search._path)]
+            search._entered = {row.tobytes() for row in arrays["entered"]}
+            search._reached, search._deepest = int(header["reached"]), arrays["deepest"]
+            search._rejected = arrays["rejected"]
+            search._judge, search._candidates = Judge(oracle), 0
+            search._before = SearchCounters(**header["counters"])
+            search._seconds, search._undecided = float(header["seconds"]), int(header["undecided"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{path} is damaged ({error}); begin a new search") from None
+        return search
+
+    def _enter(self, state: States) -> None:
+        """Put a state on the path, with its stable moves in the order in which they are to be tried."""
+        level = state[None]
+        frontier = expand(self.task, self.settings.direction, level, self._hash(level), self._hash)
+        stable = frontier.free.copy()
+        asked = np.flatnonzero(~stable)
+        if len(asked):
+            stable[asked] = self._judge.stable(frontier.states(asked), frontier.parents(asked))
+        self._candidates += len(frontier)
+        rows = np.flatnonzero(stable)
+        rng = np.random.default_rng((self.settings.seed, len(self._entered)))
+        preference = self._preference(level, frontier.action[rows])
+        # The last of the list is tried first.
+        order = np.lexsort((rng.random(len(rows)), preference))
+        if len(self._path) > self._reached or not len(self._deepest):
+            self._reached, self._deepest = len(self._path), level
+            self._rejected = frontier.states(asked[~stable[asked]])[:_REPORTED]
+        self._path.append(state)
+        self._untried.append(frontier.action[rows[order]].tolist())
+        self._entered.add(state.tobytes())
+
+    def _preference(self, level: States, actions: NDArray[np.int64]) -> NDArray[np.float64]:
+        if self._guide is not None:
+            mask = self.task.moves(level, self.settings.direction)
+            return np.asarray(self._guide(level, mask, self.settings.direction), dtype=np.float64)[0, actions]
+        return self.task.needs_verdict(actions, self.settings.direction).astype(np.float64)
+
+    def _report(self, seconds: float) -> SearchProgress:
+        return SearchProgress(
+            self.settings.direction,
+            max(len(self._path) - 1, 0),
+            self.task.steps,
+            len(self._entered),
+            0,
+            self._judge.asked,
+            seconds,
+        )
+
+    def _result(self, interrupted: bool) -> SearchResult:
+        limit, routes, undecided = "", (), self._judge.undecided + self._undecided
+        if self.found:
+            outcome, routes = Outcome.FOUND, (self._route(),)
+        elif self.done and not interrupted and undecided == 0:
+            outcome = Outcome.PROVED_IMPOSSIBLE
+        else:
+            outcome = Outcome.NOT_FOUND
+            if self.gave_up:
+                limit = f"gave up after {self.settings.state_limit} states; raise the limit or use a beam search"
+            elif undecided:
+                limit = f"{undecided} states could be proved neither stable nor unstable"
+        return SearchResult(
+            outcome=outcome,
+            routes=routes,
+            direction=self.settings.direction,
+            steps=self.task.steps,
+            reached=self._reached,
+            deepest=self._deepest,
+            rejected=self._rejected,
+            counters=self.counters,
+            seconds=self._seconds,
+            interrupted=interrupted,
+            limit=limit,
+            undecided=undecided,
+        )
+
+    def _route(self) -> Route:
+        states = np.array(self._path)
+        if self.settings.direction is Direction.ASSEMBLY:
+            states = states[::-1].copy()
+        return Route.through(states)

@@ -1,0 +1,113 @@
+"""Exhaustive search for small structures: proves that there is no plan, or counts them all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+from falsework.errors import InputError
+from falsework.search.beam import BeamSearch, BeamSettings
+from falsework.search.graph import StateGraph
+from falsework.search.judge import Oracle
+from falsework.search.result import Outcome, Progress, SearchResult, Stop
+from falsework.search.task import Direction, Task
+
+
+@dataclass(frozen=True, eq=False)
+class Census:
+    """End of an exhaustive search."""
+
+    result: SearchResult
+    complete: bool
+    """Every stable state that the start leads to was found; the counts below are then final."""
+    graph: StateGraph
+    """All states found, with all valid actions between them."""
+
+    @property
+    def states(self) -> int:
+        """Stable states that the start leads to, the start included."""
+        return len(self.graph)
+
+    @cached_property
+    def plans(self) -> int:
+        """Different action sequences from start to target; exact, however large."""
+        return self.graph.count_routes()
+
+    @cached_property
+    def solvable_states(self) -> int:
+        """Of the states, those from which the target can still be reached."""
+        return int(self.graph.solvable.sum())
+
+
+class ExhaustiveSearch:
+    """Breadth-first search through every stable state that the start leads to.
+
+    It is the beam search with nothing left out, and stops with an honest answer where that grows too large.
+    """
+
+    def __init__(self, task: Task, oracle: Oracle, *, state_limit: int = 1_000_000, name: str = "") -> None:
+        """Begin at the start of the task.
+
+        Args:
+            task: rules between start and target.
+            oracle: decides stability.
+            state_limit: give up once more states than this were found.
+            name: name of the structure, for the state graph.
+
+        Raises:
+            InputError: a limit below one.
+        """
+        if state_limit < 1:
+            raise InputError(f"a limit of {state_limit} states allows no search; give at least 1")
+        self.task = task
+        self.state_limit = state_limit
+        self.name = name
+        settings = BeamSettings(width=state_limit, direction=Direction.DISASSEMBLY, diversity="none")
+        self._beam = BeamSearch(task, oracle, settings)
+
+    @property
+    def gave_up(self) -> bool:
+        """Whether the limit on states is exceeded."""
+        kept = sum(len(level.states) for level in self._beam.levels)
+        return kept > self.state_limit or not self._beam.exhaustive
+
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> Census:
+        """Search on until every state is found, the limit is exceeded, or somebody stops it.
+
+        Args:
+            progress: called after every level.
+            stop: asked before every level; true stops the search, which can then be saved or run on.
+        """
+        result = self._beam.run(progress=progress, stop=lambda: self.gave_up or (stop is not None and stop()))
+        limit, interrupted = result.limit, result.interrupted
+        if self.gave_up:
+            limit, interrupted = f"gave up after {self.state_limit} states; raise the limit or use a beam search", False
+        complete = self._beam.done and not self.gave_up
+        graph = StateGraph.build(self.task, self._beam.states(), name=self.name)
+        outcome = result.outcome
+        if outcome is Outcome.PROVED_IMPOSSIBLE and not complete:
+            outcome = Outcome.NOT_FOUND
+        return Census(replace(result, outcome=outcome, limit=limit, interrupted=interrupted), complete, graph)
+
+    def save(self, path: Path | str) -> None:
+        """Write the search as it stands, to be resumed by `load`."""
+        self._beam.save(path)
+
+    @classmethod
+    def load(
+        cls, path: Path | str, task: Task, oracle: Oracle, *, state_limit: int = 1_000_000, name: str = ""
+    ) -> ExhaustiveSearch:
+        """Read a search that `save` wrote and go on where it stood, under a limit that may be another.
+
+        Raises:
+            InputError: no such file, a damaged one, one of another task, or not of an exhaustive search.
+        """
+        search = cls(task, oracle, state_limit=state_limit, name=name)
+        beam = BeamSearch.load(path, task, oracle)
+        kind = (beam.settings.direction, beam.settings.diversity, beam.settings.ahead)
+        if kind != (Direction.DISASSEMBLY, "none", 0) or not beam.exhaustive:
+            raise InputError(f"{path} is not from an exhaustive search that can go on; begin a new one")
+        beam.settings = replace(beam.settings, width=state_limit)
+        search._beam = beam
+        return search

@@ -1,0 +1,73 @@
+"""All states one move away from a level, merged, and not written down before they are needed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, Mask, States, held_count
+from falsework.search.hashing import Hashes, StateHash, merge
+from falsework.search.task import Direction, Task
+
+
+@dataclass(frozen=True, eq=False)
+class Frontier:
+    """Distinct states that one move leads to from the states of a level."""
+
+    task: Task
+    direction: Direction
+    level: States
+    """Shape (level, parts)."""
+    parent: NDArray[np.int64]
+    """Row of `level` that each candidate comes from, shape (candidates,)."""
+    action: NDArray[np.int64]
+    """Shape (candidates,)."""
+    hashes: Hashes
+    """Shape (candidates,)."""
+    free: Mask
+    """Candidates that are stable because the level is, shape (candidates,)."""
+
+    def __len__(self) -> int:
+        return len(self.parent)
+
+    def states(self, rows: NDArray[np.integer] | slice = slice(None)) -> States:
+        """Candidates written down, shape (rows, parts)."""
+        return self.task.follow(self.level[self.parent[rows]], self.action[rows], self.direction)
+
+    def parents(self, rows: NDArray[np.integer] | slice = slice(None)) -> States:
+        """States of the level that the candidates come from, shape (rows, parts)."""
+        return self.level[self.parent[rows]]
+
+    def held(self) -> NDArray[np.int64]:
+        """Parts that robots hold in each candidate, shape (candidates,)."""
+        before = held_count(self.level, self.task.boundary)[self.parent]
+        holds = self.task.moved_value(self.action, self.direction) == HELD
+        return before + np.where(holds, 1, -1)
+
+
+def expand(task: Task, direction: Direction, level: States, hashes: Hashes, state_hash: StateHash) -> Frontier:
+    """Every legal move from every state of a level; states reached twice are kept once.
+
+    Args:
+        task: rules of the search.
+        direction: which way to move.
+        level: stable states, all the same number of steps from the start, shape (level, parts).
+        hashes: their hashes, shape (level,).
+        state_hash: how hashes are made.
+    """
+    parent, action = np.nonzero(task.moves(level, direction))
+    part = action % task.part_count
+    old = level[parent, part]
+    new = task.moved_value(action, direction)
+    child = state_hash.after(hashes[parent], part, old, new)
+    needs = task.needs_verdict(action, direction)
+
+    def rows(index: NDArray[np.intp]) -> States:
+        return task.follow(level[parent[index]], action[index], direction)
+
+    first, position = merge(child, rows)
+    free = np.zeros(len(first), dtype=bool)
+    free[position[~needs]] = True
+    return Frontier(task, direction, level, parent[first], action[first], child[first], free)

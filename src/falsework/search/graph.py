@@ -1,0 +1,245 @@
+"""The state graph: states that a search found, with every valid action between them (paper, section 5.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, Mask, States
+from falsework.errors import InputError
+from falsework.search.archive import read_archive, write_archive
+from falsework.search.hashing import StateHash, StateIndex, merge
+from falsework.search.result import Route
+from falsework.search.task import Direction, Task
+
+FORMAT = "falsework.graph/1"
+
+_ARRAYS = frozenset({"states", "source", "action", "target", "boundary", "start_state", "target_state"})
+_KEYS = {"format", "name", "identity", "robots", "removable_only_if_clear", "fixed", "missing", "postponed"}
+_CHUNK = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class StateGraph:
+    """Stable states of one task and all disassembly actions that lead from one of them to another."""
+
+    states: States
+    """Shape (states, parts), sorted by level."""
+    source: NDArray[np.int32]
+    """State that an action is taken in, shape (edges,), ascending."""
+    action: NDArray[np.int32]
+    """Shape (edges,)."""
+    target: NDArray[np.int32]
+    """State that it leads to, shape (edges,)."""
+    task: Task
+    """Rules under which the actions are valid."""
+    name: str = ""
+    """Name of the structure."""
+    removable_only_if_clear: bool = False
+    """Whether removals in this graph have a free way out."""
+
+    @classmethod
+    def build(cls, task: Task, states: States, *, name: str = "") -> StateGraph:
+        """Connect stable states by every action that the rules of `task` allow.
+
+        Args:
+            task: rules between start and target; only states between these two are used.
+            states: stable states in any order, repeated or not, shape (count, parts).
+            name: name of the structure.
+        """
+        state_hash = StateHash.for_parts(task.part_count)
+        states = np.ascontiguousarray(states[task.contains(states)])
+        first, _ = merge(state_hash(states), lambda rows: states[rows])
+        states = states[first]
+        states = states[np.argsort(task.steps_done(states), kind="stable")]
+        index = StateIndex(states, state_hash)
+        hashes = state_hash(states)
+        edges = []
+        for begin in range(0, len(states), _CHUNK):
+            chunk = states[begin : begin + _CHUNK]
+            row, action = np.nonzero(task.moves(chunk, Direction.DISASSEMBLY))
+            part = action % task.part_count
+            new = task.moved_value(action, Direction.DISASSEMBLY)
+            child = state_hash.after(hashes[begin + row], part, chunk[row, part], new)
+
+            def written(rows: NDArray[np.intp], chunk=chunk, row=row, action=action) -> States:
+                return task.follow(chunk[row[rows]], action[rows], Direction.DISASSEMBLY)
+
+            found = index.find_hashed(child, written)
+            hit = found >= 0
+            edges.append(np.stack([begin + row[hit], action[hit], found[hit]]).astype(np.int32))
+        source, action, target = np.concatenate(edges, axis=1) if edges else np.empty((3, 0), dtype=np.int32)
+        clear = task.clearance is not None
+        return cls(states, source, action, target, task, name, removable_only_if_clear=clear)
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    @cached_property
+    def level(self) -> NDArray[np.int64]:
+        """Steps between the start and each state, shape (states,)."""
+        return self.task.steps_done(self.states)
+
+    @cached_property
+    def index(self) -> StateIndex:
+        """Finds states in this graph."""
+        return StateIndex(self.states)
+
+    @cached_property
+    def solvable(self) -> Mask:
+        """States from which a way to the target runs inside the graph, shape (states,)."""
+        return self._spread(self.task.target, self.target, self.source, downwards=True)
+
+    @cached_property
+    def reachable(self) -> Mask:
+        """States to which a way from the start runs inside the graph, shape (states,)."""
+        return self._spread(self.task.start, self.source, self.target, downwards=False)
+
+    def valid_actions(self) -> Mask:
+        """Actions that stay inside the graph, shape (states, 2 parts)."""
+        mask = np.zeros((len(self.states), 2 * self.task.part_count), dtype=bool)
+        mask[self.source, self.action] = True
+        return mask
+
+    def count_routes(self) -> int:
+        """Number of different action sequences from start to target inside the graph; exact, however large."""
+        return int(self.routes_to_target()[self._position(self.task.start)]) if self._has(self.task.start) else 0
+
+    def routes_to_target(self) -> NDArray[np.object_]:
+        """Number of action sequences from each state to the target, Python integers, shape (states,)."""
+        count = np.zeros(len(self.states), dtype=object)
+        if self._has(self.task.target):
+            count[self._position(self.task.target)] = 1
+        for edges in reversed(self.edges_by_level()):
+            source, begin = np.unique(self.source[edges], return_index=True)
+            if len(source):
+                count[source] += np.add.reduceat(count[self.target[edges]], begin)
+        return count
+
+    def edges_by_level(self) -> list[slice]:
+        """Edges that leave each level, from the start on; edges are sorted, so each is a slice."""
+        leaving = self.level[self.source]
+        bounds = np.searchsorted(leaving, np.arange(self.task.steps + 1))
+        return [slice(int(a), int(b)) for a, b in pairwise(bounds)]
+
+    def sample_route(self, rng: np.random.Generator) -> Route | None:
+        """A way from start to target, each action drawn evenly from those that can still reach the target."""
+        if not self._has(self.task.start) or not self.solvable[self._position(self.task.start)]:
+            return None
+        useful = self.solvable[self.target]
+        row, rows, actions = self._position(self.task.start), [], []
+        for _ in range(self.task.steps):
+            rows.append(row)
+            begin, end = np.searchsorted(self.source, [row, row + 1])
+            edge = begin + rng.choice(np.flatnonzero(useful[begin:end]))
+            actions.append(self.action[edge])
+            row = int(self.target[edge])
+        return Route(self.states[[*rows, row]], np.array(actions, dtype=np.int64))
+
+    def save(self, path: Path | str) -> None:
+        """Write the graph as a versioned `.npz`."""
+        task = self.task
+        header: dict[str, Any] = {
+            "name": self.name,
+            "identity": task.identity,
+            "robots": task.robots,
+            "removable_only_if_clear": self.removable_only_if_clear,
+            "fixed": list(task.fixed),
+            "missing": list(task.missing),
+            "postponed": list(task.postponed),
+        }
+        arrays = {
+            "states": self.states,
+            "source": self.source,
+            "action": self.action,
+            "target": self.target,
+            "boundary": task.boundary,
+            "start_state": task.start,
+            "target_state": task.target,
+        }
+        write_archive(path, FORMAT, header, arrays)
+
+    @classmethod
+    def load(cls, path: Path | str) -> StateGraph:
+        """Read a graph that `save` wrote, and check that it is one.
+
+        Raises:
+            InputError: no such file, a damaged one, one of another version, or one whose edges are no legal actions.
+        """
+        header, arrays = read_archive(path, FORMAT, _ARRAYS)
+        if set(header) != _KEYS:
+            odd = ", ".join(sorted(set(header) ^ _KEYS))
+            raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent header entries {odd}")
+        task = Task.create(
+            arrays["boundary"],
+            header["robots"],
+            start=arrays["start_state"],
+            target=arrays["target_state"],
+            fixed=header["fixed"],
+            missing=header["missing"],
+            identity=header["identity"],
+        ).postpone(header["postponed"])
+        graph = cls(
+            arrays["states"],
+            arrays["source"],
+            arrays["action"],
+            arrays["target"],
+            task,
+            header["name"],
+            header["removable_only_if_clear"],
+        )
+        graph._check(path)
+        return graph
+
+    def _check(self, path: Path | str) -> None:
+        states, parts, edges = self.states, self.task.part_count, len(self.source)
+        damage = ""
+        if states.dtype != np.uint8 or states.ndim != 2 or states.shape[1] != parts or (states > HELD).any():
+            damage = f"states are not 0, 1, 2 for {parts} parts"
+        elif not self.task.contains(states).all() or (np.diff(self.level) < 0).any():
+            damage = "states break the rules or are out of order"
+        elif self.source.shape != (edges,) or self.source.dtype != np.int32:
+            damage = "edges are no list of numbers"
+        elif any(array.shape != (edges,) or array.dtype != np.int32 for array in (self.action, self.target)):
+            damage = "edges have different lengths"
+        elif edges and (
+            min(self.source.min(), self.target.min(), self.action.min()) < 0
+            or max(self.source.max(), self.target.max()) >= len(states)
+            or self.action.max() >= 2 * parts
+            or (np.diff(self.source) < 0).any()
+        ):
+            damage = "edges point outside the states"
+        elif (self.level[self.target] != self.level[self.source] + 1).any():
+            damage = "an edge is no legal action"
+        else:
+            for begin in range(0, edges, 64 * _CHUNK):
+                rows = slice(begin, begin + 64 * _CHUNK)
+                after = self.task.follow(states[self.source[rows]], self.action[rows], Direction.DISASSEMBLY)
+                if not np.array_equal(after, states[self.target[rows]]):
+                    damage = "an edge does not lead where it says"
+        if damage:
+            raise InputError(f"{path} is damaged ({damage}); build the graph again")
+
+    def _has(self, state: States) -> bool:
+        return bool(self.index.find(state[None])[0] >= 0)
+
+    def _position(self, state: States) -> int:
+        return int(self.index.find(state[None])[0])
+
+    def _spread(
+        self, origin: States, near: NDArray[np.int32], far: NDArray[np.int32], *, downwards: bool
+    ) -> Mask:
+        """Mark what is connected to `origin`, level by level, along edges from `near` to `far`."""
+        marked = np.zeros(len(self.states), dtype=bool)
+        if self._has(origin):
+            marked[self._position(origin)] = True
+        levels = self.edges_by_level()
+        for edges in reversed(levels) if downwards else levels:
+            marked[far[edges][marked[near[edges]]]] = True
+        return marked

@@ -1,0 +1,56 @@
+"""Guides: what tells a search which actions to try first."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import REMOVED, Mask, States
+from falsework.search.task import Direction
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+
+
+class Guide(Protocol):
+    """Scores actions: the higher, the sooner a search takes them. Any callable will do, a trained policy too."""
+
+    def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.floating]:
+        """Score the actions of some states; a search adds the scores up along its way.
+
+        Args:
+            states: shape (batch, parts).
+            actions: which are allowed, shape (batch, 2 parts); only their scores are read.
+            direction: in disassembly the actions lead out of the states, in assembly they are undone.
+
+        Returns:
+            Shape (batch, 2 parts).
+        """
+        ...
+
+
+class SupportGuide:
+    """Prefers parts that lean on much of what is there in assembly, and on little in disassembly.
+
+    The score of a part is the share of its contact area that touches parts now present. Summed up over an assembly
+    that favours compact structures, which are rarely the unstable ones.
+    """
+
+    def __init__(self, assembly: Assembly) -> None:
+        """Read the contacts of an assembly."""
+        parts = assembly.part_count
+        area = np.zeros((parts, parts))
+        a, b = assembly.contacts.parts.T
+        np.add.at(area, (a, b), assembly.contacts.areas)
+        area += area.T
+        whole = area.sum(axis=0, keepdims=True)
+        self._share = np.divide(area, whole, out=np.zeros_like(area), where=whole > 0).astype(np.float32)
+
+    def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float32]:
+        """As `Guide`."""
+        support = (states != REMOVED).astype(np.float32) @ self._share
+        if direction is Direction.DISASSEMBLY:
+            support = -support
+        return np.concatenate([support, support], axis=1)

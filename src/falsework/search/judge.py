@@ -1,0 +1,59 @@
+"""What a search asks of stability, and the bookkeeping around it."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+import numpy as np
+
+from falsework.assembly.state import Mask, States
+from falsework.stability.verdict import Verdicts
+
+
+class Oracle(Protocol):
+    """Decides stability of batches of states; `falsework.stability.Stability` is one."""
+
+    def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
+        """Verdicts without certificates.
+
+        Args:
+            states: shape (batch, parts).
+            parents: for each state a stable one that is one move away; solvers may start from its forces.
+        """
+        ...
+
+
+class Judge:
+    """Asks an oracle in batches of bounded size and counts."""
+
+    def __init__(self, oracle: Oracle, *, batch: int = 1024) -> None:
+        """Batches are bounded so that an interruption never has to wait for a whole level."""
+        self.oracle = oracle
+        self.asked = 0
+        self.rejected = 0
+        self.undecided = 0
+        self.seconds = 0.0
+        self._batch = batch
+
+    def stable(self, states: States, parents: States) -> Mask:
+        """Which states are stable; undecided counts as not stable.
+
+        Args:
+            states: shape (batch, parts).
+            parents: stable states one move away, shape (batch, parts).
+
+        Returns:
+            Shape (batch,).
+        """
+        begun = time.perf_counter()
+        stable = np.zeros(len(states), dtype=bool)
+        for begin in range(0, len(states), self._batch):
+            rows = slice(begin, begin + self._batch)
+            verdicts = self.oracle.judge(states[rows], parents=parents[rows])
+            stable[rows] = verdicts.stable
+            self.undecided += int((~verdicts.stable & ~verdicts.unstable).sum())
+        self.asked += len(states)
+        self.rejected += int((~stable).sum())
+        self.seconds += time.perf_counter() - begun
+        return stable

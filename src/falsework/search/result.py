@@ -1,0 +1,117 @@
+"""What a search hands back: a route or none, how far it came, and what stopped it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, States
+from falsework.search.task import Direction
+
+
+class Outcome(StrEnum):
+    """How a search ended."""
+
+    FOUND = "found"
+    """There is at least one plan, and it is in the result."""
+    PROVED_IMPOSSIBLE = "proved_impossible"
+    """Every state that can be reached was looked at: there is no plan."""
+    NOT_FOUND = "not_found"
+    """The search was limited or interrupted before it found a plan; one may exist."""
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """Way from the start to the target of a task, in disassembly order."""
+
+    states: States
+    """Shape (steps + 1, parts)."""
+    actions: NDArray[np.int64]
+    """Shape (steps,)."""
+
+    @classmethod
+    def through(cls, states: States) -> Route:
+        """Route through consecutive states, each one move from the next, in disassembly order."""
+        part = (states[1:] != states[:-1]).argmax(axis=1)
+        holds = states[np.arange(1, len(states)), part] == HELD
+        return cls(states, np.where(holds, part, part + states.shape[1]).astype(np.int64))
+
+
+@dataclass(frozen=True)
+class SearchCounters:
+    """Work that a search has done."""
+
+    states: int = 0
+    """Stable states kept."""
+    candidates: int = 0
+    """Distinct states one move away from kept ones."""
+    asked: int = 0
+    """Verdicts asked from the oracle."""
+    rejected: int = 0
+    """Of these, not stable."""
+
+    def __add__(self, other: SearchCounters) -> SearchCounters:
+        return SearchCounters(
+            self.states + other.states,
+            self.candidates + other.candidates,
+            self.asked + other.asked,
+            self.rejected + other.rejected,
+        )
+
+
+@dataclass(frozen=True)
+class SearchProgress:
+    """One report of a running search."""
+
+    direction: Direction
+    level: int
+    """Steps between the origin of the search and where it works now."""
+    levels: int
+    """Steps of a whole plan."""
+    kept: int
+    """States kept at this level."""
+    width: int
+    """Limit on the states kept at a level; 0 if there is none."""
+    asked: int
+    """Verdicts asked so far."""
+    seconds: float
+    """Since the search began or was resumed."""
+
+
+Progress = Callable[[SearchProgress], None]
+Stop = Callable[[], bool]
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """End of a search, successful or not."""
+
+    outcome: Outcome
+    routes: tuple[Route, ...]
+    direction: Direction
+    steps: int
+    """Steps of a whole plan."""
+    reached: int
+    """Steps from the origin of the search to the deepest states that it found."""
+    deepest: States
+    """Some of the deepest states, shape (count, parts)."""
+    rejected: States
+    """States one step further than `deepest` that are not stable, shape (count, parts): where the search broke off."""
+    counters: SearchCounters
+    seconds: float
+    interrupted: bool = False
+    """Stopped from outside, by the keyboard or by `stop`; the search can be resumed."""
+    limit: str = ""
+    """What kept a search that found nothing from being a proof, in words; empty otherwise."""
+    undecided: int = 0
+    """Rejected states for which neither verdict could be proved; above 0 they forbid a proof of impossibility."""
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a plan in the result."""
+        return self.outcome is Outcome.FOUND

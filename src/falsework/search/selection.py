@@ -1,0 +1,110 @@
+"""Which of the candidates a beam keeps, and for which of them it asks a verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.search.clustering import k_means
+from falsework.search.frontier import Frontier
+from falsework.search.judge import Judge
+
+Rows = NDArray[np.int64]
+
+_BATCH = 4
+"""Candidates asked for at once at least, when verdicts are asked one after the other: enough to share two cores."""
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Outcome of a selection."""
+
+    kept: Rows
+    """Stable candidates that the beam keeps, best scored first, shape (kept,)."""
+    rejected: Rows
+    """Candidates found not stable, shape (rejected,)."""
+    exhaustive: bool
+    """Every candidate is either kept or rejected."""
+
+
+@dataclass(frozen=True, eq=False)
+class Selector:
+    """Orders the candidates of one level."""
+
+    frontier: Frontier
+    score: NDArray[np.float64]
+    """Higher is better, shape (candidates,)."""
+    clustered: bool
+    """Take one state of each cluster, then the next of each, and so on; else simply the best scored first."""
+    pool: int
+    """Bound on candidates times parts that are clustered at once; beyond it, of a random sample only."""
+    rng: np.random.Generator
+    """Breaks ties and seeds the clusters."""
+
+    def order(self, rows: Rows, score: NDArray[np.float64], count: int) -> Rows:
+        """Rows in the order in which they are to be taken, where about `count` are wanted.
+
+        Args:
+            rows: some candidates, shape (rows,).
+            score: of all candidates, shape (candidates,).
+            count: number of clusters.
+        """
+        rows = self.rng.permutation(rows)
+        if len(rows) <= count or not self.clustered:
+            return rows[np.argsort(-score[rows], kind="stable")]
+        room = max(self.pool // self.frontier.task.part_count, 2 * count)
+        # Rows are in random order, so the first ones are a fair sample.
+        sample = rows[:room]
+        labels, distance = k_means(self.frontier.states(sample), count, self.rng)
+        order = np.lexsort((distance, -score[sample], labels))
+        begin = np.flatnonzero(np.diff(labels[order], prepend=-1))
+        rank = np.arange(len(sample)) - np.repeat(begin, np.diff(np.append(begin, len(sample))))
+        return np.concatenate([sample[order[np.argsort(rank, kind="stable")]], rows[room:]])
+
+    def all_judged(self, judge: Judge, width: int) -> Choice:
+        """Ask for every candidate, then keep `width` stable ones; the way of the paper."""
+        frontier = self.frontier
+        stable = frontier.free.copy()
+        asked = np.flatnonzero(~stable)
+        if len(asked):
+            stable[asked] = judge.stable(frontier.states(asked), frontier.parents(asked))
+        kept = self.order(np.flatnonzero(stable), self.score, width)[:width]
+        return self._choice(kept, asked[~stable[asked]])
+
+    def most_promising(self, judge: Judge, width: int, ahead: int, *, commit: bool) -> Choice:
+        """Ask only until `width` states are found stable; keep `ahead` more for which no verdict is needed.
+
+        States that leave more robots free come first, then the better scored.
+
+        Args:
+            judge: asked in the order of promise.
+            width: states to keep among those that need a verdict.
+            ahead: states to keep among those that need none.
+            commit: once `width` are found, drop states that keep more robots busy than these.
+        """
+        frontier = self.frontier
+        held = frontier.held()
+        # The gap between numbers of held parts is wider than all scores, so that it decides first.
+        promise = self.score - held * (np.ptp(self.score) + 1.0 if len(held) else 1.0)
+        free = self.order(np.flatnonzero(frontier.free), promise, ahead)[:ahead]
+        waiting = self.order(np.flatnonzero(~frontier.free), promise, width)
+        kept: list[Rows] = [free[:0]]
+        rejected: list[Rows] = [free[:0]]
+        position, wanted = 0, width
+        while wanted > 0 and position < len(waiting):
+            batch = waiting[position : position + max(wanted, _BATCH)]
+            stable = judge.stable(frontier.states(batch), frontier.parents(batch))
+            kept.append(batch[stable])
+            rejected.append(batch[~stable])
+            position += len(batch)
+            wanted -= int(stable.sum())
+        proven = np.concatenate(kept)
+        if commit and wanted <= 0:
+            free = free[held[free] <= held[proven].max()]
+        return self._choice(np.concatenate([proven, free]), np.concatenate(rejected))
+
+    def _choice(self, kept: Rows, rejected: Rows) -> Choice:
+        best_first = kept[np.argsort(-self.score[kept], kind="stable")]
+        return Choice(best_first, rejected, exhaustive=len(kept) + len(rejected) == len(self.frontier))

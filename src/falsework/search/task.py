@@ -1,0 +1,296 @@
+"""What is to be planned: from which state to which, with how many robots, under which extra rules."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.assembly.state import (
+    HELD,
+    INSTALLED,
+    REMOVED,
+    Mask,
+    States,
+    action_mask,
+    apply_actions,
+    as_states,
+    check_robots,
+    complete_state,
+    held_count,
+    undo_actions,
+    undo_mask,
+)
+from falsework.errors import InputError, StateError
+
+STAGE = np.array([2, 0, 1], dtype=np.int64)
+"""Steps of disassembly that a part has behind it, indexed by its value: installed 0, held 1, removed 2."""
+
+
+class Direction(StrEnum):
+    """Which way a search walks through the states between start and target."""
+
+    DISASSEMBLY = "disassembly"
+    """From the start state, by holding and removing; a removal needs a verdict."""
+    ASSEMBLY = "assembly"
+    """From the target state, by inserting and releasing; a release needs a verdict."""
+
+
+class Clearance(Protocol):
+    """Says which parts have a free way out."""
+
+    def can_leave(self, states: States) -> Mask:
+        """Shape (batch, parts): part `i` has an exit that no other present part blocks."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Rules between a start and a target state of one structure; build it with `Task.create`.
+
+    Every part passes through installed, held, removed in this order and never back, so all plans of a task
+    have the same number of steps, and states can be sorted into levels by the steps they are away from the start.
+    """
+
+    boundary: Mask
+    """Shape (parts,)."""
+    robots: int
+    start: States
+    """Shape (parts,)."""
+    target: States
+    """Shape (parts,)."""
+    fixed: tuple[int, ...] = ()
+    """Parts that are never touched."""
+    missing: tuple[int, ...] = ()
+    """Parts not delivered yet, which assembly does without for as long as possible."""
+    postponed: tuple[int, ...] = ()
+    """Entry `k`: assembly steps to be done before the `k + 1`-th missing part goes in. Ascending."""
+    clearance: Clearance | None = None
+    """Where given, a part is removed only if it can leave."""
+    identity: str = ""
+    """Hash of the structure, so that saved searches are not mixed up."""
+
+    @classmethod
+    def create(
+        cls,
+        boundary: ArrayLike,
+        robots: int = 2,
+        *,
+        start: ArrayLike | None = None,
+        target: ArrayLike | None = None,
+        fixed: Sequence[int] = (),
+        missing: Sequence[int] = (),
+        clearance: Clearance | None = None,
+        identity: str = "",
+    ) -> Task:
+        """Check what is asked for and fill in the rest.
+
+        Args:
+            boundary: which parts are boundary, shape (parts,).
+            robots: number of parts that may be held at once.
+            start: state to disassemble from, shape (parts,); the complete structure if not given.
+            target: state to end in, shape (parts,); by default nothing is left but the boundary and `fixed`.
+            fixed: parts that must be neither held nor removed.
+            missing: parts not delivered yet; see `postponed`.
+            clearance: where given, a part is removed only if it has a free way out.
+            identity: hash of the structure.
+
+        Raises:
+            InputError: fewer than one robot, or a part number out of range, doubled, or of the boundary.
+            StateError: a malformed state, more parts held than robots, or a target that no rule leads to.
+        """
+        boundary = np.asarray(boundary, dtype=bool)
+        robots = check_robots(robots)
+        fixed = _part_numbers(fixed, boundary, "fixed", boundary_allowed=True)
+        missing = _part_numbers(missing, boundary, "missing", boundary_allowed=False)
+        first = complete_state(boundary) if start is None else _one_state(start, boundary, "start")
+        if target is None:
+            last = np.where(boundary, HELD, REMOVED).astype(np.uint8)
+            last[list(fixed)] = first[list(fixed)]
+        else:
+            last = _one_state(target, boundary, "target")
+        for part in fixed:
+            if first[part] != last[part]:
+                raise StateError(f"part {part} is fixed but differs between start and target; make them agree")
+        for part in missing:
+            if last[part] != REMOVED:
+                raise StateError(
+                    f"part {part} is missing but in the target, which is what assembly starts from; remove it there"
+                )
+        _check_order(first, last)
+        for name, state in (("start", first), ("target", last)):
+            held = int(held_count(state[None], boundary)[0])
+            if held > robots:
+                raise StateError(f"the {name} state has {held} parts held; {robots} robots can hold {robots}")
+        for array in (boundary, first, last):
+            array.setflags(write=False)
+        return cls(boundary, robots, first, last, fixed, missing, (0,) * len(missing), clearance, identity)
+
+    @property
+    def part_count(self) -> int:
+        """Number of parts, boundary included."""
+        return len(self.boundary)
+
+    @cached_property
+    def steps(self) -> int:
+        """Number of steps of every plan."""
+        return int(STAGE[self.target].sum() - STAGE[self.start].sum())
+
+    def postpone(self, postponed: Sequence[int]) -> Task:
+        """The same task with other lower bounds on when missing parts go in."""
+        return replace(self, postponed=tuple(int(steps) for steps in postponed))
+
+    def origin(self, direction: Direction) -> States:
+        """State that a search in `direction` begins with, shape (parts,)."""
+        return self.start if direction is Direction.DISASSEMBLY else self.target
+
+    def goal(self, direction: Direction) -> States:
+        """State that a search in `direction` must reach, shape (parts,)."""
+        return self.target if direction is Direction.DISASSEMBLY else self.start
+
+    def steps_done(self, states: States) -> NDArray[np.int64]:
+        """Steps of disassembly between the start and each state, shape (batch,)."""
+        return STAGE[states].sum(axis=-1) - STAGE[self.start].sum()
+
+    def contains(self, states: States) -> Mask:
+        """Which states lie between start and target and obey the rules, stability aside. Shape (batch,)."""
+        stage = STAGE[states]
+        between = ((stage >= STAGE[self.start]) & (stage <= STAGE[self.target])).all(axis=-1)
+        inside = between & (held_count(states, self.boundary) <= self.robots)
+        if any(self.postponed):
+            present = (states[:, list(self.missing)] != REMOVED).sum(axis=1)
+            inside &= present <= self._missing_allowed(states, 0)
+        return inside
+
+    def moves(self, states: States, direction: Direction) -> Mask:
+        """Actions that the rules allow from each state, stability aside.
+
+        Args:
+            states: states between start and target, shape (batch, parts).
+            direction: in disassembly actions lead out of the states; in assembly they are undone.
+
+        Returns:
+            Shape (batch, 2 parts), indexed like `action_mask`.
+        """
+        if direction is Direction.DISASSEMBLY:
+            return self._forward(states)
+        return self._backward(states)
+
+    def needs_verdict(self, actions: NDArray[np.integer], direction: Direction) -> Mask:
+        """Which moves can make a stable state unstable. Shape (batch,).
+
+        Fixing a part by holding it leaves every force that balanced the structure admissible, so a hold, and in
+        assembly an insertion with hold, never does; a removal, and in assembly a release, may.
+        """
+        holds = np.asarray(actions) < self.part_count
+        return ~holds if direction is Direction.DISASSEMBLY else holds
+
+    def moved_value(self, actions: NDArray[np.integer], direction: Direction) -> NDArray[np.uint8]:
+        """Value that each move gives its part, shape (batch,)."""
+        holds = np.asarray(actions) < self.part_count
+        if direction is Direction.DISASSEMBLY:
+            return np.where(holds, HELD, REMOVED).astype(np.uint8)
+        return np.where(holds, INSTALLED, HELD).astype(np.uint8)
+
+    def follow(self, states: States, actions: NDArray[np.integer], direction: Direction) -> States:
+        """States after one move each. Shapes (batch, parts), (batch,)."""
+        step = apply_actions if direction is Direction.DISASSEMBLY else undo_actions
+        return step(states, actions)
+
+    def describe(self) -> dict[str, object]:
+        """All that tells this task from another, as plain JSON values."""
+        return {
+            "identity": self.identity,
+            "boundary": np.flatnonzero(self.boundary).tolist(),
+            "robots": self.robots,
+            "start": self.start.tolist(),
+            "target": self.target.tolist(),
+            "fixed": list(self.fixed),
+            "missing": list(self.missing),
+            "postponed": list(self.postponed),
+            "removable_only_if_clear": self.clearance is not None,
+        }
+
+    def _forward(self, states: States) -> Mask:
+        mask = action_mask(states, self.boundary, self.robots)
+        hold, remove = mask[:, : self.part_count], mask[:, self.part_count :]
+        hold &= self.target != INSTALLED
+        remove &= self.target == REMOVED
+        # A robot that holds a part to the end is lost for the rest: the last robot must stay free for removals.
+        kept = (self.target == HELD) & ~self.boundary
+        busy = (kept & (states == HELD)).sum(axis=1)
+        waiting = ((self.target == REMOVED) & (states != REMOVED)).any(axis=1)
+        hold &= ~(kept & ((busy + 1 >= self.robots) & waiting)[:, None])
+        if self.clearance is not None:
+            remove &= self.clearance.can_leave(states)
+        if any(self.postponed):
+            present = states[:, list(self.missing)] != REMOVED
+            leaves = np.zeros_like(mask)
+            leaves[:, [self.part_count + part for part in self.missing]] = True
+            after = present.sum(axis=1)[:, None] - leaves
+            mask &= after <= self._missing_allowed(states, -1)[:, None]
+        return mask
+
+    def _backward(self, states: States) -> Mask:
+        mask = undo_mask(states, self.boundary, self.robots)
+        release, insert = mask[:, : self.part_count], mask[:, self.part_count :]
+        release &= self.start == INSTALLED
+        insert &= self.start != REMOVED
+        # Mirror image of the rule in `_forward`: parts held at the start are never released in assembly.
+        kept = (self.start == HELD) & ~self.boundary
+        busy = (kept & (states == HELD)).sum(axis=1)
+        waiting = ((self.start == INSTALLED) & (states != INSTALLED)).any(axis=1)
+        insert &= ~(kept & ((busy + 1 >= self.robots) & waiting)[:, None])
+        if self.clearance is not None:
+            insert &= self.clearance.can_leave(states)
+        if any(self.postponed):
+            enters = np.zeros_like(mask)
+            enters[:, [self.part_count + part for part in self.missing]] = True
+            after = (states[:, list(self.missing)] != REMOVED).sum(axis=1)[:, None] + enters
+            mask &= after <= self._missing_allowed(states, 1)[:, None]
+        return mask
+
+    def _missing_allowed(self, states: States, offset: int) -> NDArray[np.int64]:
+        """How many missing parts may be present `offset` assembly steps after each state, shape (batch,)."""
+        assembled = self.steps - self.steps_done(states) + offset
+        return (np.asarray(self.postponed)[None] < assembled[:, None]).sum(axis=1)
+
+
+def _one_state(state: ArrayLike, boundary: Mask, name: str) -> States:
+    batch = as_states(state, boundary)
+    if len(batch) != 1:
+        raise StateError(f"the {name} must be one state, not {len(batch)}")
+    return batch[0].copy()
+
+
+def _part_numbers(parts: Sequence[int], boundary: Mask, name: str, *, boundary_allowed: bool) -> tuple[int, ...]:
+    numbers = tuple(int(part) for part in parts)
+    for part in numbers:
+        if not 0 <= part < len(boundary):
+            raise InputError(f"{name} part {part} does not exist; parts are numbered 0 to {len(boundary) - 1}")
+        if boundary[part] and not boundary_allowed:
+            raise InputError(f"{name} part {part} is boundary, which is always there; leave it out")
+        if numbers.count(part) > 1:
+            raise InputError(f"{name} part {part} is listed twice; list it once")
+    return tuple(sorted(numbers))
+
+
+def _check_order(start: States, target: States) -> None:
+    backwards = np.flatnonzero(STAGE[target] < STAGE[start])
+    if len(backwards) == 0:
+        return
+    part = int(backwards[0])
+    word = {REMOVED: "removed", INSTALLED: "installed", HELD: "held"}
+    remedy = (
+        "disassembly never puts a part back; exchange start and target for an assembly"
+        if start[part] == REMOVED
+        else "a held part is never released in disassembly; hold it in the target or release it in the start"
+    )
+    raise StateError(
+        f"part {part} is {word[int(start[part])]} in the start and {word[int(target[part])]} in the target: {remedy}"
+    )
