@@ -15,6 +15,7 @@ from falsework.stability.cache import VerdictCache
 from falsework.stability.certificate import accept
 from falsework.stability.cpu import CpuSolver
 from falsework.stability.exact import ExactSolver
+from falsework.stability.gurobi import GurobiSolver
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
@@ -60,7 +61,8 @@ class Stability:
         self.assembly = assembly
         self.settings = settings
         self.problem = build_problem(assembly, cone=settings.cone, gravity=settings.gravity)
-        self.exact = ExactSolver(assembly, settings, self.problem)
+        exact = GurobiSolver if settings.solver == "gurobi" else ExactSolver
+        self.exact = exact(assembly, settings, self.problem)
         self.counters = Counters()
         self._cpu = CpuSolver(self.problem, settings) if settings.solver == "cpu" else None
         self._cache = VerdictCache()
@@ -164,7 +166,7 @@ class Stability:
 
     def _count(self, verdicts: Verdicts) -> None:
         self.counters.cpu += int((verdicts.decided_by == Solver.CPU).sum())
-        self.counters.exact += int((verdicts.decided_by == Solver.EXACT).sum())
+        self.counters.exact += int(np.isin(verdicts.decided_by, (Solver.EXACT, Solver.GUROBI)).sum())
         self.counters.undecided += int(verdicts.undecided.sum())
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from falsework.errors import InputError
 from falsework.stability.certificate import Claim
 from falsework.stability.problem import FORCE_BOUND, TOLERANCE, Cone
+
+SolverName = Literal["cpu", "exact", "gurobi"]
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class StabilitySettings:
     """Largest acceleration of a stable state, m/s2 and rad/s2 (paper, section 4)."""
     force_bound: float = FORCE_BOUND
     """Bound on the sum of all normal forces, in weights of the structure."""
-    solver: Literal["cpu", "exact"] = "cpu"
+    solver: SolverName = "cpu"
     """Who is asked first; what it leaves undecided goes to the exact solver."""
     cpu: CpuSettings = CpuSettings()
 
@@ -51,8 +53,8 @@ class StabilitySettings:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"{name} is {value}; give a positive number")
-        if self.solver not in ("cpu", "exact"):
-            raise InputError(f"unknown solver {self.solver!r}; choose cpu or exact")
+        if self.solver not in get_args(SolverName):
+            raise InputError(f"unknown solver {self.solver!r}; choose {', '.join(get_args(SolverName))}")
 
     @property
     def claim(self) -> Claim:

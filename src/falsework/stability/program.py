@@ -1,0 +1,175 @@
+"""The textbook programs of equilibrium, in a form that any conic solver takes.
+
+They use nothing but the wrench maps of `Problem`: no scaling, factoring or projection of the fast solvers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from falsework.stability.certificate import Claim
+from falsework.stability.problem import Problem
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Program:
+    """`min 1/2 x . (curvature * x) + cost . x` over rows `A x` that are bound in one of three ways.
+
+    The first `equalities` rows say `A x = b`, the next `inequalities` rows `A x <= b`, and the rest come in
+    threes that say that `b - A x` lies in the cone `s0 >= |(s1, s2)|`.
+    """
+
+    curvature: Array
+    """Shape (variables,)."""
+    cost: Array
+    """Shape (variables,)."""
+    rows: sp.csc_matrix
+    """`A`, shape (rows, variables)."""
+    bound: Array
+    """`b`, shape (rows,)."""
+    equalities: int
+    inequalities: int
+    read: Callable[[Array, Array], tuple[Array, Array]]
+    """Turns solution and multipliers (of rows `A x <= b`, so not negative there) into contact forces of the
+    active points in N, shape (active, 3), and a velocity of the free parts, shape (free, 6)."""
+
+    @property
+    def cones(self) -> int:
+        """Number of second-order cones."""
+        return (len(self.bound) - self.equalities - self.inequalities) // 3
+
+
+def least_squares(problem: Problem, free: Mask, active: Mask, claim: Claim) -> Program:
+    """`min 1/2 |y|^2` with `y = L^-1 (G f + g)`, `f` in the cones (DESIGN, section 4; paper, equation 6).
+
+    Args:
+        problem: the structure.
+        free: parts that can move, shape (parts,).
+        active: contact points that act, shape (points,).
+        claim: cone and force bound.
+    """
+    # Forces in shares of the weight keep the numbers near one.
+    unit = problem.weight
+    whiten = sp.csc_matrix(sp.block_diag(list(problem.whitening[free])))
+    wrenches = whiten @ wrench_matrix(problem, free, active) * unit
+    gravity = whiten @ problem.gravity_wrench[free].ravel()
+    rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
+    cone = _cone_rows(problem, columns // 3, claim.cone)
+    cone_rows = cone.shape[0]  # type: ignore[index]
+    linear = claim.cone == "octagon"
+
+    def read(x: Array, _: Array) -> tuple[Array, Array]:
+        return unit * x[:columns].reshape(-1, 3), _normalised(whiten.T @ x[columns:])
+
+    return Program(
+        curvature=np.repeat([0.0, 1.0], [columns, rows]),
+        cost=np.zeros(columns + rows),
+        rows=_stack([[wrenches, -sp.eye(rows)], [cone, sp.csc_matrix((cone_rows, rows))]]),
+        bound=np.concatenate([-gravity, np.zeros(cone_rows)]),
+        equalities=rows,
+        inequalities=cone_rows if linear else 0,
+        read=read,
+    )
+
+
+def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: Claim) -> Program:
+    """`min t` with `|M^-1 (G f + g)| <= t`, `f` in the cones, sum of normals below the bound.
+
+    Its multipliers are the best virtual velocity there is: by duality they prove the very acceleration that
+    its solution reaches. Arguments as for `least_squares`.
+    """
+    unit = problem.weight
+    whiten = sp.csc_matrix(sp.block_diag(list(problem.whitening[free])))
+    inverse_mass = whiten.T @ whiten
+    accelerations = inverse_mass @ wrench_matrix(problem, free, active) * unit
+    gravity = inverse_mass @ problem.gravity_wrench[free].ravel()
+    rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
+    cone = _cone_rows(problem, columns // 3, claim.cone)
+    cone_rows = cone.shape[0]  # type: ignore[index]
+    linear = claim.cone == "octagon"
+    normals = sp.csc_matrix(np.tile([1.0, 0.0, 0.0], columns // 3)[None])
+    one = sp.csc_matrix(np.ones((rows, 1)))
+
+    def read(x: Array, multipliers: Array) -> tuple[Array, Array]:
+        velocity = inverse_mass @ (multipliers[:rows] - multipliers[rows : 2 * rows])
+        return unit * x[:columns].reshape(-1, 3), _normalised(velocity)
+
+    return Program(
+        curvature=np.zeros(columns + 1),
+        cost=np.append(np.zeros(columns), 1.0),
+        rows=_stack(
+            [
+                [accelerations, -one],
+                [-accelerations, -one],
+                [normals, sp.csc_matrix((1, 1))],
+                [cone, sp.csc_matrix((cone_rows, 1))],
+            ]
+        ),
+        bound=np.concatenate([-gravity, gravity, [claim.force_bound], np.zeros(cone_rows)]),
+        equalities=0,
+        inequalities=2 * rows + 1 + (cone_rows if linear else 0),
+        read=read,
+    )
+
+
+def wrench_matrix(problem: Problem, free: Mask, active: Mask) -> sp.csc_matrix:
+    """Wrenches on the free parts per force at the active points, shape (6 free, 3 active)."""
+    slot = np.full(problem.parts, -1)
+    slot[free] = np.arange(free.sum())
+    points = np.flatnonzero(active)
+    entries: list[tuple[Array, NDArray, NDArray]] = []
+    for part, blocks in ((problem.part_a, problem.wrench_a), (problem.part_b, problem.wrench_b)):
+        rows = slot[part[points]]
+        on = rows >= 0
+        block = blocks[points[on]]
+        row = np.broadcast_to(6 * rows[on][:, None, None] + np.arange(6)[:, None], block.shape)
+        column = np.broadcast_to(3 * np.flatnonzero(on)[:, None, None] + np.arange(3), block.shape)
+        entries.append((block.ravel(), row.ravel(), column.ravel()))
+    values, row, column = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
+    return sp.csc_matrix((values, (row, column)), shape=(6 * int(free.sum()), 3 * len(points)))
+
+
+def into_cone(forces: Array, friction: float, cone: str) -> Array:
+    """Shrink the tangents of forces that stand outside the cone by a solver's last digits. Shape (points, 3)."""
+    forces = forces.copy()
+    forces[:, 0] = np.maximum(forces[:, 0], 0.0)
+    x, y = np.abs(forces[:, 1]), np.abs(forces[:, 2])
+    if cone == "quadratic":
+        size = np.hypot(x, y)
+    else:
+        size = np.maximum(x, y) + (np.sqrt(2.0) - 1.0) * np.minimum(x, y)
+    limit = friction * forces[:, 0]
+    shrink = np.divide(limit, size, out=np.ones_like(size), where=size > limit)
+    forces[:, 1:] *= shrink[:, None]
+    return forces
+
+
+def _cone_rows(problem: Problem, points: int, cone: str) -> sp.csc_matrix:
+    """Rows `A` that keep forces in their friction cones: `A f <= 0`, or `-A f` in a second-order cone."""
+    mu = problem.friction
+    if cone == "quadratic":
+        block = -np.diag([mu, 1.0, 1.0])
+    else:
+        angle = (np.arange(8) + 0.5) * np.pi / 4
+        block = np.stack([np.full(8, -mu * np.cos(np.pi / 8)), np.cos(angle), np.sin(angle)], axis=1)
+    if cone == "octagon" and mu == 0:  # the sides alone would leave the normal's sign open
+        block = np.vstack([block, [-1.0, 0.0, 0.0]])
+    return sp.csc_matrix(sp.kron(sp.eye(points), block))
+
+
+def _stack(blocks: list[list]) -> sp.csc_matrix:
+    return sp.csc_matrix(sp.bmat(blocks))
+
+
+def _normalised(velocity: Array) -> Array:
+    """Velocities of the free parts with largest entry 1, shape (free, 6)."""
+    largest = np.abs(velocity).max(initial=0.0)
+    return (velocity / largest if largest > 0 else velocity).reshape(-1, 6)
