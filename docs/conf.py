@@ -5,8 +5,11 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import sys
 from pathlib import Path
+
+from sphinx.application import Sphinx
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "src"))
@@ -39,6 +42,16 @@ napoleon_numpy_docstring = False
 autodoc_mock_imports = ["torch", "gurobipy"]
 
 suppress_warnings = ["misc.highlighting_failure"]
+
+
+def _code_in_backticks(_app, _what, _name, _object, _options, lines: list[str]) -> None:
+    """Docstrings write code between single backticks, as Markdown does."""
+    lines[:] = [re.sub(r"(?<![`:\w])`([^`]+)`(?!`)", r"``\1``", line) for line in lines]
+
+
+def setup(app: Sphinx) -> None:
+    """Connect what is defined here."""
+    app.connect("autodoc-process-docstring", _code_in_backticks)
 
 
 def _write_help_texts() -> None:

@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 from palette import BOUNDARY, INK, ROBOTS, SAND
 from render import Camera, Solid, render
 
-from falsework.assembly.model import Assembly
+from falsework.assembly import Assembly, load_structure
+from falsework.search.beam import BeamSearch, BeamSettings
+from falsework.search.task import Task
+from falsework.stability import Stability
 
 HELD, REMOVED = 2, 0
 
@@ -60,7 +63,7 @@ def contact_sheet(
     *,
     frames: int = 12,
     columns: int = 4,
-    camera: Camera = Camera(width=480, height=330, zoom=0.97),
+    camera: Camera = Camera(width=480, height=290, zoom=0.98),
     title: str = "",
 ) -> None:
     """Write a PNG with evenly spread states of a plan.
@@ -77,7 +80,7 @@ def contact_sheet(
     robots = robots_of(states, assembly.boundary)
     chosen = _interesting(states, assembly.boundary, frames)
     rows = -(-len(chosen) // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(2.9 * columns, 2.15 * rows + 0.5), squeeze=False)
+    figure, axes = plt.subplots(rows, columns, figsize=(2.9 * columns, 1.9 * rows + 0.5), squeeze=False)
     for axis in axes.flat:
         axis.set_axis_off()
     for axis, step in zip(axes.flat, chosen, strict=False):
@@ -102,3 +105,12 @@ def _interesting(states: NDArray[np.uint8], boundary: NDArray[np.bool_], frames:
         near = [s for s in (step, step - 1, step + 1) if 0 < s < steps] if 0 < step < steps else [step]
         chosen.append(int(max(near, key=lambda s: held[s])))
     return sorted(set(chosen))
+
+
+def plan_of_a_vault(path: Path) -> None:
+    """Plan the built-in vault with two robots, and draw the plan."""
+    assembly = load_structure("vault")
+    task = Task.create(assembly.boundary, robots=2)
+    search = BeamSearch(task, Stability(assembly), BeamSettings(width=256))
+    result = search.run()
+    contact_sheet(path, assembly, result.routes[0].states[::-1])

@@ -1,0 +1,94 @@
+"""Why there is no plan, in plain words: proven or only not found, how far the search came, what would move there."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from falsework.cli.motion import Motion, describe, motions
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.assembly.state import States
+    from falsework.search.result import SearchResult
+    from falsework.stability import Stability
+
+LOOKED_AT = 16
+"""Unstable states whose motions are looked at, at most."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What can be said about a search without a plan."""
+
+    proven: bool
+    """There is no plan, as opposed to none that was found."""
+    reached: int
+    """Steps of the plan that the search got done."""
+    steps: int
+    """Steps of a whole plan."""
+    disassembly: bool
+    """Whether the search took the structure apart; otherwise it put it together."""
+    moving: list[Motion]
+    """What moves in the states where the search broke off, the parts that move in most of them first."""
+    reason: str
+    """Why the search is no proof, where it is none."""
+    text: str
+    """All of it in one line."""
+
+    def record(self, assembly: Assembly) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "plan": None,
+            "outcome": "no plan exists" if self.proven else "no plan was found",
+            "reached": self.reached,
+            "steps": self.steps,
+            "direction": "disassembly" if self.disassembly else "assembly",
+            "reason": self.reason,
+            "moving": [motion.record(assembly) for motion in self.moving],
+        }
+
+
+def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Failure:
+    """Say why a search found nothing.
+
+    Args:
+        assembly: the structure.
+        oracle: decides which parts move in the states where the search broke off.
+        result: end of the search.
+    """
+    from falsework.search.result import Direction, Outcome
+
+    proven = result.outcome is Outcome.PROVED_IMPOSSIBLE
+    disassembly = result.direction is Direction.DISASSEMBLY
+    moving = common_motions(assembly, oracle, result.rejected[:LOOKED_AT])
+    doing = "taking it apart" if disassembly else "putting it together"
+    parts = ["no plan exists" if proven else "no plan was found"]
+    parts.append(f"{doing}, the search came to step {result.reached} of {result.steps}")
+    if moving:
+        parts.append(f"there {describe(assembly, moving, limit=3)}")
+    else:
+        parts.append("there the rules allow no further step")
+    if not proven and result.limit:
+        parts.append(result.limit)
+    return Failure(proven, result.reached, result.steps, disassembly, moving, result.limit, "; ".join(parts))
+
+
+def common_motions(assembly: Assembly, oracle: Stability, states: States) -> list[Motion]:
+    """What moves in some unstable states: each part once, those that move in most states first."""
+    if not len(states):
+        return []
+    verdicts = oracle.check(states)
+    count: Counter[int] = Counter()
+    fastest: dict[int, Motion] = {}
+    for index in np.flatnonzero(verdicts.unstable):
+        if verdicts.velocity is None:
+            break
+        for motion in motions(assembly, verdicts.velocity[index]):
+            count[motion.part] += 1
+            if motion.part not in fastest or motion.speed > fastest[motion.part].speed:
+                fastest[motion.part] = motion
+    return [fastest[part] for part, _ in count.most_common()]

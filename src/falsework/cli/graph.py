@@ -1,0 +1,71 @@
+"""`falsework graph`: the states that a search finds, with every action between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from tyro.conf import arg
+
+from falsework.cli.command import Command, Exit, StructureOptions
+from falsework.cli.planning import SearchOptions, TaskOptions, refuse_unstable, writable
+
+if TYPE_CHECKING:
+    from falsework.cli.output import Output
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeGraph(Command):
+    """Search for states that stand, and save them with every action between them.
+
+    If the search begins at the empty structure, every state of the graph is one from which the structure can be taken
+    apart. Exit code 1 if the search does not reach its other end; the states found are saved all the same.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = ("falsework graph bottle --width 64 --robots 2 --out graph.npz",)
+
+    structure: StructureOptions
+    out: Annotated[Path, arg(metavar="FILE")]
+    """File to write, a NumPy archive."""
+    task: TaskOptions
+    search: SearchOptions
+
+    def run(self, output: Output) -> Exit:
+        """Search, connect, save."""
+        from falsework.cli.failure import explain
+        from falsework.search.beam import BeamSearch
+        from falsework.search.graph import StateGraph
+        from falsework.stability import Stability
+
+        writable(self.out)
+        assembly = self.structure.load()
+        task = self.task.task(assembly)
+        oracle = Stability(assembly)
+        if refuse_unstable(assembly, oracle, task, output):
+            return Exit.NO
+        search = BeamSearch(task, oracle, self.search.settings())
+        with output.search_progress() as report:
+            result = search.run(progress=report)
+        graph = StateGraph.build(task, search.states(), name=assembly.name)
+        graph.save(self.out)
+        output.record(
+            {
+                "out": str(self.out),
+                "states": len(graph),
+                "actions": len(graph.source),
+                "solvable": int(graph.solvable.sum()),
+                "found": result.found,
+                "interrupted": result.interrupted,
+                "asked": result.counters.asked,
+                "seconds": result.seconds,
+            }
+        )
+        output.say(f"{len(graph)} states and {len(graph.source)} actions between them are in {self.out}")
+        if result.interrupted:
+            output.note(f"interrupted at step {result.reached} of {result.steps}; what was found so far is saved")
+            return Exit.INTERRUPTED
+        if not result.found:
+            output.note(f"falsework: {explain(assembly, oracle, result).text}")
+            return Exit.NO
+        return Exit.DONE

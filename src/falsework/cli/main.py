@@ -1,0 +1,157 @@
+"""Entry point of `falsework`: finds the subcommand, runs it, and turns errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import io
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Sequence
+from typing import Annotated, Any, Union, cast
+
+import tyro
+
+from falsework import __version__
+from falsework.cli.command import Command, Exit
+from falsework.cli.output import Output
+from falsework.errors import FalseworkError
+
+COMMANDS = {
+    "structures": "Structures",
+    "export": "Export",
+    "stability": "CheckStability",
+    "graph": "MakeGraph",
+}
+"""Module of each subcommand in this package, named like it, and its class there."""
+
+_ABOUT = """Plan how robots build structures of rigid blocks with nothing but their grippers as falsework.
+
+Example:
+  falsework plan vault --robots 2 --out plan.json
+  falsework check plan.json
+
+Exit codes: 0 done, 1 the answer is no, 2 wrong input."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        arguments: what follows the name of the program; that of this process if not given.
+
+    Returns:
+        Exit code, see `Exit`; nothing is raised, whatever happens.
+    """
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in arguments
+    try:
+        with warnings.catch_warnings():
+            _warn_in_one_line()
+            command = _parse(arguments)
+            if command is None:
+                return Exit.DONE
+            code = command.run(Output(machine=command.json))
+            sys.stdout.flush()
+            return code
+    except _UsageError as error:
+        return _fail(str(error), Exit.WRONG_INPUT)
+    except KeyboardInterrupt:
+        return _fail("interrupted", Exit.INTERRUPTED)
+    except BrokenPipeError:
+        # The reader, such as `head`, has gone: there is nobody to tell, and Python must not try at its exit.
+        with contextlib.suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return Exit.DONE
+    except Exception as error:  # the door: from here on nobody else can explain it
+        if debug:
+            traceback.print_exc()
+        return _fail(_explain(error), Exit.WRONG_INPUT)
+
+
+class _UsageError(Exception):
+    """The options do not make a command."""
+
+
+def _parse(arguments: list[str]) -> Command | None:
+    """Fill in the subcommand's fields, or print help or version and return None."""
+    if arguments == ["--version"]:
+        sys.stdout.write(f"falsework {__version__}\n")
+        return None
+    named = arguments[0] if arguments and arguments[0] in COMMANDS else None
+    if named is not None:
+        kind: Any = _command_class(named)
+        about, program, rest = _help_text(kind), f"falsework {named}", arguments[1:]
+    else:
+        classes = [
+            Annotated[kind, tyro.conf.subcommand(name, description=_first_line(kind))]
+            for name, kind in ((name, _command_class(name)) for name in COMMANDS)
+        ]
+        kind, about, program, rest = Union[tuple(classes)], _ABOUT, "falsework", arguments  # noqa: UP007
+    markers = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes)
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return cast(Command, tyro.cli(kind, prog=program, description=about, args=rest, config=markers))
+    except SystemExit as exit_request:
+        if exit_request.code in (None, 0):
+            return None
+        raise _UsageError(_one_line(complaint.getvalue()) or f"wrong options; see {program} --help") from None
+
+
+def _command_class(name: str) -> type[Command]:
+    return getattr(importlib.import_module(f"falsework.cli.{name}"), COMMANDS[name])
+
+
+def _first_line(kind: type[Command]) -> str:
+    return (kind.__doc__ or "").splitlines()[0]
+
+
+def _help_text(kind: type[Command]) -> str:
+    text = "\n".join(line.strip() for line in (kind.__doc__ or "").strip().splitlines())
+    heading = "Example:" if len(kind.examples) == 1 else "Examples:"
+    return "\n".join([text, "", heading, *(f"  {example}" for example in kind.examples)])
+
+
+def _one_line(box: str) -> str:
+    """What tyro draws as a box of several lines, with rules between sections, as one."""
+    sections: list[list[str]] = [[]]
+    for line in box.splitlines()[1:-1]:
+        text = line.strip("│| \t")
+        if text and not text.strip("─-"):
+            sections.append([])
+        elif text:
+            sections[-1].append(text)
+    texts = [" ".join(section) for section in sections if section and section[0] != "Argument helptext:"]
+    return "; ".join(texts).replace("For full helptext,", "for help,")
+
+
+def _explain(error: Exception) -> str:
+    """One line for an error: ours say what to do, others get their kind and a way to learn more."""
+    text = " ".join(str(error).split())
+    if isinstance(error, FalseworkError):
+        return text
+    if isinstance(error, OSError):
+        return f"{error.filename}: {error.strerror}" if error.filename and error.strerror else text
+    if isinstance(error, MemoryError):
+        return "out of memory; try a smaller structure or search width"
+    return f"unexpected {type(error).__name__}: {text}; this is a defect, --debug shows where"
+
+
+def _fail(text: str, code: Exit) -> Exit:
+    sys.stderr.write(f"falsework: {text}\n")
+    return code
+
+
+def _warn_in_one_line() -> None:
+    """Show warnings like errors: one line, without the place in the code."""
+
+    def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+        if not issubclass(category, UserWarning):  # what packages tell programmers is not for users
+            return
+        sys.stderr.write(f"falsework: warning: {' '.join(str(message).split())}\n")
+
+    warnings.simplefilter("default")
+    warnings.showwarning = show

@@ -1,0 +1,129 @@
+"""How parts of an unstable structure move, in plain words."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+
+MOVES = 0.02
+"""A part counts as moving if some point of it moves at this share of the fastest point of all parts."""
+TURNS = 0.2
+"""A share of the part's motion, at its outermost point, below which turning or shifting is left unsaid."""
+LEANS = 0.38
+"""Components of a direction below this, the sine of about 22 degrees, are left unsaid."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How one part moves; lengths are relative, since a mechanism has a direction but no size."""
+
+    part: int
+    speed: float
+    """Speed of the part's fastest point; 1 for the fastest of all parts."""
+    translation: tuple[float, float, float]
+    """Velocity of the centre of mass, on the scale of `speed`."""
+    rotation: tuple[float, float, float]
+    """Angular velocity times the distance from the centre of mass to the outermost point, on the scale of `speed`."""
+
+    @property
+    def words(self) -> str:
+        """Such as `slides down and towards +x, turning about +y`."""
+        shift, turn = np.array(self.translation), np.array(self.rotation)
+        shifts, turns = np.linalg.norm(shift), np.linalg.norm(turn)
+        total = max(shifts, turns, 1e-300)
+        texts = []
+        if shifts > TURNS * total:
+            texts.append(f"{_verb(shift / shifts)} {_direction(shift / shifts)}")
+        if turns > TURNS * total:
+            texts.append(f"{'turning' if texts else 'turns'} about {_axis(turn / turns)}")
+        return ", ".join(texts)
+
+    def record(self, assembly: Assembly) -> dict[str, Any]:
+        """As JSON."""
+        return {"name": assembly.names[self.part], **asdict(self), "words": self.words}
+
+
+def motions(assembly: Assembly, velocity: NDArray[np.float64]) -> list[Motion]:
+    """The parts that a velocity moves, the fastest first.
+
+    Args:
+        assembly: the structure.
+        velocity: linear velocity of the centre of mass and angular velocity of each part, shape (parts, 6).
+    """
+    center = assembly.mass.center
+    reach = np.array(
+        [np.linalg.norm(mesh.vertices - center[part], axis=1).max() for part, mesh in enumerate(assembly.meshes)]
+    )
+    shift, turn = velocity[:, :3], velocity[:, 3:] * reach[:, None]
+    speed = np.linalg.norm(shift, axis=1) + np.linalg.norm(turn, axis=1)
+    top = float(speed.max(initial=0.0))
+    if not top > 0:
+        return []
+    order = [part for part in np.argsort(-speed, kind="stable") if speed[part] > MOVES * top]
+    return [
+        Motion(int(part), float(speed[part] / top), _triple(shift[part] / top), _triple(turn[part] / top))
+        for part in order
+    ]
+
+
+def describe(assembly: Assembly, moving: list[Motion], limit: int = 6) -> str:
+    """One line for the parts that move, such as `part 3 falls straight down; part 4 turns about +y; and 2 more`."""
+    texts = [f"{subject(assembly, motion.part)} {motion.words}" for motion in moving[:limit]]
+    if len(moving) > limit:
+        texts.append(f"and {len(moving) - limit} more")
+    return "; ".join(texts)
+
+
+def subject(assembly: Assembly, part: int) -> str:
+    """A part at the beginning of a clause, such as `part 3` or `voussoir-3`."""
+    name = part_name(assembly, part)
+    return f"part {name}" if name[0].isdecimal() else name
+
+
+def part_name(assembly: Assembly, part: int) -> str:
+    """Number of a part, with its name unless that says no more, such as `3`, `voussoir-3` or `7 (keystone)`."""
+    name = assembly.names[part]
+    if name == str(part) or name.endswith((f"-{part}", f"_{part}")):
+        return name
+    return f"{part} ({name})"
+
+
+def _verb(direction: NDArray[np.float64]) -> str:
+    if direction[2] < -0.9:
+        return "falls"
+    if direction[2] > 0.9:
+        return "lifts"
+    return "slides"
+
+
+def _direction(direction: NDArray[np.float64]) -> str:
+    if abs(direction[2]) > 0.995:
+        return "straight down" if direction[2] < 0 else "straight up"
+    words = [f"towards {_sign(direction[axis])}{'xy'[axis]}" for axis in (0, 1) if abs(direction[axis]) > LEANS]
+    if len(words) == 2:
+        words = [f"{words[0]} and{words[1].removeprefix('towards')}"]
+    if abs(direction[2]) > LEANS:
+        words.insert(0, "down" if direction[2] < 0 else "up")
+    return " and ".join(words)
+
+
+def _axis(axis: NDArray[np.float64]) -> str:
+    largest = int(np.argmax(np.abs(axis)))
+    if abs(axis[largest]) > 0.92:
+        return f"{_sign(axis[largest])}{'xyz'[largest]}"
+    return "the axis ({:+.2f}, {:+.2f}, {:+.2f})".format(*axis)
+
+
+def _sign(value: float) -> str:
+    return "+" if value > 0 else "-"
+
+
+def _triple(vector: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in vector)
+    return x, y, z

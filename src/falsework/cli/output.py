@@ -1,0 +1,65 @@
+"""Where a subcommand prints: results to standard output, the rest to the error stream."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+    from falsework.search.result import SearchProgress
+
+
+class Output:
+    """Prints for people or for machines, as `--json` says."""
+
+    def __init__(self, *, machine: bool) -> None:
+        self.machine = machine
+
+    def record(self, fields: Mapping[str, Any]) -> None:
+        """Print one JSON object on a line of its own, for machines only."""
+        if self.machine:
+            sys.stdout.write(json.dumps(fields, allow_nan=False, default=_plain) + "\n")
+            sys.stdout.flush()
+
+    def say(self, text: RenderableType) -> None:
+        """Print a result for people, who have it on standard output; a machine has it as a record already."""
+        if not self.machine:
+            self._console(error=False).print(text, soft_wrap=isinstance(text, str), markup=False, highlight=False)
+
+    def note(self, text: str) -> None:
+        """Print a remark beside the result, such as why there is none, to the error stream."""
+        self._console(error=True).print(text, soft_wrap=True, markup=False, highlight=False)
+
+    @contextmanager
+    def search_progress(self) -> Iterator[Callable[[SearchProgress], None]]:
+        """Show how far a search is on the error stream, if that is a terminal; nothing of it stays there."""
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        console = self._console(error=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[now]}"), TimeElapsedColumn())
+        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+            task = bar.add_task("searching", total=None, now="")
+
+            def report(now: SearchProgress) -> None:
+                words = f"step {now.level} of {now.levels}, {now.kept} states kept, {now.asked} verdicts"
+                bar.update(task, total=now.levels, completed=now.level, now=words)
+
+            yield report
+
+    @staticmethod
+    def _console(*, error: bool) -> Console:
+        from rich.console import Console
+
+        return Console(stderr=error)  # made anew, since tests and shells exchange the streams
+
+
+def _plain(value: Any) -> Any:
+    """NumPy scalars and arrays as JSON knows them."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is not JSON")

@@ -1,0 +1,118 @@
+"""What `plan` and `graph` share: the options that say what is planned and how, and the checks before a search."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import arg
+
+from falsework.cli.arguments import parse_parts, parse_state
+from falsework.cli.command import UNSET
+from falsework.errors import InputError
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.cli.output import Output
+    from falsework.search.beam import BeamSettings
+    from falsework.search.task import Task
+    from falsework.stability import Stability
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskOptions:
+    """Rules that a plan must keep to."""
+
+    robots: int = 2
+    """Parts that can be held at a time."""
+    start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
+    """State from which disassembly starts, where assembly ends: `complete`, digits such as 2110, or a file."""
+    target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
+    """State in which disassembly ends, where assembly starts: `empty`, digits such as 2000, or a file."""
+    missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
+    """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
+    fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
+    """Parts that are neither held nor removed, such as 7."""
+    removable_only_if_clear: bool = False
+    """Remove a part only if it has a straight way out."""
+
+    def task(self, assembly: Assembly) -> Task:
+        """Check the rules against a structure.
+
+        Raises:
+            InputError: parts or states that the structure does not have; the message says what to do.
+        """
+        from falsework.search.task import Task
+
+        return Task.create(
+            assembly.boundary,
+            self.robots,
+            start=None if self.start is None else parse_state(self.start, "--start", assembly),
+            target=None if self.target is None else parse_state(self.target, "--target", assembly),
+            fixed=() if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names),
+            missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
+            clearance=assembly.clearance if self.removable_only_if_clear else None,
+            identity=assembly.identity,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions:
+    """How the search goes about it."""
+
+    width: int = 64
+    """States kept at each step; a wider search finds more and takes longer."""
+    direction: Literal["assembly", "disassembly"] = "assembly"
+    """End to begin at: the empty structure, or the complete one."""
+    seed: int = 0
+    """Same seed, same machine, same result."""
+
+    def settings(self, *, lazy: bool = False) -> BeamSettings:
+        """As the search takes them.
+
+        Raises:
+            InputError: a width below one.
+        """
+        from falsework.search.beam import BeamSettings
+        from falsework.search.result import Direction
+
+        return BeamSettings(self.width, Direction(self.direction), lazy=lazy, seed=self.seed)
+
+
+def writable(path: Path) -> None:
+    """Check before a long search that its result can be written.
+
+    Raises:
+        InputError: the folder is not there or not writable, or the path is a folder.
+    """
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; name a file in it")
+    if not path.parent.is_dir():
+        raise InputError(f"cannot write {path}: there is no folder {path.parent}; make it first")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"cannot write {path}: no permission in {path.parent}; choose another place")
+
+
+def refuse_unstable(assembly: Assembly, oracle: Stability, task: Task, output: Output) -> bool:
+    """Say so if the start or the target of a task does not stand, since then there is no plan."""
+    import numpy as np
+
+    from falsework.assembly.state import complete_state
+    from falsework.cli.motion import describe, motions
+
+    for name, state in (("start", task.start), ("target", task.target)):
+        verdicts = oracle.check(state)
+        if verdicts.stable[0]:
+            continue
+        complete = np.array_equal(state, complete_state(assembly.boundary))
+        subject = "complete structure" if complete else f"{name} state"
+        moving = (
+            motions(assembly, verdicts.velocity[0]) if verdicts.unstable[0] and verdicts.velocity is not None else []
+        )
+        text = f"no plan exists: the {subject} is {'unstable' if verdicts.unstable[0] else 'not proven stable'}"
+        output.record({"plan": None, "outcome": text, "moving": [motion.record(assembly) for motion in moving]})
+        output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")
+        return True
+    return False

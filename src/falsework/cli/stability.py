@@ -1,0 +1,70 @@
+"""`falsework stability`: is a structure, or a state of it, stable?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from tyro.conf import arg
+
+from falsework.cli.command import UNSET, Command, Exit, StructureOptions
+
+if TYPE_CHECKING:
+    from falsework.cli.output import Output
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckStability(Command):
+    """Say whether a structure or states of it are stable, with a proof.
+
+    A state has one value a part: 0 removed, 1 installed, 2 held; boundary parts are always 2. For an unstable
+    state, the parts that would move are named, and how they would. Exit code 1 if any state is unstable.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework stability arch:blocks=15 --friction 0.84",
+        "falsework stability my-folder --states states.json --json",
+    )
+
+    structure: StructureOptions
+    states: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
+    """JSON list of states, or a .npy array; the complete structure if not given."""
+    cone: Literal["octagon", "quadratic"] = "octagon"
+    """Friction cone: eight-sided as in the paper, or round."""
+
+    def run(self, output: Output) -> Exit:
+        """Judge the states and say how the unstable ones fail."""
+        import numpy as np
+
+        from falsework.assembly.state import as_states, complete_state
+        from falsework.cli.arguments import read_states
+        from falsework.cli.motion import describe, motions, part_name
+        from falsework.stability import Proof, Stability, StabilitySettings, Verdict
+
+        assembly = self.structure.load()
+        wanted = complete_state(assembly.boundary) if self.states is None else read_states(self.states)
+        states = as_states(wanted, assembly.boundary)
+        verdicts = Stability(assembly, StabilitySettings(cone=self.cone)).check(states)
+        for index in range(len(states)):
+            verdict, proof = Verdict(verdicts.verdict[index]), Proof(verdicts.proof[index])
+            residual = float(verdicts.residual[index])
+            moving = []
+            if verdict is Verdict.UNSTABLE and verdicts.velocity is not None:
+                moving = motions(assembly, verdicts.velocity[index])
+            output.record(
+                {
+                    "state": index,
+                    "verdict": verdict.name.lower(),
+                    "proof": proof.name.lower(),
+                    "residual": residual if np.isfinite(residual) else None,
+                    "moving": [motion.record(assembly) for motion in moving],
+                }
+            )
+            subject = assembly.name if self.states is None else f"state {index}"
+            held = [part for part in np.flatnonzero(states[index] == 2) if not assembly.boundary[part]]
+            if held:
+                subject += f" with {', '.join(part_name(assembly, int(part)) for part in held)} held"
+            line = f"{subject}: {verdict.name.lower()} (proof: {proof.name.lower()}, residual {residual:.1e} m/s2)"
+            output.say(f"{line}; {describe(assembly, moving)}" if moving else line)
+        return Exit.DONE if bool(np.all(verdicts.stable)) else Exit.NO

@@ -1,0 +1,216 @@
+"""Every kind of wrong input gets one clear line and a non-zero exit, and leaves nothing half-written behind."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+Run = Callable[..., Any]
+Write = Callable[..., Path]
+
+BOTTOM = ((0, 0, 0), (2, 1, 1))
+MIDDLE = ((0, 0, 1), (2, 1, 2))
+TOP = ((0.5, 0, 2), (1.5, 1, 3))
+CUBE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n"
+
+
+def expect(finished: Any, code: int, *hints: str) -> None:
+    """One line for a person, which contains every hint; nothing for a machine."""
+    assert finished.code == code, finished.error
+    assert finished.error.startswith("falsework: "), finished.error
+    assert finished.error.count("\n") == 1, finished.error
+    assert "Traceback" not in finished.error
+    assert finished.out == ""
+    for hint in hints:
+        assert hint in finished.error, finished.error
+
+
+@pytest.fixture
+def refused(falsework: Run, tmp_path: Path) -> Callable[..., None]:
+    """Plan with wrong input; the folder must look afterwards as it did before."""
+
+    def check(hints: str | tuple[str, ...], *arguments: Any, code: int = 2) -> None:
+        before = sorted(tmp_path.rglob("*"))
+        finished = falsework("plan", *arguments, "--out", tmp_path / "plan.json")
+        expect(finished, code, *([hints] if isinstance(hints, str) else hints))
+        assert sorted(tmp_path.rglob("*")) == before
+
+    return check
+
+
+def test_no_such_folder(refused: Callable[..., None], tmp_path: Path) -> None:
+    refused("nowhere", tmp_path / "nowhere")
+
+
+def test_no_such_built_in(refused: Callable[..., None]) -> None:
+    refused("arhc", "arhc:blocks=7")
+
+
+@pytest.mark.parametrize("spec", ["arch:bloks=7", "arch:blocks=many", "arch:blocks", "arch:blocks=-3"])
+def test_wrong_parameters_of_a_built_in(spec: str, refused: Callable[..., None]) -> None:
+    refused("block" if "blok" not in spec else "bloks", spec)
+
+
+def test_folder_without_meshes(refused: Callable[..., None], tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    refused("empty", tmp_path / "empty")
+
+
+def test_damaged_description(refused: Callable[..., None], stack: Path) -> None:
+    (stack / "assembly.json").write_text('{"boundary": [0')
+    refused("assembly.json", stack)
+
+
+def test_mesh_not_closed(refused: Callable[..., None], stack: Path) -> None:
+    # Only the lower half of a cube: there is no single way to close it.
+    (stack / "1.obj").write_text(CUBE + "f 1 3 2\nf 1 4 3\nf 1 2 6\nf 1 6 5\n")
+    refused(("1", "closed"), stack)
+
+
+def test_mesh_that_is_safe_to_repair_is_repaired_with_a_warning(
+    falsework: Run, write_structure: Write, tmp_path: Path
+) -> None:
+    folder = write_structure(tmp_path / "turned")
+    text = (folder / "1.obj").read_text().splitlines()
+    turned = [line if line[0] == "v" else "f " + " ".join(reversed(line.split()[1:])) for line in text]
+    (folder / "1.obj").write_text("\n".join(turned))  # every face looks inwards
+    finished = falsework("export", folder, "--out", tmp_path / "out")
+    assert finished.code == 0
+    assert finished.error.startswith("falsework: warning: ")
+    assert finished.error.count("\n") == 1
+    assert "1" in finished.error
+
+
+def test_zero_volume(refused: Callable[..., None], stack: Path) -> None:
+    (stack / "2.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 3 2\n")
+    refused(("2", "volume"), stack)
+
+
+def test_interpenetration_names_both_parts_and_the_depth(
+    refused: Callable[..., None], write_structure: Write, tmp_path: Path
+) -> None:
+    folder = write_structure(tmp_path / "deep", [BOTTOM, ((0, 0, 0.75), (2, 1, 2)), TOP])
+    refused(("0", "1", "250 mm"), folder)
+
+
+def test_parts_missing(refused: Callable[..., None], write_structure: Write, tmp_path: Path) -> None:
+    folder = write_structure(tmp_path / "gone", parts=4)
+    refused(("3", "4"), folder)
+
+
+def test_ids_doubled(refused: Callable[..., None], write_structure: Write, tmp_path: Path) -> None:
+    refused(("0", "twice"), write_structure(tmp_path / "twice", boundary=[0, 0]))
+
+
+def test_boundary_out_of_range(refused: Callable[..., None], stack: Path) -> None:
+    refused("3", stack, "--boundary", "0,3")
+
+
+def test_boundary_is_no_list_of_parts(refused: Callable[..., None], stack: Path) -> None:
+    refused("--boundary", stack, "--boundary", "none")
+
+
+def test_no_boundary_offers_the_ground(
+    refused: Callable[..., None], falsework: Run, write_structure: Write, tmp_path: Path
+) -> None:
+    folder = write_structure(tmp_path / "loose", boundary=[])
+    refused("--ground", folder)
+    finished = falsework("export", folder, "--out", tmp_path / "grounded", "--ground", "--json")
+    assert finished.code == 0
+    assert finished.records[0]["parts"] == 4
+
+
+def test_part_that_touches_nothing(refused: Callable[..., None], write_structure: Write, tmp_path: Path) -> None:
+    folder = write_structure(tmp_path / "apart", [BOTTOM, MIDDLE, ((9, 9, 9), (10, 10, 10))])
+    refused(("2", "touches"), folder)
+
+
+def test_units_that_make_parts_too_large(refused: Callable[..., None], write_structure: Write, tmp_path: Path) -> None:
+    boxes = [(tuple(2000 * x for x in low), tuple(2000 * x for x in high)) for low, high in (BOTTOM, MIDDLE, TOP)]
+    refused("unit", write_structure(tmp_path / "large", boxes))
+
+
+def test_units_that_make_parts_too_small(refused: Callable[..., None], write_structure: Write, tmp_path: Path) -> None:
+    boxes = [(tuple(0.02 * x for x in low), tuple(0.02 * x for x in high)) for low, high in (BOTTOM, MIDDLE, TOP)]
+    refused("unit", write_structure(tmp_path / "small", boxes), "--unit", "mm")
+
+
+def test_unknown_unit(refused: Callable[..., None], stack: Path) -> None:
+    refused(("furlong", "mm"), stack, "--unit", "furlong")
+
+
+@pytest.mark.parametrize("value", ["-0.1", "nan", "inf"])
+def test_wrong_friction(value: str, refused: Callable[..., None], stack: Path) -> None:
+    refused("friction", stack, "--friction", value)
+
+
+@pytest.mark.parametrize("value", ["0", "-5", "nan"])
+def test_wrong_density(value: str, refused: Callable[..., None], stack: Path) -> None:
+    refused("density", stack, "--density", value)
+
+
+def test_nan_in_a_mesh(refused: Callable[..., None], stack: Path) -> None:
+    (stack / "2.obj").write_text((stack / "2.obj").read_text().replace("v 0.5", "v nan", 1))
+    refused("2", stack)
+
+
+@pytest.mark.parametrize(
+    ("states", "hint"),
+    [([[2, 1]], "3"), ([[2, 1, 3]], "3"), ([[1, 1, 1]], "boundary"), ([[2, 1, 1], [2, 1]], "length"), ("text", "list")],
+)
+def test_wrong_states(states: object, hint: str, falsework: Run, stack: Path, tmp_path: Path) -> None:
+    file = tmp_path / "states.json"
+    file.write_text(json.dumps(states))
+    expect(falsework("stability", stack, "--states", file), 2, hint)
+
+
+def test_wrong_array_of_states(falsework: Run, stack: Path, tmp_path: Path) -> None:
+    np.save(tmp_path / "states.npy", np.ones((2, 7)))
+    expect(falsework("stability", stack, "--states", tmp_path / "states.npy"), 2, "7")
+
+
+def test_no_file_of_states(falsework: Run, stack: Path, tmp_path: Path) -> None:
+    expect(falsework("stability", stack, "--states", tmp_path / "none.npy"), 2, "none.npy")
+
+
+@pytest.mark.parametrize("robots", ["0", "-1"])
+def test_fewer_than_one_robot(robots: str, refused: Callable[..., None], stack: Path) -> None:
+    refused(("robots", "1"), stack, "--robots", robots)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "hint"),
+    [
+        ("--missing", "0", "boundary"),
+        ("--missing", "9", "9"),
+        ("--missing", "lid", "lid"),
+        ("--fixed", "1,1", "twice"),
+        ("--start", "211111", "3"),
+        ("--target", "somewhere", "--target"),
+        ("--alternatives", "0", "1"),
+    ],
+)
+def test_wrong_task(option: str, value: str, hint: str, refused: Callable[..., None], stack: Path) -> None:
+    refused(hint, stack, option, value)
+
+
+def test_complete_structure_unstable(refused: Callable[..., None], write_structure: Write, tmp_path: Path) -> None:
+    folder = write_structure(tmp_path / "leaning", [BOTTOM, ((1.2, 0, 1), (4.2, 1, 2))])
+    # The question is understood and there is no plan: the answer is no, and the line says which part falls.
+    refused(("complete structure is unstable", "part 1"), folder, code=1)
+
+
+def test_place_that_cannot_be_written(falsework: Run, stack: Path, tmp_path: Path) -> None:
+    finished = falsework("plan", stack, "--out", tmp_path / "no" / "plan.json")
+    expect(finished, 2, "plan.json")
+
+
+def test_export_does_not_replace_what_is_there(falsework: Run, stack: Path) -> None:
+    before = {path: path.read_bytes() for path in stack.iterdir()}
+    expect(falsework("export", stack, "--out", stack), 2, "empty")
+    assert {path: path.read_bytes() for path in stack.iterdir()} == before

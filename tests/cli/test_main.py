@@ -1,0 +1,157 @@
+"""The entry point: help, exit codes, and one line for every error."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from falsework import __version__
+from falsework.cli import main as entry
+from falsework.cli.command import Command, Exit
+from falsework.errors import InputError
+
+
+def run_with(monkeypatch: pytest.MonkeyPatch, behaviour: Any, *options: str) -> int:
+    """Run `falsework structures` with its work replaced."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Replaced(Command):
+        """Stands in for a subcommand."""
+
+        def run(self, output: Any) -> Exit:
+            return behaviour(output)
+
+    monkeypatch.setattr(entry, "_command_class", lambda name: Replaced)
+    return entry.main(["structures", *options])
+
+
+def test_help_is_fast_and_names_every_command() -> None:
+    best = float("inf")
+    for _ in range(3):
+        begun = time.perf_counter()
+        done = subprocess.run([sys.executable, "-m", "falsework", "--help"], capture_output=True, text=True, check=True)
+        best = min(best, time.perf_counter() - begun)
+    for name in entry.COMMANDS:
+        assert name in done.stdout
+    assert "Example:" in done.stdout
+    assert best < 1.0  # 0.25 s on an idle machine; more means that something heavy is imported
+
+
+def test_help_imports_nothing_heavy() -> None:
+    program = (
+        "import sys\nfrom falsework.cli.main import main\nmain(['plan', '--help'])\n"
+        "heavy = {'numpy', 'scipy', 'numba', 'trimesh', 'rich', 'clarabel'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", entry.COMMANDS)
+def test_every_command_has_help_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert entry.main([name, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert f"  falsework {name}" in text.split("Example", 1)[1]
+    assert "--json" in text
+    assert "--debug" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        ([], "structures"),
+        (["pla"], "plan"),
+        (["plan"], "STRUCTURE"),
+        (["plan", "arch", "--robot", "2"], "--robots"),
+        (["plan", "arch", "--robots", "two"], "two"),
+        (["plan", "arch", "surplus"], "surplus"),
+        (["stability", "arch", "--cone", "round"], "octagon"),
+    ],
+)
+def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert entry.main(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert captured.err.startswith("falsework: ")
+    assert hint in captured.err
+    assert "│" not in captured.err
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert entry.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"falsework {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (InputError("part 3 is\nopen; close it"), "part 3 is open; close it"),
+        (FileNotFoundError(2, "No such file or directory", "x.json"), "x.json: No such file or directory"),
+        (MemoryError(), "out of memory"),
+        (KeyError("surprise"), "unexpected KeyError"),
+    ],
+)
+def test_errors_become_one_line(
+    error: Exception, text: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_: Any) -> Exit:
+        raise error
+
+    assert run_with(monkeypatch, fail) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert text in captured.err
+    assert "Traceback" not in captured.err
+
+
+def test_debug_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def fail(_: Any) -> Exit:
+        raise InputError("no")
+
+    assert run_with(monkeypatch, fail, "--debug") == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_interruption_is_no_error_message(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupt(_: Any) -> Exit:
+        raise KeyboardInterrupt
+
+    assert run_with(monkeypatch, interrupt) == 130
+    assert capsys.readouterr().err == "falsework: interrupted\n"
+
+
+def test_warnings_are_one_line_and_keep_the_exit_code(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def warn(_: Any) -> Exit:
+        warnings.warn("part 2 had\n3 holes", UserWarning, stacklevel=1)
+        return Exit.NO
+
+    assert run_with(monkeypatch, warn) == 1
+    assert capsys.readouterr().err == "falsework: warning: part 2 had 3 holes\n"
+
+
+def test_records_are_for_machines_only(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def work(output: Any) -> Exit:
+        output.record({"answer": 42})
+        output.say("the answer is 42")
+        output.note("that took long")
+        return Exit.DONE
+
+    assert run_with(monkeypatch, work) == 0
+    assert capsys.readouterr() == ("the answer is 42\n", "that took long\n")
+    assert run_with(monkeypatch, work, "--json") == 0
+    assert capsys.readouterr() == ('{"answer": 42}\n', "that took long\n")
+
+
+def test_a_reader_that_leaves_is_no_error() -> None:
+    command = f"{sys.executable} -m falsework plan --help | head -c 1"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
