@@ -182,6 +182,21 @@ def test_a_failure_while_writing_leaves_the_old_one(folder: Path, assembly: Asse
 
 def test_structures_by_path(folder: Path, assembly: Assembly):
     assert load_structure(folder).identity == assembly.identity
-    assert load_structure(str(folder), friction=0.8).friction == 0.8
+    assert load_structure(str(folder), friction=0.8, unit=None).friction == 0.8
     with pytest.raises(InputError, match="there is no"):
         load_structure(folder.parent / "nowhere")
+
+
+def test_structures_by_name(folder: Path, monkeypatch):
+    monkeypatch.chdir(folder.parent)
+    folder.rename("arch")
+    arch = load_structure("arch:blocks=9", friction=0.9, ground=True)
+    assert arch.friction == 0.9
+    assert arch.names[-1] == "ground"
+    assert load_structure("./arch").name == "door", "a folder of the same name is reached by its path"
+    free = np.flatnonzero(~arch.boundary)[:1].tolist()
+    assert np.flatnonzero(load_structure("arch:blocks=9", boundary=free).boundary).tolist() == free
+    with pytest.raises(InputError, match=r"structure 'arhc'; built in are arch"):
+        load_structure("arhc")
+    with pytest.raises(InputError, match="its own unit"):
+        load_structure("arch", unit="mm")

@@ -23,7 +23,8 @@ class ClearanceTable:
     """For every part the ways out, each with the set of parts that block it.
 
     A way whose blockers include all blockers of another way of the same part is never needed and is left
-    out, so what remains answers every question exactly as the whole table would.
+    out: whenever it is free the other is free too. So the few that remain answer whether a part can leave
+    exactly as all directions would.
     """
 
     directions: Array
@@ -69,7 +70,7 @@ class ClearanceTable:
 def clearance_table(
     meshes: Sequence[TriangleMesh], contacts: Contacts, directions: int = 1000, *, tolerance: float
 ) -> ClearanceTable:
-    """Sweep every part along every direction to infinity and note which parts it would hit.
+    """Sweep every part along sampled directions to infinity and note which parts it would hit.
 
     Directions are those of `exit_directions`. Parts are shrunk by a little more than the tolerance between the
     two of a pair, so that parts that touch can slide along each other; a way is blocked where more than
@@ -90,10 +91,9 @@ def clearance_table(
     ways, blockers, counts = [], [], []
     for part in range(len(meshes)):
         tried = exit_directions(contacts, part, directions)
-        blocked = sweeper.blocked(part, tried)
-        least = _minimal(blocked)
+        least, blocked = sweeper.least_blocked(part, tried)
         ways.append(tried[least])
-        blockers.append(_pack(blocked[least]))
+        blockers.append(_pack(blocked))
         counts.append(len(least))
     arrays = (
         np.concatenate(ways),
@@ -112,34 +112,6 @@ def _pack(rows: NDArray[np.bool_]) -> NDArray[np.uint64]:
     packed = np.packbits(rows, axis=1, bitorder="little")
     padded[:, : packed.shape[1]] = packed
     return padded.view("<u8").astype(np.uint64, copy=False)
-
-
-def _minimal(blocked: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Rows that include no other row; of equal rows the first. Ascending indices."""
-    rows = _pack(blocked)
-    _, first = np.unique(rows, axis=0, return_index=True)
-    first = first[np.lexsort((first, blocked[first].sum(axis=1)))]
-    return np.sort(first[_is_minimal(np.ascontiguousarray(rows[first]))])
-
-
-@numba.njit(cache=True)
-def _is_minimal(rows: NDArray[np.uint64]) -> NDArray[np.bool_]:  # pragma: no cover - compiled
-    """Which of distinct rows, sorted by the number of bits, include no earlier row."""
-    count, words = rows.shape
-    minimal = np.ones(count, dtype=np.bool_)
-    for row in range(count):
-        for other in range(row):
-            if not minimal[other]:
-                continue
-            subset = True
-            for word in range(words):
-                if rows[other, word] & ~rows[row, word]:
-                    subset = False
-                    break
-            if subset:
-                minimal[row] = False
-                break
-    return minimal
 
 
 @numba.njit(cache=True)

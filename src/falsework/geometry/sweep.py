@@ -27,6 +27,9 @@ _INTO = np.sin(np.radians(3.0))
 _PLANES = 1000
 """Normals of planes that are tried to separate parts before any collision is computed."""
 
+_BATCH = 125
+"""Directions that are looked at together; the first ones often settle a part."""
+
 
 class Sweeper:
     """Straight moves of single parts through all the others."""
@@ -62,11 +65,44 @@ class Sweeper:
         The rest are swept.
         """
         free, hit = self._known(part, directions)
-        open_pairs = ~free & ~hit
-        for way in np.flatnonzero(open_pairs.any(axis=1)).tolist():
-            others = np.flatnonzero(open_pairs[way]).tolist()
-            hit[way, others] = self._sweep(part, directions[way], others)
+        for way in np.flatnonzero((~free & ~hit).any(axis=1)).tolist():
+            walls: dict[int, Body] = {}
+            for other in np.flatnonzero(~free[way] & ~hit[way]).tolist():
+                hit[way, other] = self._meets(part, other, directions[way], walls)
         return hit
+
+    def least_blocked(self, part: int, directions: Array) -> tuple[NDArray[np.int64], Mask]:
+        """The directions that no other beats: those whose blockers do not include all blockers of another.
+
+        A direction is given up as soon as the blockers that are known include those of one already found, so
+        that most sweeps are never made; of directions with the same blockers one is kept.
+
+        Returns:
+            Their indices, ascending, shape (ways,), and their blockers, shape (ways, parts).
+        """
+        found: list[int] = []
+        rows = np.zeros((0, len(self._meshes)), dtype=bool)
+        for start in range(0, len(directions), _BATCH):
+            free, hit = self._known(part, directions[start : start + _BATCH])
+            for way in np.argsort(hit.sum(axis=1), kind="stable").tolist():
+                row = hit[way]
+                walls: dict[int, Body] = {}
+                beaten = _includes_one(row, rows)
+                for other in np.flatnonzero(~free[way] & ~row).tolist():
+                    if beaten:
+                        break
+                    if self._meets(part, other, directions[start + way], walls):
+                        row[other] = True
+                        beaten = _includes_one(row, rows)
+                if beaten:
+                    continue
+                kept = ~(rows | ~row).all(axis=1)
+                found = [*np.asarray(found, dtype=np.int64)[kept].tolist(), start + way]
+                rows = np.concatenate([rows[kept], row[None]])
+                if not row.any():
+                    return np.array(found), rows
+        order = np.argsort(found)
+        return np.array(found, dtype=np.int64)[order], rows[order]
 
     def _known(self, part: int, directions: Array) -> tuple[Mask, Mask]:
         """Pairs known to be free and known to be blocked, each of shape (directions, parts)."""
@@ -85,24 +121,19 @@ class Sweeper:
         free[:, part] = True
         return free, hit & ~free
 
-    def _sweep(self, part: int, direction: Array, others: list[int]) -> list[bool]:
-        """Whether the part hits each of the others on its way along the direction.
+    def _meets(self, part: int, other: int, direction: Array, walls: dict[int, Body]) -> bool:
+        """Whether the part hits the other on its way along the direction; `walls` keeps its walls for that way.
 
         The swept volume is bounded by the wall that the outline of the part sweeps, apart from its two
         ends. Another part that it meets either crosses that wall or is enclosed by the volume; then the
         wall of any of its edges, swept backwards, crosses the part.
         """
-        walls: dict[int, Body] = {}
-        result = []
-        for other in others:
-            level = self._level.get((part, other), 0)
-            shape, obstacle = self._shape(part, level), self._shape(other, level)
-            if level not in walls:
-                walls[level] = shape.wall(direction * self._reach)
-            result.append(
-                walls[level].hits(obstacle.body) or obstacle.edge_wall(-direction * self._reach).hits(shape.body)
-            )
-        return result
+        level = self._level.get((part, other), 0)
+        shape, obstacle = self._shape(part, level), self._shape(other, level)
+        move = direction * self._reach
+        if level not in walls:
+            walls[level] = shape.wall(move)
+        return walls[level].hits(obstacle.body) or obstacle.edge_wall(-move).hits(shape.body)
 
     def _shape(self, part: int, level: int) -> _Shape:
         """A part shrunk by its share of the tolerance, doubled `level` times."""
@@ -132,6 +163,11 @@ class Sweeper:
                 level = next((level for level in range(1, _LEVELS) if not self._collide(a, b, level)), _LEVELS)
                 levels[a, b] = levels[b, a] = level
         return levels
+
+
+def _includes_one(row: NDArray[np.bool_], rows: Mask) -> bool:
+    """Whether a set includes at least one of the others."""
+    return bool((~rows | row).all(axis=1).any())
 
 
 class _Shape:

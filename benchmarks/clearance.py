@@ -1,0 +1,97 @@
+"""Time the clearance table of structures on one core, after imports: one JSON object a line.
+
+    python benchmarks/clearance.py
+    python benchmarks/clearance.py --structures vault:parts=100 --directions 300
+
+Without names: dome-72, dome-37 and vault-62 where they are found (FALSEWORK_DATA, else the folder `shared`
+beside the repository), then the built-in dome and vault. `ways` is what the table keeps of
+`parts x directions`; `cpu_seconds` tells the work from the waiting on a shared machine.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from falsework.assembly import load_structure
+from falsework.geometry import clearance_table
+
+REAL = ("dome-72", "dome-37", "vault-62")
+BUILT_IN = ("dome", "vault")
+TARGET = {"dome-72": 60.0}
+"""Seconds asked for, at 1,000 directions."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to time."""
+
+    structures: tuple[str, ...] = ()
+    """Built-in names or paths; empty for a choice of real and built-in ones."""
+    directions: int = 1000
+    """Directions to try for each part."""
+
+
+def real_structures(names: tuple[str, ...]) -> list[str]:
+    """Paths of the real structures that this machine has."""
+    named = os.environ.get("FALSEWORK_DATA")
+    data = Path(named) if named else Path(__file__).resolve().parents[2] / "shared"
+    return [str(data / "assemblies" / name) for name in names if (data / "assemblies" / name).is_dir()]
+
+
+def one_core() -> None:
+    """Keep this process on one core, where the system can."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+
+def main(options: Options) -> None:
+    """Run the benchmark."""
+    one_core()
+    warm_up = load_structure("arch")
+    clearance_table(warm_up.meshes, warm_up.contacts, 10, tolerance=1e-4).can_leave(
+        np.ones((1, warm_up.part_count), dtype=np.uint8)
+    )
+    for structure in options.structures or (*real_structures(REAL), *BUILT_IN):
+        assembly = load_structure(structure)
+        _, overlap = assembly.contact_settings.lengths(assembly.meshes)
+        begin, cpu = time.perf_counter(), time.process_time()
+        table = clearance_table(assembly.meshes, assembly.contacts, options.directions, tolerance=overlap)
+        seconds, cpu = time.perf_counter() - begin, time.process_time() - cpu
+        name = Path(structure).name
+        complete = np.ones((1, assembly.part_count), dtype=np.uint8)
+        states = np.random.default_rng(0).integers(0, 3, (10_000, assembly.part_count), dtype=np.uint8)
+        begin = time.perf_counter()
+        table.can_leave(states)
+        lookup = time.perf_counter() - begin
+        print(
+            json.dumps(
+                {
+                    "benchmark": "clearance",
+                    "structure": name,
+                    "parts": assembly.part_count,
+                    "directions": options.directions,
+                    "seconds": round(seconds, 3),
+                    "cpu_seconds": round(cpu, 3),
+                    "target_seconds": TARGET.get(name) if options.directions == 1000 else None,
+                    "ways": len(table.directions),
+                    "table_bytes": table.blockers.nbytes + table.directions.nbytes,
+                    "free_when_complete": int(table.can_leave(complete).sum()),
+                    "lookup_microseconds_a_state": round(1e6 * lookup / len(states), 2),
+                    "machine": platform.machine(),
+                    "python": platform.python_version(),
+                }
+            ),
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))

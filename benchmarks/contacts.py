@@ -1,0 +1,87 @@
+"""Time the contacts of structures on one core, after imports: one JSON object a line.
+
+    python benchmarks/contacts.py
+    python benchmarks/contacts.py --structures vault:parts=300 path/to/assembly --repeats 10
+
+Without names: the real structures where they are found (FALSEWORK_DATA, else the folder `shared` beside the
+repository), then the built-in vault of 1,000 parts. `seconds` is the best of the repeats and covers what
+`find_contacts` does, the search for overlaps included; `peak_gib` is the memory of the whole process so far.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import resource
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from falsework.assembly import load_structure
+from falsework.geometry import find_contacts
+
+REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")
+LARGE = "vault:parts=1000"
+TARGET = {"vault-62": 0.3, LARGE: 10.0}
+"""Seconds asked for."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to time."""
+
+    structures: tuple[str, ...] = ()
+    """Built-in names or paths; empty for all real structures and the large vault."""
+    repeats: int = 5
+    """Runs of each; the best counts."""
+
+
+def real_structures(names: tuple[str, ...]) -> list[str]:
+    """Paths of the real structures that this machine has."""
+    named = os.environ.get("FALSEWORK_DATA")
+    data = Path(named) if named else Path(__file__).resolve().parents[2] / "shared"
+    return [str(data / "assemblies" / name) for name in names if (data / "assemblies" / name).is_dir()]
+
+
+def one_core() -> None:
+    """Keep this process on one core, where the system can."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+
+def main(options: Options) -> None:
+    """Run the benchmark."""
+    one_core()
+    for structure in options.structures or (*real_structures(REAL), LARGE):
+        assembly = load_structure(structure)
+        seconds = []
+        for _ in range(options.repeats):
+            begin = time.perf_counter()
+            contacts = find_contacts(assembly.meshes, assembly.contact_settings)
+            seconds.append(time.perf_counter() - begin)
+        name = Path(structure).name
+        print(
+            json.dumps(
+                {
+                    "benchmark": "contacts",
+                    "structure": name,
+                    "parts": assembly.part_count,
+                    "faces": sum(len(mesh.faces) for mesh in assembly.meshes),
+                    "contacts": len(contacts),
+                    "points": len(contacts.points),
+                    "seconds": round(min(seconds), 5),
+                    "target_seconds": TARGET.get(name),
+                    "peak_gib": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 3),
+                    "machine": platform.machine(),
+                    "python": platform.python_version(),
+                }
+            ),
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
