@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.stability.cpu_kernel import solve_range
 from falsework.stability.judge import Options
+from falsework.stability.neighbourhood import RINGS, solve_range_near
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.structure import build_structure
@@ -44,12 +45,21 @@ class CpuSolver:
         self._threads = cpu.threads or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
 
-    def check(self, states: States, *, certificates: bool = True, guess: NDArray[np.float64] | None = None) -> Verdicts:
+    def check(
+        self,
+        states: States,
+        *,
+        certificates: bool = True,
+        parents: States | None = None,
+        guess: NDArray[np.float64] | None = None,
+    ) -> Verdicts:
         """Judge a batch.
 
         Args:
             states: checked states, shape (batch, parts).
             certificates: return forces and velocity too.
+            parents: for each state one that stands and differs in few parts, shape (batch, parts); what falls
+                is looked for near the difference first.
             guess: contact forces in N to start from, shape (batch, points, 3); overwritten with the
                 forces that were found.
 
@@ -68,9 +78,7 @@ class CpuSolver:
 
         def work(first: int) -> None:
             rows = slice(first, first + task)
-            solve_range(
-                self.structure,
-                states[rows],
+            rest = (
                 self._options,
                 forces[rows],
                 velocity[rows],
@@ -80,6 +88,10 @@ class CpuSolver:
                 verdicts.iterations[rows],
                 steps[rows],
             )
+            if parents is None:
+                solve_range(self.structure, states[rows], *rest)
+            else:
+                solve_range_near(self.structure, states[rows], parents[rows], RINGS, *rest)
 
         task = batch if self._pool is None else min(_TASK, -(-batch // self._threads))
         starts = range(0, batch, max(task, 1))

@@ -20,8 +20,10 @@ from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
-_GUESSES = 64 * 1024 * 1024
+_GUESSES = 128 * 1024 * 1024
 """Bytes kept of contact forces to start children from."""
+_BATCH = 32 * 1024 * 1024
+"""Bytes of contact forces in work at once."""
 
 
 @dataclass
@@ -105,8 +107,9 @@ class Stability:
 
         Args:
             states: shape (batch, parts).
-            parents: for each state a similar one that was judged before, such as the state it comes from;
-                its forces are the first guess. Shape (batch, parts).
+            parents: for each state one that stands and differs from it in few parts, such as the state it comes
+                from. Its forces are the first guess, and what falls is looked for near the difference. Shape
+                (batch, parts).
 
         Returns:
             Verdicts without certificates.
@@ -122,12 +125,14 @@ class Stability:
         verdicts.decided_by[:] = np.where(verdict != 0, Solver.RULE, Solver.NONE)
         self.counters.by_rule += int(by_rule.sum())
         self.counters.cached += int(((verdict != 0) & ~by_rule).sum())
+        origins = None if parents is None else as_states(parents, self.assembly.boundary)
+        if origins is not None:
+            self._pass_on(batch[verdict == Verdict.STABLE], origins[verdict == Verdict.STABLE])
         rest = np.flatnonzero(verdict == 0)
         if len(rest):
             first, back = _unique_rows(batch[rest])
             rows = rest[first]
-            guess = None if parents is None else as_states(parents, self.assembly.boundary)[rows]
-            solved = self._solve(batch[rows], guess)
+            solved = self._solve(batch[rows], None if origins is None else origins[rows])
             self._count(solved)
             self._cache.store(batch[rows], solved.verdict, solved.residual)
             self.counters.cached += len(rest) - len(rows)
@@ -142,21 +147,34 @@ class Stability:
     def _solve(self, states: States, parents: States | None) -> Verdicts:
         if self._cpu is None:
             return self.exact.check(states).without_certificates()
-        guess = None
-        if parents is not None and self._forces_limit > 0:
-            guess = np.zeros((len(states), self.problem.points, 3))
-            for row, parent in enumerate(parents):
-                known = self._forces.get(parent.tobytes())
-                if known is not None:
-                    guess[row] = known
-                    self.counters.warm += 1
-        verdicts = self._cpu.check(states, certificates=False, guess=guess)
-        if guess is not None:
-            self._remember(states[verdicts.stable], guess[verdicts.stable])
-        rest = np.flatnonzero(verdicts.undecided)
+        verdicts = Verdicts.blank(len(states))
+        # Look the parents up first: what the children leave behind may push them out.
+        known = [None] * len(states) if parents is None else [self._forces.get(p.tobytes()) for p in parents]
+        size = max(_BATCH // max(self.problem.points * 24, 1), 16)
+        for first in range(0, len(states), size):
+            rows = np.arange(first, min(first + size, len(states)))
+            guess, near = None, None
+            if parents is not None:
+                near, guess = parents[rows], np.zeros((len(rows), self.problem.points, 3))
+                for row, forces in zip(range(len(rows)), known[first : first + size], strict=True):
+                    if forces is not None:
+                        guess[row] = forces
+                        self.counters.warm += 1
+            solved = self._cpu.check(states[rows], certificates=False, parents=near, guess=guess)
+            if guess is not None:
+                self._remember(states[rows][solved.stable], guess[solved.stable])
+            verdicts.put(rows, solved)
+        rest = np.flatnonzero(verdicts.verdict == Verdict.UNDECIDED)
         if len(rest):
             verdicts.put(rest, self.exact.check(states[rest]))
         return verdicts
+
+    def _pass_on(self, states: States, origins: States) -> None:
+        """Let states that the cache knew to stand share the forces of the states they come from."""
+        for state, origin in zip(states, origins, strict=True):
+            known = self._forces.get(origin.tobytes())
+            if known is not None:
+                self._forces.setdefault(state.tobytes(), known)
 
     def _remember(self, states: States, forces: NDArray[np.float64]) -> None:
         for state, force in zip(states, forces.astype(np.float32), strict=True):

@@ -30,6 +30,9 @@ class Structure(NamedTuple):
     stiffness_bb: NDArray[np.float64]
     stiffness_low: NDArray[np.float64]
     """Contribution to the block below the diagonal, shape (pairs, 6, 6)."""
+    neighbour_start: NDArray[np.int32]
+    """Part `i` is in pairs `neighbour_pair[neighbour_start[i]:neighbour_start[i + 1]]`, shape (parts + 1,)."""
+    neighbour_pair: NDArray[np.int32]
     gravity: NDArray[np.float64]
     momentum: NDArray[np.float64]
     acceleration: NDArray[np.float64]
@@ -48,6 +51,8 @@ def build_structure(problem: Problem) -> Structure:
     a, b = problem.transfer_a, problem.transfer_b
     cross = b @ stiffness @ a.transpose(0, 2, 1)
     later_is_b = pattern.position[problem.pair_parts[:, 1]] > pattern.position[problem.pair_parts[:, 0]]
+    ends = np.concatenate([problem.pair_parts[:, 0], problem.pair_parts[:, 1]])
+    by_part = np.argsort(ends, kind="stable")
     return Structure(
         elimination=pattern,
         pair_parts=problem.pair_parts,
@@ -58,6 +63,8 @@ def build_structure(problem: Problem) -> Structure:
         stiffness_aa=np.ascontiguousarray(a @ stiffness @ a.transpose(0, 2, 1)),
         stiffness_bb=np.ascontiguousarray(b @ stiffness @ b.transpose(0, 2, 1)),
         stiffness_low=np.ascontiguousarray(np.where(later_is_b[:, None, None], cross, cross.transpose(0, 2, 1))),
+        neighbour_start=np.searchsorted(ends[by_part], np.arange(problem.parts + 1)).astype(np.int32),
+        neighbour_pair=(by_part % max(problem.pairs, 1)).astype(np.int32),
         gravity=problem.scaled_gravity,
         momentum=problem.momentum,
         acceleration=problem.acceleration,

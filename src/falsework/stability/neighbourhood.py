@@ -1,0 +1,95 @@
+"""Look for what falls near the part that changed, before the whole state is judged.
+
+A state differs from one that stands in a part or two, and if it falls, something near them falls. So hold
+every part that is more than a few contacts away and judge what is left: if that is unstable, then so is the
+state, since holding less never helps, and the velocity that proves it, still far away, proves it for the
+whole. Such a proof costs a few parts' worth of work however large the structure is, and unstable states are
+the ones on which the whole takes longest.
+"""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+
+from falsework.stability.cpu_kernel import solve_state
+from falsework.stability.judge import UNSTABLE
+from falsework.stability.structure import make_work
+
+RINGS = (1, 3)
+"""Contacts away from a changed part, tried in turn. Three rings or more alone gain only half as much."""
+
+
+@nb.njit(cache=True)
+def hold_far_parts(structure, state, parent, rings, near):
+    """Copy `state` to `near` with free parts held that are over `rings` contacts from where it differs from `parent`.
+
+    Returns:
+        How many parts stay free, and how many were.
+    """
+    first, pair, parts = structure.neighbour_start, structure.neighbour_pair, structure.pair_parts
+    depth = np.full(len(state), -1, np.int32)
+    queue = np.empty(len(state), np.int32)
+    head, tail, free, kept = 0, 0, 0, 0
+    for i in range(len(state)):
+        near[i] = 2 if state[i] == 1 else state[i]
+        free += state[i] == 1
+        if state[i] != parent[i]:
+            depth[i] = 0
+            queue[tail] = i
+            tail += 1
+    while head < tail:
+        i = queue[head]
+        head += 1
+        if state[i] == 1:
+            near[i] = 1
+            kept += 1
+        if depth[i] == rings:
+            continue
+        for k in range(first[i], first[i + 1]):
+            q = pair[k]
+            other = parts[q, 0] + parts[q, 1] - i
+            if depth[other] < 0 and state[other] == 1:
+                depth[other] = depth[i] + 1
+                queue[tail] = other
+                tail += 1
+    return kept, free
+
+
+@nb.njit(cache=True)
+def solve_near(structure, state, parent, rings, options, work, forces, velocity, warm):
+    """Judge a state, first near where it differs from `parent`; the rest as in `solve_state`."""
+    near = np.empty_like(state)
+    no_forces = np.zeros((0, 3))
+    spent, taken = 0, 0
+    for ring in rings:
+        kept, free = hold_far_parts(structure, state, parent, ring, near)
+        if 2 * kept > free:
+            break
+        if kept == 0:
+            continue
+        verdict, residual, iterations, steps = solve_state(structure, near, options, work, no_forces, velocity, False)
+        spent += iterations
+        taken += steps
+        if verdict == UNSTABLE:
+            return verdict, residual, spent, taken
+    verdict, residual, iterations, steps = solve_state(structure, state, options, work, forces, velocity, warm)
+    return verdict, residual, spent + iterations, taken + steps
+
+
+@nb.njit(nogil=True, cache=True)
+def solve_range_near(
+    structure, states, parents, rings, options, forces, velocity, warm, verdict, residual, iterations, steps
+):
+    """Judge states one after another, each near its parent first; arrays as in `solve_range`."""
+    nothing_f = np.zeros((0, 3))
+    nothing_v = np.zeros((0, 6))
+    work = make_work(structure)
+    for i in range(len(states)):
+        force = forces[i] if len(forces) else nothing_f
+        motion = velocity[i] if len(velocity) else nothing_v
+        v, r, k, s = solve_near(structure, states[i], parents[i], rings, options, work, force, motion, warm)
+        verdict[i] = v
+        residual[i] = r
+        iterations[i] = k
+        steps[i] = s
