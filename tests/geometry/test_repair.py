@@ -46,6 +46,27 @@ def test_inside_out_is_turned(box):
     assert mesh.volume == pytest.approx(0.024)
 
 
+@pytest.mark.parametrize("flipped", [(), (0,), (1,), (0, 1), (2,), (0, 1, 2)])
+def test_surfaces_of_a_hollow_part_look_away_from_its_material(shapes, flipped):
+    """A box with a hollow, and a loose box in the hollow, each of them turned either way."""
+    shells = [
+        shapes.box((0, 0, 0), (4, 4, 4)),
+        shapes.box((1, 1, 1), (3, 3, 3)),
+        shapes.box((1.5, 1.5, 1.5), (2, 2, 2)),
+    ]
+    faces = [shell.faces[:, ::-1] if number in flipped else shell.faces for number, shell in enumerate(shells)]
+    vertices = np.concatenate([shell.vertices for shell in shells])
+    faces = np.concatenate([face + 8 * number for number, face in enumerate(faces)])
+    if flipped == (1,):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            mesh = check_mesh("p", vertices, faces)
+    else:
+        with pytest.warns(RepairWarning, match="inside out"):
+            mesh = check_mesh("p", vertices, faces)
+    assert mesh.volume == pytest.approx(64 - 8 + 0.125)
+
+
 @pytest.mark.parametrize("wrong", [[0], [3, 7], [1, 2, 5, 11], list(range(7))])
 def test_faces_that_look_the_other_way_are_turned(box, wrong):
     faces = box.faces.copy()

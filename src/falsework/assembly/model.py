@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from dataclasses import replace as _replace
 from functools import cached_property
 
@@ -114,7 +114,10 @@ class Assembly:
         digest.update(np.packbits(self.boundary).tobytes())
         digest.update(self.density.astype("<f8").tobytes())
         digest.update(np.array([self.friction], dtype="<f8").tobytes())
-        digest.update(repr(self.contact_settings).encode())
+        # Only what differs from the defaults, so that a setting added later changes no identity.
+        standard = asdict(ContactSettings())
+        changed = {key: value for key, value in asdict(self.contact_settings).items() if value != standard[key]}
+        digest.update(repr(sorted(changed.items())).encode())
         return digest.hexdigest()
 
     @cached_property
@@ -241,5 +244,5 @@ def _check_touching(meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_],
         where = f"; part {meshes[other].name} is nearest, {1000 * gap:.3g} mm away" if other >= 0 else ""
         raise AssemblyError(
             f"part {meshes[part].name} touches no other part{where}; move it into place, "
-            "or raise the contact tolerance if it is modelled with gaps"
+            'or raise the tolerance if it is modelled with gaps ("contact": {"gap": metres} in assembly.json)'
         )

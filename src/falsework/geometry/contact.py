@@ -107,7 +107,7 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
 
     Returns:
         Contacts sorted by their parts; their order and points depend on the geometry alone, not on how
-        faces are cut into triangles.
+        faces are cut into triangles. What is narrower than the tolerance is left out.
 
     Raises:
         AssemblyError: two parts pass through each other; names them and how deep.

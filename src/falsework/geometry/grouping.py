@@ -37,6 +37,7 @@ def planes(patches: Patches, coplanar: float, tolerance: float) -> NDArray[np.in
     plane = np.full(count, -1, dtype=np.int64)
     limit = np.cos(np.radians(coplanar))
     rest = np.lexsort((-patches.areas, pair))
+    corners = np.arange(len(patches.points))
     found = 0
     while len(rest):
         leads = np.append(True, pair[rest[1:]] != pair[rest[:-1]])
@@ -44,10 +45,11 @@ def planes(patches: Patches, coplanar: float, tolerance: float) -> NDArray[np.in
         parallel = np.einsum("ij,ij->i", patches.normals[rest], patches.normals[seed]) >= limit
         seed_of = np.full(count, -1, dtype=np.int64)
         seed_of[rest[parallel]] = seed[parallel]
-        corner = np.flatnonzero(seed_of[patches.owner] >= 0)
-        owner = patches.owner[corner]
+        corners = corners[plane[patches.owner[corners]] < 0]
+        near = corners[seed_of[patches.owner[corners]] >= 0]
+        owner = patches.owner[near]
         lead = seed_of[owner]
-        height = np.abs(np.einsum("pi,pi->p", patches.points[corner] - centre[lead], patches.normals[lead]))
+        height = np.abs(np.einsum("pi,pi->p", patches.points[near] - centre[lead], patches.normals[lead]))
         seed_of[owner[height > tolerance]] = -1
         seed_of[rest[leads]] = rest[leads]  # a seed always belongs to itself, or the loop would not end
         taken = seed_of[rest] >= 0

@@ -58,7 +58,8 @@ def check_overlap(meshes: Sequence[TriangleMesh], tolerance: float, *, angle: fl
         a, b = pair
         raise AssemblyError(
             f"parts {meshes[a].name} and {meshes[b].name} pass through each other by {1000 * worst:.3g} mm, "
-            f"and {1000 * allowed:.3g} mm is allowed; move them apart, or raise the contact tolerance"
+            f"and {1000 * allowed:.3g} mm is allowed; move them apart, or raise the tolerance "
+            '("contact": {"overlap": metres} in assembly.json)'
         )
 
 

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import KDTree
 
 from falsework.errors import MeshError
+from falsework.geometry.collision import inside
 from falsework.geometry.mesh import TriangleMesh
 from falsework.geometry.polygon import newell_normal, triangulate
 
@@ -63,12 +64,12 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
     done: list[str] = []
     if not _is_closed(corners):
         points, corners = _mend(name, points, corners, done)
-    mesh = TriangleMesh.from_arrays(name, points, corners)
-    if abs(mesh.volume) <= 1e-12 * extent**3:
+    turned = _orient(points, corners)
+    if (turned != corners).any():
+        done.append("turned surfaces inside out")
+    mesh = TriangleMesh.from_arrays(name, points, turned)
+    if mesh.volume <= 1e-12 * extent**3:
         raise MeshError(f"part {name} has no volume; export it as a solid that encloses space")
-    if mesh.volume < 0:
-        done.append("turned inside out")
-        mesh = TriangleMesh.from_arrays(name, points, corners[:, ::-1])
     if done:
         warnings.warn(f"part {name} was repaired: {', '.join(done)}", RepairWarning, stacklevel=2)
     return mesh
@@ -138,17 +139,14 @@ def _weld(points: Array, corners: Faces) -> NDArray[np.int64]:
 
 
 def _wind(corners: Faces) -> Faces | None:
-    """Turn faces so that neighbours agree, and shells so that their volume is positive is left to the caller.
+    """Turn faces so that neighbours agree.
 
     Returns None where an edge has more than two faces, or a surface has only one side.
     """
-    tail, head = _directed_edges(corners)
-    low, high = np.minimum(tail, head), np.maximum(tail, head)
-    order = np.lexsort((high, low))
-    same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
-    if (same[1:] & same[:-1]).any():
+    one, two, crowded = _edge_mates(corners)
+    if crowded:
         return None
-    one, two = order[:-1][same], order[1:][same]
+    tail = corners.ravel()
     disagree = tail[one] == tail[two]
     count = len(corners)
     # Weight 2 for neighbours that disagree, 1 for those that agree: zero would be no edge.
@@ -168,6 +166,38 @@ def _wind(corners: Faces) -> Faces | None:
         return None
     turned = corners.copy()
     turned[flip] = turned[flip][:, ::-1]
+    return turned
+
+
+def _edge_mates(corners: Faces) -> tuple[Faces, Faces, bool]:
+    """Pairs of directed edges between the same vertices, and whether any edge has more than two faces."""
+    tail, head = _directed_edges(corners)
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    order = np.lexsort((high, low))
+    same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
+    return order[:-1][same], order[1:][same], bool((same[1:] & same[:-1]).any())
+
+
+def _orient(points: Array, corners: Faces) -> Faces:
+    """Turn each closed surface of a part outwards, or inwards where it bounds a hollow in another."""
+    one, two, _ = _edge_mates(corners)
+    graph = csr_matrix((np.ones(len(one)), (one // 3, two // 3)), shape=(len(corners), len(corners)))
+    count, surface = connected_components(graph, directed=False)
+    triangles = points[corners]
+    local = triangles - points.mean(axis=0)
+    six_volumes = np.einsum("ij,ij->i", local[:, 0], np.cross(local[:, 1], local[:, 2]))
+    outward = np.bincount(surface, six_volumes) > 0
+    hollow = np.zeros(count, dtype=bool)
+    if count > 1:
+        shells = [triangles[surface == index] for index in range(count)]
+        for outer, shell in enumerate(shells):
+            shell = shell if outward[outer] else shell[:, ::-1]
+            for inner in range(count):
+                if inner != outer and inside(shells[inner].reshape(-1, 3), shell).all():
+                    hollow[inner] ^= True
+    turned = corners.copy()
+    wrong = (outward == hollow)[surface]
+    turned[wrong] = turned[wrong][:, ::-1]
     return turned
 
 
