@@ -1,0 +1,31 @@
+"""Plans: in which order to hold and remove parts so that every state on the way is stable."""
+
+from falsework.search.alternatives import Alternatives as Alternatives
+from falsework.search.alternatives import choose_alternatives as choose_alternatives
+from falsework.search.beam import BeamSearch as BeamSearch
+from falsework.search.beam import BeamSettings as BeamSettings
+from falsework.search.depth_first import DepthFirstSearch as DepthFirstSearch
+from falsework.search.depth_first import DepthFirstSettings as DepthFirstSettings
+from falsework.search.exhaustive import Census as Census
+from falsework.search.exhaustive import ExhaustiveSearch as ExhaustiveSearch
+from falsework.search.find import Planning as Planning
+from falsework.search.find import find_plans as find_plans
+from falsework.search.find import plan_of as plan_of
+from falsework.search.find import task_of as task_of
+from falsework.search.graph import StateGraph as StateGraph
+from falsework.search.guide import Guide as Guide
+from falsework.search.guide import SupportGuide as SupportGuide
+from falsework.search.judge import Oracle as Oracle
+from falsework.search.plan import Plan as Plan
+from falsework.search.plan_check import PlanReport as PlanReport
+from falsework.search.plan_file import Need as Need
+from falsework.search.plan_file import plan_schema as plan_schema
+from falsework.search.planner import Planner as Planner
+from falsework.search.planner import PlannerSettings as PlannerSettings
+from falsework.search.result import Outcome as Outcome
+from falsework.search.result import Route as Route
+from falsework.search.result import SearchCounters as SearchCounters
+from falsework.search.result import SearchProgress as SearchProgress
+from falsework.search.result import SearchResult as SearchResult
+from falsework.search.task import Direction as Direction
+from falsework.search.task import Task as Task

@@ -14,6 +14,7 @@ from falsework.search.graph import StateGraph
 from falsework.search.result import Route
 
 _CHUNK = 8192
+_TRIES = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,18 +50,9 @@ class Alternatives:
         return float(self.distance[others].min()) if others.any() else 1.0
 
 
-def removal_rank(route: Route) -> NDArray[np.int64]:
-    """For each part how many were removed before it, or -1 if it stays. Shape (parts,)."""
-    parts = route.states.shape[1]
-    removed = route.actions[route.actions >= parts] - parts
-    rank = np.full(parts, -1, dtype=np.int64)
-    rank[removed] = np.arange(len(removed))
-    return rank
-
-
 def order_distance(a: Route, b: Route) -> float:
     """Kendall distance: share of pairs of removed parts that leave in opposite order, between 0 and 1."""
-    rank_a, rank_b = removal_rank(a), removal_rank(b)
+    rank_a, rank_b = a.removal_rank(), b.removal_rank()
     removed = np.flatnonzero((rank_a >= 0) & (rank_b >= 0))
     pairs = len(removed) * (len(removed) - 1) // 2
     if pairs == 0:
@@ -79,7 +71,7 @@ def state_distance(a: Route, b: Route) -> float:
 
 
 def choose_alternatives(
-    graph: StateGraph, count: int, *, first: Route | None = None, seed: int = 0, rounds: int = 12
+    graph: StateGraph, count: int, *, given: Sequence[Route] = (), seed: int = 0, rounds: int = 12
 ) -> Alternatives:
     """Choose routes of a state graph so that the two most similar ones differ as much as possible.
 
@@ -92,12 +84,12 @@ def choose_alternatives(
     Args:
         graph: where the routes run.
         count: number of routes wanted.
-        first: a route of the graph to begin with; a random one if not given.
+        given: routes of the task to begin with; a random one if there is none.
         seed: breaks ties.
         rounds: changes of weights for each choice.
 
     Returns:
-        At most `count` different routes; fewer if the graph has fewer, none if it has none.
+        At most `count` different routes; fewer if no more were found, none if the graph has none.
 
     Raises:
         InputError: fewer than one wanted.
@@ -105,13 +97,14 @@ def choose_alternatives(
     if count < 1:
         raise InputError(f"{count} alternatives is no number of plans; ask for at least 1")
     rng = np.random.default_rng(seed)
-    first = first if first is not None else graph.sample_route(rng)
-    if first is None:
-        return Alternatives.of([])
-    count = min(count, graph.count_routes())
+    routes = list({route.states.tobytes(): route for route in given}.values())[:count]
+    if not routes:
+        random = graph.sample_route(rng)
+        if random is None:
+            return Alternatives.of([])
+        routes = [random]
     chooser = _Farthest(graph, rng, rounds)
-    routes = [first]
-    while len(routes) < count:
+    while len(routes) < min(count, graph.count_routes()):
         route = chooser.from_all(routes)
         if route is None:
             break
@@ -161,7 +154,16 @@ class _Farthest:
                 break
             weight *= np.exp(-4.0 * (distance - distance.min()))
             weight /= weight.sum()
-        return best
+        return best or self._random_other(routes)
+
+    def _random_other(self, routes: Sequence[Route]) -> Route | None:
+        """Any other route; needed only in graphs so small that the farthest ones are taken."""
+        known = {route.states.tobytes() for route in routes}
+        for _ in range(_TRIES):
+            route = self._graph.sample_route(self._rng)
+            if route is not None and route.states.tobytes() not in known:
+                return route
+        return None
 
     def _gain(self, route: Route) -> NDArray[np.float32]:
         """What each edge adds to the distance from `route`, shape (edges,)."""
@@ -169,7 +171,7 @@ class _Farthest:
         if key in self._gains:
             return self._gains[key]
         graph, parts = self._graph, self._graph.task.part_count
-        rank = removal_rank(route)
+        rank = route.removal_rank()
         removed = int((rank >= 0).sum())
         gain = np.zeros(len(graph.source), dtype=np.float32)
         if removed > 1:

@@ -18,7 +18,7 @@ from falsework.errors import InputError
 _HEADER = "header"
 
 
-def write_whole(path: Path | str, write: Callable[[IO[bytes]], None]) -> None:
+def write_whole(path: Path | str, write: Callable[[IO[bytes]], object]) -> None:
     """Write a file under a temporary name beside it, then rename; an interruption leaves no half of it.
 
     Raises:

@@ -181,7 +181,7 @@ class BeamSearch:
         except KeyboardInterrupt:
             interrupted = True
         self._seconds += time.perf_counter() - begun
-        return self._result(interrupted)
+        return self.result(interrupted=interrupted)
 
     def route(self) -> Route:
         """The best scored way from start to target, in disassembly order; only once `found`."""
@@ -279,7 +279,8 @@ class BeamSearch:
             seconds,
         )
 
-    def _result(self, interrupted: bool) -> SearchResult:
+    def result(self, *, interrupted: bool = False) -> SearchResult:
+        """Where the search stands; `interrupted` if it is to be called unfinished."""
         undecided, limit = self._judge.undecided + self._undecided, ""
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:

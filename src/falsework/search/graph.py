@@ -232,9 +232,7 @@ class StateGraph:
     def _position(self, state: States) -> int:
         return int(self.index.find(state[None])[0])
 
-    def _spread(
-        self, origin: States, near: NDArray[np.int32], far: NDArray[np.int32], *, downwards: bool
-    ) -> Mask:
+    def _spread(self, origin: States, near: NDArray[np.int32], far: NDArray[np.int32], *, downwards: bool) -> Mask:
         """Mark what is connected to `origin`, level by level, along edges from `near` to `far`."""
         marked = np.zeros(len(self.states), dtype=bool)
         if self._has(origin):

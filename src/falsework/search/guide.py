@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, Mask, States
+from falsework.search.result import Route
 from falsework.search.task import Direction
 
 if TYPE_CHECKING:
@@ -54,3 +56,30 @@ class SupportGuide:
         if direction is Direction.DISASSEMBLY:
             support = -support
         return np.concatenate([support, support], axis=1)
+
+
+class NoveltyGuide:
+    """Prefers actions that make a plan differ from given ones, on top of another guide.
+
+    The score of a part that is removed, or in assembly inserted, is the share of the parts now present that a given
+    plan removes before it: each is a pair that leaves in another order here.
+    """
+
+    def __init__(self, base: Guide | None, routes: Sequence[Route], weight: float = 4.0) -> None:
+        """Differ from `routes`, with `weight` against the scores of `base`."""
+        ranks = [route.removal_rank() for route in routes]
+        self._base = base
+        self._removed = np.array([rank >= 0 for rank in ranks])
+        self._before = np.array([rank[:, None] < rank[None, :] for rank in ranks], dtype=np.float32)
+        self._weight = weight / max(len(routes), 1)
+
+    def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float64]:
+        """As `Guide`."""
+        parts = states.shape[1]
+        score = np.zeros(actions.shape)
+        if self._base is not None:
+            score += self._base(states, actions, direction)
+        for removed, before in zip(self._removed, self._before, strict=True):
+            present = ((states != REMOVED) & removed).astype(np.float32)
+            score[:, parts:] += self._weight * (present @ before) / np.maximum(present.sum(axis=1), 1.0)[:, None]
+        return score

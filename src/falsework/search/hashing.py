@@ -66,9 +66,7 @@ def merge(hashes: Hashes, rows: Callable[[NDArray[np.intp]], States]) -> tuple[N
     for begin in range(0, len(repeated), _CHUNK):
         chunk = repeated[begin : begin + _CHUNK]
         if not np.array_equal(rows(chunk), rows(first[inverse[chunk]])):
-            _, first, inverse = np.unique(
-                rows(np.arange(len(hashes))), axis=0, return_index=True, return_inverse=True
-            )
+            _, first, inverse = np.unique(rows(np.arange(len(hashes))), axis=0, return_index=True, return_inverse=True)
             inverse = inverse.reshape(-1)
             break
     order = np.argsort(first)

@@ -40,6 +40,14 @@ class Route:
         holds = states[np.arange(1, len(states)), part] == HELD
         return cls(states, np.where(holds, part, part + states.shape[1]).astype(np.int64))
 
+    def removal_rank(self) -> NDArray[np.int64]:
+        """For each part how many were removed before it, or -1 if it stays. Shape (parts,)."""
+        parts = self.states.shape[1]
+        removed = self.actions[self.actions >= parts] - parts
+        rank = np.full(parts, -1, dtype=np.int64)
+        rank[removed] = np.arange(len(removed))
+        return rank
+
 
 @dataclass(frozen=True)
 class SearchCounters:

@@ -118,6 +118,10 @@ class Task:
             if first[part] != last[part]:
                 raise StateError(f"part {part} is fixed but differs between start and target; make them agree")
         for part in missing:
+            if first[part] == REMOVED:
+                raise StateError(
+                    f"part {part} is missing but not in the start either, so it is never needed; leave it out"
+                )
             if last[part] != REMOVED:
                 raise StateError(
                     f"part {part} is missing but in the target, which is what assembly starts from; remove it there"

@@ -1,0 +1,133 @@
+"""From an assembly and a task to plans: what the command line and the README call."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from falsework.assembly.model import Assembly
+from falsework.search.alternatives import Alternatives, choose_alternatives
+from falsework.search.graph import StateGraph
+from falsework.search.guide import Guide, SupportGuide
+from falsework.search.plan import Plan
+from falsework.search.planner import Planner, PlannerSettings
+from falsework.search.result import Outcome, Progress, Route, SearchProgress, SearchResult, Stop
+from falsework.search.task import Task
+from falsework.stability.oracle import Stability
+
+_SAVE_EVERY = 30.0
+"""Seconds between two checkpoints."""
+
+
+@dataclass(frozen=True, eq=False)
+class Planning:
+    """What came out of `find_plans`."""
+
+    result: SearchResult
+    """How the search ended, and if it found nothing, how far it came."""
+    plans: tuple[Plan, ...]
+    """Plans for disassembly, the first one first; `Plan.reverse` gives those for assembly."""
+    alternatives: Alternatives
+    """How much the plans differ; its routes are those of `plans`."""
+
+    @property
+    def found(self) -> bool:
+        """Whether there is at least one plan."""
+        return self.result.outcome is Outcome.FOUND
+
+
+def find_plans(
+    assembly: Assembly,
+    task: Task | None = None,
+    *,
+    oracle: Stability | None = None,
+    settings: PlannerSettings = PlannerSettings(),
+    guide: Guide | None = None,
+    progress: Progress | None = None,
+    stop: Stop | None = None,
+    checkpoint: Path | str | None = None,
+) -> Planning:
+    """Find a plan, or several that differ as much as possible, and prove every state of them stable.
+
+    Args:
+        assembly: the structure.
+        task: rules between start and target; by default two robots take the complete structure apart.
+        oracle: decides stability; hand in the one you have, for it remembers what it was asked.
+        settings: how hard to look, and how many plans.
+        guide: scores actions; by default parts with much support go in first.
+        progress: called after every level of every attempt.
+        stop: asked before every level; true ends the search with what was found so far.
+        checkpoint: file that the search is saved to now and then and resumed from if it is there; removed at the end.
+
+    Returns:
+        Plans with verdicts, proofs and contact forces; none if there is none, or none was found.
+
+    Raises:
+        InputError: a checkpoint of another task.
+    """
+    oracle = oracle or Stability(assembly)
+    task = task or task_of(assembly)
+    guide = guide or SupportGuide(assembly)
+    planner = _resume(checkpoint, task, oracle, settings, guide)
+    result = planner.run(progress=_saving(planner, checkpoint, progress), stop=stop)
+    if checkpoint is not None:
+        if result.interrupted:
+            planner.save(checkpoint)
+        else:
+            Path(checkpoint).unlink(missing_ok=True)
+    if not result.found:
+        return Planning(result, (), Alternatives.of([]))
+    chosen = _alternatives(planner, settings, assembly.name)
+    plans = tuple(plan_of(route, assembly, task, oracle) for route in chosen.routes)
+    return Planning(result, plans, chosen)
+
+
+def task_of(assembly: Assembly, robots: int = 2) -> Task:
+    """Task of taking the complete structure apart."""
+    return Task.create(assembly.boundary, robots, identity=assembly.identity)
+
+
+def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability) -> Plan:
+    """Plan along a route, each state proved stable anew with its contact forces.
+
+    Raises:
+        PlanError: a state that cannot be proved stable.
+    """
+    return Plan.of(route, assembly, task, oracle.check(route.states), oracle.settings.claim)
+
+
+def _alternatives(planner: Planner, settings: PlannerSettings, name: str) -> Alternatives:
+    if settings.alternatives == 1:
+        return Alternatives.of(planner.routes)
+    task = planner.task.postpone(planner.postponed)
+    graph = StateGraph.build(
+        task, np.concatenate([planner.states, *(route.states for route in planner.routes)]), name=name
+    )
+    return choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed)
+
+
+def _resume(
+    checkpoint: Path | str | None, task: Task, oracle: Stability, settings: PlannerSettings, guide: Guide
+) -> Planner:
+    if checkpoint is not None and Path(checkpoint).exists():
+        return Planner.load(checkpoint, task, oracle, settings, guide=guide)
+    return Planner(task, oracle, settings, guide=guide)
+
+
+def _saving(planner: Planner, checkpoint: Path | str | None, progress: Progress | None) -> Progress | None:
+    if checkpoint is None:
+        return progress
+    saved = time.perf_counter()
+
+    def report(event: SearchProgress) -> None:
+        nonlocal saved
+        if time.perf_counter() - saved > _SAVE_EVERY:
+            planner.save(checkpoint)
+            saved = time.perf_counter()
+        if progress is not None:
+            progress(event)
+
+    return report

@@ -1,0 +1,199 @@
+"""The plan: states and actions from start to target, with the verdict on every state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import REMOVED, Mask, States
+from falsework.errors import PlanError
+from falsework.search.plan_check import PlanReport, check_identity, check_proofs, check_with_solver
+from falsework.search.plan_file import Need, needs_of, read_plan, write_plan
+from falsework.search.result import Route
+from falsework.search.task import Direction, Task
+from falsework.stability.certificate import Claim
+from falsework.stability.verdict import Verdicts
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+
+Progress = Callable[[int, int], None]
+
+WORDS = {
+    Direction.DISASSEMBLY: ("hold", "remove"),
+    Direction.ASSEMBLY: ("release", "insert"),
+}
+"""What an action below and from `parts` on is called in each direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A sequence of actions of which every state was found stable.
+
+    In disassembly action `i` holds part `i` and `parts + i` removes it. A plan for assembly runs the other way:
+    action `i` releases part `i`, and `parts + i` inserts it, held by a robot.
+    """
+
+    states: States
+    """Shape (steps + 1, parts)."""
+    actions: NDArray[np.int64]
+    """Action between two states, shape (steps,)."""
+    verdicts: NDArray[np.int8]
+    """`Verdict` of each state, shape (steps + 1,)."""
+    proofs: NDArray[np.int8]
+    """`Proof` of each state, shape (steps + 1,)."""
+    residuals: NDArray[np.float64]
+    """Largest acceleration that is left in each state, m/s2 and rad/s2, shape (steps + 1,)."""
+    name: str
+    """Name of the structure."""
+    identity: str
+    """Digest of the structure, `Assembly.identity`."""
+    part_names: tuple[str, ...]
+    boundary: Mask
+    """Shape (parts,)."""
+    friction: float
+    robots: int
+    claim: Claim = field(default_factory=Claim)
+    """What stable means here: cone, gravity, tolerance, bound on forces."""
+    direction: Direction = Direction.DISASSEMBLY
+    fixed: tuple[int, ...] = ()
+    """Parts that the plan was told not to touch."""
+    missing: tuple[int, ...] = ()
+    """Parts that were not delivered yet when the plan was made."""
+    removable_only_if_clear: bool = False
+    """Whether every part that is removed has a straight way out."""
+    forces: NDArray[np.float64] | None = None
+    """Proof of each state: contact forces `(n, t1, t2)` in N, shape (steps + 1, points, 3)."""
+
+    @classmethod
+    def of(cls, route: Route, assembly: Assembly, task: Task, verdicts: Verdicts, claim: Claim = Claim()) -> Plan:
+        """Plan for disassembly along a route.
+
+        Args:
+            route: states and actions.
+            assembly: the structure.
+            task: what the route was found for.
+            verdicts: of the states of the route, with forces if the plan is to carry its proofs.
+            claim: what the verdicts mean by stable.
+
+        Raises:
+            PlanError: a state that the verdicts do not call stable.
+        """
+        bad = np.flatnonzero(~verdicts.stable)
+        if len(bad):
+            raise PlanError(f"state {bad[0]} of the plan is not proven stable; plan again")
+        return cls(
+            states=route.states,
+            actions=route.actions,
+            verdicts=verdicts.verdict,
+            proofs=verdicts.proof,
+            residuals=verdicts.residual,
+            name=assembly.name,
+            identity=assembly.identity,
+            part_names=tuple(assembly.names),
+            boundary=assembly.boundary,
+            friction=assembly.friction,
+            robots=task.robots,
+            claim=claim,
+            fixed=task.fixed,
+            missing=task.missing,
+            removable_only_if_clear=task.clearance is not None,
+            forces=verdicts.forces,
+        )
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+    @property
+    def route(self) -> Route:
+        """States and actions alone, in disassembly order."""
+        plan = self if self.direction is Direction.DISASSEMBLY else self.reverse()
+        return Route(plan.states, plan.actions)
+
+    @property
+    def needs(self) -> tuple[Need, ...]:
+        """When each missing part is needed, the first needed first; parts that the plan does not touch are left out."""
+        return needs_of(self.actions, self.direction, len(self.boundary), self.missing)
+
+    def describe(self, step: int) -> str:
+        """One action in words, such as `hold 7` or `insert keystone`."""
+        action, parts = int(self.actions[step]), len(self.boundary)
+        return f"{WORDS[self.direction][action >= parts]} {self.part_names[action % parts]}"
+
+    def reverse(self) -> Plan:
+        """The same plan the other way round: assembly from disassembly, and back."""
+        other = Direction.ASSEMBLY if self.direction is Direction.DISASSEMBLY else Direction.DISASSEMBLY
+        return replace(
+            self,
+            states=self.states[::-1].copy(),
+            actions=self.actions[::-1].copy(),
+            verdicts=self.verdicts[::-1].copy(),
+            proofs=self.proofs[::-1].copy(),
+            residuals=self.residuals[::-1].copy(),
+            forces=None if self.forces is None else self.forces[::-1].copy(),
+            direction=other,
+        )
+
+    def validate(self, assembly: Assembly, *, progress: Progress | None = None) -> PlanReport:
+        """Check every step with the exact solver, up to the first bad one.
+
+        Args:
+            assembly: the structure.
+            progress: called with the number of states checked and of all states.
+
+        Raises:
+            PlanError: the plan is for another structure.
+        """
+        check_identity(self, assembly)
+        return check_with_solver(self, assembly, progress)
+
+    def validate_proofs(self, assembly: Assembly) -> PlanReport:
+        """Check every step by the forces that the plan carries; needs no solver.
+
+        Raises:
+            PlanError: the plan is for another structure, or carries no forces.
+        """
+        check_identity(self, assembly)
+        return check_proofs(self, assembly)
+
+    def save(self, path: Path | str, *, proofs: bool = False) -> None:
+        """Write the plan as JSON, format `falsework.plan/1`, whole or not at all.
+
+        Args:
+            path: file to write.
+            proofs: write the contact forces too, some hundred kilobytes.
+
+        Raises:
+            PlanError: proofs are asked for and the plan has none.
+            InputError: the file cannot be written.
+        """
+        if proofs and self.forces is None:
+            raise PlanError("the plan carries no contact forces to write; save it without proofs")
+        write_plan(self, path, proofs=proofs)
+
+    @classmethod
+    def load(cls, path: Path | str) -> Plan:
+        """Read a plan and check that it is one: format, entries, lengths, and that every action is legal.
+
+        Stability is not checked; see `validate`.
+
+        Raises:
+            PlanError: no such file, damaged, of another version, or with an action that the rules forbid.
+        """
+        return cls(**read_plan(path))
+
+    @property
+    def removed_parts(self) -> NDArray[np.int64]:
+        """Parts that the plan removes, or inserts, in its order."""
+        parts = len(self.boundary)
+        return self.actions[self.actions >= parts] - parts
+
+    @property
+    def parts_left(self) -> int:
+        """Parts that are there at the target, boundary not counted."""
+        return int(((self.route.states[-1] != REMOVED) & ~self.boundary).sum())

@@ -1,0 +1,184 @@
+"""Checks a plan against its structure: the rules, and the stability of every state."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from falsework.assembly.state import HELD, States, action_mask, apply_actions, held_count, undo_mask
+from falsework.errors import PlanError
+from falsework.search.task import Direction
+from falsework.stability.certificate import residual_of_forces
+from falsework.stability.exact import ExactSolver
+from falsework.stability.settings import StabilitySettings
+from falsework.stability.verdict import Verdicts
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.search.plan import Plan
+
+
+@dataclass(frozen=True, eq=False)
+class PlanReport:
+    """What a check of a plan found."""
+
+    states: int
+    """States of the plan."""
+    checked: int
+    """States found good, from the first on."""
+    reason: str = ""
+    """What is wrong with the first bad state; empty if all are good."""
+    residual: float = 0.0
+    """Largest acceleration left in a good state, m/s2 and rad/s2."""
+    verdict: Verdicts | None = None
+    """Verdict on the first bad state, with the velocity that proves it unstable; None if it broke a rule."""
+    seconds: float = 0.0
+
+    @property
+    def good(self) -> bool:
+        """Whether every step keeps the rules and every state is stable."""
+        return not self.reason
+
+    @property
+    def bad_step(self) -> int | None:
+        """Action that leads to the first bad state, counted from 0; -1 if the first state is bad, None if none is."""
+        return None if self.good else self.checked - 1
+
+
+def check_identity(plan: Plan, assembly: Assembly) -> None:
+    """Raise unless the plan is for this structure.
+
+    Raises:
+        PlanError: parts, geometry, boundary, density or friction differ.
+    """
+    if len(plan.boundary) != assembly.part_count:
+        raise PlanError(
+            f"the plan is for {plan.name} with {len(plan.boundary)} parts, "
+            f"but {assembly.name} has {assembly.part_count}; give the structure it was made for"
+        )
+    if plan.identity != assembly.identity:
+        raise PlanError(
+            f"the plan is for another structure: its hash {plan.identity[:12]} of {plan.name} differs from "
+            f"{assembly.identity[:12]} of {assembly.name}; geometry, boundary, density or friction changed"
+        )
+
+
+def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str] | None:
+    """First state that the rules do not allow, and why; None if all are allowed.
+
+    Args:
+        plan: what to check.
+        assembly: needed to check that removed parts have a way out; that is left out without it.
+    """
+    states, parts, boundary = plan.states, len(plan.boundary), plan.boundary
+    if int(held_count(states[:1], boundary)[0]) > plan.robots:
+        return 0, f"{int(held_count(states[:1], boundary)[0])} parts are held at first, with {plan.robots} robots"
+    legal = action_mask if plan.direction is Direction.DISASSEMBLY else undo_mask
+    allowed = legal(states[:-1], boundary, plan.robots)
+    kept = np.isin(plan.actions % parts, plan.fixed)
+    for step, action in enumerate(plan.actions.tolist()):
+        if not allowed[step, action]:
+            return step + 1, f"step {step + 1} ({plan.describe(step)}) is against the rules: {_why(plan, step)}"
+        if kept[step]:
+            return step + 1, f"step {step + 1} ({plan.describe(step)}) touches a fixed part"
+    if not np.array_equal(_follow(plan), states):
+        return 1, "the actions do not lead through the states of the plan"
+    if plan.removable_only_if_clear and assembly is not None:
+        # A part is removed from the state in which it is still there.
+        route = plan.route
+        removals = np.flatnonzero(route.actions >= parts)
+        clear = assembly.clearance.can_leave(route.states[removals])
+        blocked = removals[~clear[np.arange(len(removals)), route.actions[removals] - parts]]
+        if len(blocked):
+            disassembly = plan.direction is Direction.DISASSEMBLY
+            step = int(blocked[0]) if disassembly else len(plan) - 1 - int(blocked[-1])
+            return step + 1, f"step {step + 1} ({plan.describe(step)}) finds no straight way past the other parts"
+    return None
+
+
+def check_with_solver(plan: Plan, assembly: Assembly, progress: Callable[[int, int], None] | None) -> PlanReport:
+    """Check rules and, with the exact solver, stability, state by state up to the first bad one."""
+    begun, count = time.perf_counter(), len(plan.states)
+    broken = broken_rule(plan, assembly)
+    solver = ExactSolver(assembly, settings_of(plan))
+    largest = 0.0
+    for row in range(count if broken is None else broken[0]):
+        verdict = solver.check(plan.states[row : row + 1])
+        if not verdict.stable[0]:
+            seconds = time.perf_counter() - begun
+            return PlanReport(count, row, _unstable(plan, row, verdict), largest, verdict, seconds)
+        largest = max(largest, float(verdict.residual[0]))
+        if progress is not None:
+            progress(row + 1, count)
+    return _end(plan, broken, largest, time.perf_counter() - begun)
+
+
+def check_proofs(plan: Plan, assembly: Assembly) -> PlanReport:
+    """Check rules and, by the forces in the plan, stability.
+
+    Raises:
+        PlanError: the plan carries no forces, or not one for each contact point.
+    """
+    begun = time.perf_counter()
+    points = len(assembly.contacts.points)
+    if plan.forces is None:
+        raise PlanError("the plan carries no contact forces; check it with the exact solver, or plan again with proofs")
+    if plan.forces.shape != (len(plan.states), points, 3):
+        raise PlanError(
+            f"the plan has forces of shape {plan.forces.shape}; expected {(len(plan.states), points, 3)}; plan again"
+        )
+    broken = broken_rule(plan, assembly)
+    residual = residual_of_forces(assembly, plan.states, plan.forces, plan.claim)
+    bad = np.flatnonzero(~(residual <= plan.claim.tolerance))
+    if len(bad) and (broken is None or bad[0] < broken[0]):
+        row = int(bad[0])
+        reason = f"the forces of {_place(plan, row)} leave {residual[row]:.3g} m/s2, above {plan.claim.tolerance:g}"
+        return PlanReport(len(plan.states), row, reason, seconds=time.perf_counter() - begun)
+    return _end(plan, broken, float(residual.max(initial=0.0)), time.perf_counter() - begun)
+
+
+def settings_of(plan: Plan) -> StabilitySettings:
+    """Settings under which the verdicts of a plan were found."""
+    claim = plan.claim
+    cone = "quadratic" if claim.cone == "quadratic" else "octagon"
+    return StabilitySettings(cone=cone, gravity=claim.gravity, tolerance=claim.tolerance, force_bound=claim.force_bound)
+
+
+def _end(plan: Plan, broken: tuple[int, str] | None, residual: float, seconds: float) -> PlanReport:
+    if broken is None:
+        return PlanReport(len(plan.states), len(plan.states), "", residual, None, seconds)
+    return PlanReport(len(plan.states), broken[0], broken[1], residual, None, seconds)
+
+
+def _unstable(plan: Plan, row: int, verdict: Verdicts) -> str:
+    if verdict.unstable[0]:
+        return f"the structure is unstable {_place(plan, row)}"
+    return f"the structure could be proved neither stable nor unstable {_place(plan, row)}"
+
+
+def _place(plan: Plan, row: int) -> str:
+    return f"after step {row} ({plan.describe(row - 1)})" if row else "at the beginning"
+
+
+def _follow(plan: Plan) -> States:
+    """States that the actions of a plan lead through, from its first state."""
+    if plan.direction is Direction.DISASSEMBLY:
+        after, before = plan.actions, plan.states[:-1]
+        return np.concatenate([plan.states[:1], apply_actions(before, after)])
+    return np.concatenate([apply_actions(plan.states[1:], plan.actions), plan.states[-1:]])
+
+
+def _why(plan: Plan, step: int) -> str:
+    action, parts = int(plan.actions[step]), len(plan.boundary)
+    part, state = action % parts, plan.states[step]
+    if plan.boundary[part]:
+        return "it is boundary"
+    held = int(held_count(state[None], plan.boundary)[0])
+    takes_robot = (action < parts) is (plan.direction is Direction.DISASSEMBLY)
+    if takes_robot and held >= plan.robots and state[part] != HELD:
+        return f"all {plan.robots} robots are holding"
+    return f"the part is {('removed', 'installed', 'held')[int(state[part])]}"

@@ -1,0 +1,341 @@
+"""Plans on disk: versioned JSON with a published schema, read strictly."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import zlib
+from dataclasses import asdict, dataclass
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
+from falsework.errors import PlanError, StateError
+from falsework.search.archive import write_whole
+from falsework.search.task import Direction
+from falsework.stability.certificate import Claim
+from falsework.stability.verdict import Proof, Verdict
+
+if TYPE_CHECKING:
+    from falsework.search.plan import Plan
+
+FORMAT = "falsework.plan/1"
+
+MOVES = {
+    "hold": (Direction.DISASSEMBLY, False, INSTALLED, HELD),
+    "remove": (Direction.DISASSEMBLY, True, HELD, REMOVED),
+    "insert": (Direction.ASSEMBLY, True, REMOVED, HELD),
+    "release": (Direction.ASSEMBLY, False, HELD, INSTALLED),
+}
+"""Word of a step: direction, whether the action index is above `parts`, value of the part before, and after."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """When a part that was missing is needed."""
+
+    part: int
+    after_steps: int
+    """Steps of assembly that are done without it."""
+    after_parts: int
+    """Parts that are placed before it."""
+
+
+def needs_of(
+    actions: NDArray[np.int64], direction: Direction, parts: int, missing: tuple[int, ...]
+) -> tuple[Need, ...]:
+    """When each missing part goes in, the first first; parts that no action inserts are left out.
+
+    Args:
+        actions: of the plan, shape (steps,).
+        direction: which way the plan runs.
+        parts: number of parts.
+        missing: the parts in question.
+    """
+    in_order = actions if direction is Direction.ASSEMBLY else actions[::-1]
+    placed = np.cumsum(in_order >= parts)
+    needs = []
+    for part in missing:
+        step = np.flatnonzero(in_order == parts + part)
+        if len(step):
+            needs.append(Need(part, int(step[0]), int(placed[step[0]]) - 1))
+    return tuple(sorted(needs, key=lambda need: need.after_steps))
+
+
+_KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
+_VERDICTS = {"stable": int(Verdict.STABLE)}
+_PROOFS = {"forces": int(Proof.FORCES)}
+
+
+def plan_schema() -> dict[str, Any]:
+    """The JSON Schema (draft 2020-12) of plan files."""
+    text = resources.files("falsework.search").joinpath("plan.schema.json").read_text(encoding="utf-8")
+    return json.loads(text)
+
+
+def write_plan(plan: Plan, path: Path | str, *, proofs: bool) -> None:
+    """Write a plan as JSON, whole or not at all.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    # One step a line keeps the file readable and a difference between two plans short.
+    entries = []
+    for key, value in to_json(plan, proofs=proofs).items():
+        if key == "steps" and value:
+            written = "[\n  " + ",\n  ".join(_dump(step) for step in value) + "\n ]"
+        else:
+            written = _dump(value)
+        entries.append(f" {json.dumps(key)}: {written}")
+    text = "{\n" + ",\n".join(entries) + "\n}\n"
+    write_whole(path, lambda file: file.write(text.encode()))
+
+
+def _dump(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+def to_json(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
+    """The plan as plain JSON values; see `plan.schema.json`."""
+    parts = len(plan.boundary)
+    words = {above: word for word, (direction, above, _, _) in MOVES.items() if direction is plan.direction}
+    judged = [
+        {"verdict": "stable", "proof": "forces", "residual": float(f"{residual:.6g}")} for residual in plan.residuals
+    ]
+    steps = [
+        {"do": words[action >= parts], "part": action % parts, **judged[row + 1]}
+        for row, action in enumerate(plan.actions.tolist())
+    ]
+    data: dict[str, Any] = {
+        "format": FORMAT,
+        "direction": plan.direction.value,
+        "structure": {
+            "name": plan.name,
+            "identity": plan.identity,
+            "friction": plan.friction,
+            "boundary": np.flatnonzero(plan.boundary).tolist(),
+            "parts": list(plan.part_names),
+        },
+        "robots": plan.robots,
+        "rules": {
+            "fixed": list(plan.fixed),
+            "missing": list(plan.missing),
+            "removable_only_if_clear": plan.removable_only_if_clear,
+        },
+        "stability": {
+            "cone": plan.claim.cone,
+            "gravity": plan.claim.gravity,
+            "tolerance": plan.claim.tolerance,
+            "force_bound": plan.claim.force_bound,
+        },
+        "start": {"state": plan.states[0].tolist(), **judged[0]},
+        "steps": steps,
+        "end": plan.states[-1].tolist(),
+        "needs": [asdict(need) for need in plan.needs],
+    }
+    if proofs and plan.forces is not None:
+        packed = zlib.compress(np.ascontiguousarray(plan.forces, dtype="<f8").tobytes(), 9)
+        data["forces"] = {"points": plan.forces.shape[1], "zlib_base64": base64.b64encode(packed).decode()}
+    return data
+
+
+def read_plan(path: Path | str) -> dict[str, Any]:
+    """Fields of the plan in a file, checked as far as that goes without the structure.
+
+    Raises:
+        PlanError: no such file, damaged, of another version, or with an action that the rules forbid.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise PlanError(f"there is no plan file {path}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise PlanError(f"{path} cannot be read as a plan ({type(error).__name__}); plan again") from None
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError):
+        raise PlanError(f"{path} is not valid JSON; it may be truncated; plan again") from None
+    return from_json(data, str(path))
+
+
+def from_json(data: Any, source: str = "the plan") -> dict[str, Any]:
+    """Fields of the plan in JSON values; `source` names them in messages.
+
+    Raises:
+        PlanError: as `read_plan`.
+    """
+    return _Reader(source).fields(data)
+
+
+class _Reader:
+    """Takes JSON values apart and complains about the first thing that is not as it must be."""
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+
+    def fields(self, data: Any) -> dict[str, Any]:
+        if not isinstance(data, dict) or "format" not in data:
+            self._fail('it has no "format"', "give a file that `falsework plan` wrote")
+        if data["format"] != FORMAT:
+            self._fail(f"its format is {data['format']!r}", f"this version reads {FORMAT!r} only; plan again")
+        self._keys(data, _KEYS, "the plan", optional=frozenset({"forces"}))
+        structure, rules, stability = data["structure"], data["rules"], data["stability"]
+        self._keys(structure, {"name", "identity", "friction", "boundary", "parts"}, "structure")
+        self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules")
+        self._keys(stability, {"cone", "gravity", "tolerance", "force_bound"}, "stability")
+        names = structure["parts"]
+        if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+            self._fail("structure.parts is no list of names")
+        if not all(isinstance(structure[key], str) for key in ("name", "identity")):
+            self._fail("structure.name and structure.identity must be texts")
+        parts = len(names)
+        boundary = np.zeros(parts, dtype=bool)
+        boundary[self._parts(structure["boundary"], parts, "structure.boundary")] = True
+        if data["direction"] not in ("disassembly", "assembly"):
+            self._fail(f"direction is {data['direction']!r}", "it must be disassembly or assembly")
+        direction = Direction(data["direction"])
+        if not isinstance(rules["removable_only_if_clear"], bool):
+            self._fail("rules.removable_only_if_clear must be true or false")
+        if stability["cone"] not in ("octagon", "quadratic"):
+            self._fail(f"stability.cone is {stability['cone']!r}", "it must be octagon or quadratic")
+        claim = Claim(
+            stability["cone"],
+            *(self._number(stability[key], f"stability.{key}") for key in ("gravity", "tolerance", "force_bound")),
+        )
+        if 0 in (claim.gravity, claim.tolerance, claim.force_bound):
+            self._fail("stability has a zero where a positive number must be")
+        robots = self._count(data["robots"], "robots", least=1)
+        states, actions, residuals = self._sequence(data, direction, boundary, robots)
+        if residuals.max() > claim.tolerance:
+            self._fail(f"a residual of {residuals.max():.3g} m/s2 is above the tolerance of {claim.tolerance:g}")
+        fixed = self._parts(rules["fixed"], parts, "rules.fixed")
+        touched = sorted(set(fixed) & set((actions % parts).tolist()))
+        if touched:
+            self._fail(f"its steps touch part {touched[0]}, which is fixed")
+        fields: dict[str, Any] = {
+            "states": states,
+            "actions": actions,
+            "verdicts": np.full(len(states), Verdict.STABLE, dtype=np.int8),
+            "proofs": np.full(len(states), Proof.FORCES, dtype=np.int8),
+            "residuals": residuals,
+            "name": structure["name"],
+            "identity": structure["identity"],
+            "part_names": tuple(names),
+            "boundary": boundary,
+            "friction": self._number(structure["friction"], "structure.friction"),
+            "robots": robots,
+            "claim": claim,
+            "direction": direction,
+            "fixed": tuple(fixed),
+            "missing": tuple(self._parts(rules["missing"], parts, "rules.missing")),
+            "removable_only_if_clear": rules["removable_only_if_clear"],
+        }
+        if "forces" in data:
+            fields["forces"] = self._forces(data["forces"], len(states))
+        if data["needs"] != [asdict(need) for need in needs_of(actions, direction, parts, fields["missing"])]:
+            self._fail("its needs do not agree with its steps")
+        return fields
+
+    def _sequence(
+        self, data: dict[str, Any], direction: Direction, boundary: NDArray[np.bool_], robots: int
+    ) -> tuple[States, NDArray[np.int64], NDArray[np.float64]]:
+        """Replay the steps from the start; the end must be the one that the file names."""
+        parts = len(boundary)
+        self._keys(data["start"], {"state", "verdict", "proof", "residual"}, "start")
+        state = self._state(data["start"]["state"], boundary, "start.state")
+        held = int(held_count(state[None], boundary)[0])
+        if held > robots:
+            self._fail(f"start.state has {held} parts held with {robots} robots")
+        residuals = [self._judged(data["start"], "start")]
+        states, actions = [state], []
+        if not isinstance(data["steps"], list):
+            self._fail("steps is no list")
+        for number, step in enumerate(data["steps"], 1):
+            place = f"step {number}"
+            self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place)
+            word, part = step["do"], self._count(step["part"], f"{place}: part")
+            if not isinstance(word, str) or word not in MOVES or MOVES[word][0] is not direction:
+                self._fail(f"{place} does {word!r}", f"that is no action of {direction.value}")
+            _, above, old, new = MOVES[word]
+            if part >= parts:
+                self._fail(f"{place} names part {part}, but parts are numbered 0 to {parts - 1}")
+            if boundary[part] or state[part] != old:
+                found = "boundary" if boundary[part] else ("removed", "installed", "held")[int(state[part])]
+                self._fail(f"{place} cannot {word} part {part}, which is {found}")
+            state = state.copy()
+            state[part] = new
+            held += 1 if new == HELD else -1
+            if held > robots:
+                self._fail(f"{place} needs {held} robots, but the plan has {robots}")
+            states.append(state)
+            actions.append(part + parts * above)
+            residuals.append(self._judged(step, place))
+        if not np.array_equal(self._state(data["end"], boundary, "end"), state):
+            self._fail("its steps do not lead to its end")
+        return np.array(states), np.array(actions, dtype=np.int64), np.array(residuals)
+
+    def _judged(self, record: dict[str, Any], place: str) -> float:
+        if record["verdict"] not in _VERDICTS or record["proof"] not in _PROOFS:
+            found = f"{place} has verdict {record['verdict']!r} with proof {record['proof']!r}"
+            self._fail(found, "every state must be stable by forces")
+        return self._number(record["residual"], f"{place}: residual")
+
+    def _state(self, value: Any, boundary: NDArray[np.bool_], place: str) -> States:
+        if not isinstance(value, list) or not all(type(entry) is int for entry in value):
+            self._fail(f"{place} is no list of 0, 1, 2")
+        if len(value) != len(boundary):
+            self._fail(f"{place} has {len(value)} values for {len(boundary)} parts")
+        try:
+            return as_states(value, boundary)[0]
+        except StateError as error:
+            self._fail(f"{place}: {error}")
+
+    def _parts(self, value: Any, parts: int, place: str) -> list[int]:
+        if not isinstance(value, list) or not all(type(part) is int and 0 <= part < parts for part in value):
+            self._fail(f"{place} is no list of part numbers from 0 to {parts - 1}")
+        if len(set(value)) != len(value):
+            self._fail(f"{place} names a part twice")
+        return value
+
+    def _forces(self, value: Any, states: int) -> NDArray[np.float64]:
+        self._keys(value, {"points", "zlib_base64"}, "forces")
+        points = self._count(value["points"], "forces.points")
+        try:
+            packed = base64.b64decode(value["zlib_base64"], validate=True)
+            wanted = states * points * 3 * 8
+            # One byte more than wanted shows that there is too much, without unpacking a bomb.
+            data = zlib.decompressobj().decompress(packed, wanted + 1)
+        except (TypeError, ValueError, zlib.error):
+            self._fail("forces.zlib_base64 cannot be unpacked")
+        if len(data) != wanted:
+            self._fail(f"forces.zlib_base64 does not hold {points} forces for each of {states} states")
+        return np.frombuffer(data, dtype="<f8").reshape(states, points, 3).astype(np.float64)
+
+    def _number(self, value: Any, place: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value < 0:
+            self._fail(f"{place} is {value!r}", "it must be a number from 0 on")
+        return float(value)
+
+    def _count(self, value: Any, place: str, least: int = 0) -> int:
+        if type(value) is not int or value < least:
+            self._fail(f"{place} is {value!r}", f"it must be a whole number from {least} on")
+        return value
+
+    def _keys(self, value: Any, keys: set[str], place: str, optional: frozenset[str] = frozenset()) -> None:
+        if not isinstance(value, dict):
+            self._fail(f"{place} is no object")
+        absent = sorted(keys - set(value))
+        if absent:
+            self._fail(f"{place} lacks {absent[0]!r}")
+        unknown = sorted(set(value) - keys - optional)
+        if unknown:
+            self._fail(f"{place} has an unknown entry {unknown[0]!r}", "it may be from another version; plan again")
+
+    def _fail(self, what: str, remedy: str = "the file is damaged; plan again") -> NoReturn:
+        raise PlanError(f"{self._source} is not a valid plan: {what}; {remedy}")

@@ -1,0 +1,362 @@
+"""Finds plans: narrow beams first, wider ones where they fail, from both ends."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import REMOVED
+from falsework.errors import InputError
+from falsework.search.archive import read_archive, write_archive
+from falsework.search.beam import BeamSearch, BeamSettings
+from falsework.search.guide import Guide, NoveltyGuide
+from falsework.search.judge import Oracle
+from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
+from falsework.search.task import Direction, Task
+
+FORMAT = "falsework.planner/1"
+
+_BOTH = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
+_AHEAD = 64
+"""States that need no verdict which the narrowest beam keeps, so that the next level has a choice."""
+_CLUSTERED_FROM = 16
+"""Narrower beams take the best scored states; they have no room for variety."""
+_WIDENING = 4
+"""Each attempt's beam is this many times wider than the last one's from the same end."""
+_TRIAL_ATTEMPTS = 2
+"""Widths that are tried for a plan with missing parts later."""
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """How hard to look for plans."""
+
+    width: int = 64
+    """Widest beam that is tried before giving up."""
+    directions: tuple[Direction, ...] = _BOTH
+    """Ends from which to search, in turn."""
+    alternatives: int = 1
+    """Number of plans wanted."""
+    seed: int = 0
+    """Same seed, same machine, same result."""
+
+    def __post_init__(self) -> None:
+        if self.width < 1:
+            raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
+        if not self.directions:
+            raise InputError("no direction to search in; give assembly, disassembly or both")
+        if self.alternatives < 1:
+            raise InputError(f"{self.alternatives} alternatives is no number of plans; ask for at least 1")
+
+    def attempts(self) -> tuple[BeamSettings, ...]:
+        """Beam searches in the order in which they are tried, cheap ones first."""
+        widths = [1]
+        while widths[-1] < self.width:
+            widths.append(min(widths[-1] * _WIDENING, self.width))
+        return tuple(self._attempt(width, direction) for width in widths for direction in self.directions)
+
+    def other_attempts(self) -> tuple[BeamSettings, ...]:
+        """Beam searches for a plan unlike those found, in the order in which they are tried."""
+        widths = [min(width, self.width) for width in (_WIDENING, _WIDENING**2)]
+        # Taking apart leaves more freedom in the order of removal than putting together.
+        ends = sorted(self.directions, key=lambda direction: direction is not Direction.DISASSEMBLY)
+        return tuple(self._attempt(width, direction) for width in widths for direction in ends)
+
+    def _attempt(self, width: int, direction: Direction) -> BeamSettings:
+        return BeamSettings(
+            width=width,
+            direction=direction,
+            diversity="none" if width < _CLUSTERED_FROM else "k-means",
+            ahead=max(_AHEAD, 16 * width),
+            commit=width == 1,
+            seed=self.seed,
+        )
+
+
+class Planner:
+    """Looks for a plan, then postpones missing parts, then gathers states for alternative plans.
+
+    Where parts are missing, plans are compared by the steps of assembly before the first of them goes in, then before
+    the second, and so on; each of these numbers in turn is driven up by bisection, with searches in which the parts
+    must not be there any earlier. What is found is the latest that these searches can find.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        oracle: Oracle,
+        settings: PlannerSettings = PlannerSettings(),
+        *,
+        guide: Guide | None = None,
+    ) -> None:
+        """Begin with nothing.
+
+        Args:
+            task: rules between start and target.
+            oracle: decides stability.
+            settings: how hard to look.
+            guide: scores actions; `SupportGuide` is a good one.
+        """
+        self.task = task
+        self.settings = settings
+        self.routes: list[Route] = []
+        """Plans found so far; the first keeps missing parts out longest."""
+        self.states = np.empty((0, task.part_count), dtype=np.uint8)
+        """States found on the way to alternative plans, shape (count, parts)."""
+        self._oracle = oracle
+        self._guide = guide
+        self._stage = "plan"
+        self._attempt = 0
+        self._beam: BeamSearch | None = None
+        self._rank = 0
+        self._trial: tuple[int, ...] = (0,) * len(task.missing)
+        self._trial_reached = -1
+        self._high = 0
+        self._failure: SearchResult | None = None
+        self._counters = SearchCounters()
+        self._seconds = 0.0
+
+    @property
+    def done(self) -> bool:
+        """Whether there is nothing left to do."""
+        return self._stage == "done"
+
+    @property
+    def postponed(self) -> tuple[int, ...]:
+        """Steps of assembly before the first, second, ... missing part goes in, by the plan found so far."""
+        return insertion_steps(self.routes[0], self.task) if self.routes else self._trial
+
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        """Search on until there is nothing left to do or somebody stops it.
+
+        Args:
+            progress: called after every level of every attempt.
+            stop: asked before every level; true stops the search, which can then be saved or run on.
+
+        Returns:
+            The plans found, the first one first, or how far the search came.
+        """
+        begun = time.perf_counter()
+
+        def report(event: SearchProgress) -> None:
+            if progress is not None:
+                asked = event.asked + self._counters.asked
+                progress(replace(event, asked=asked, seconds=self._seconds + time.perf_counter() - begun))
+
+        unstable = self._unstable_end()
+        if unstable is not None:
+            return unstable
+        interrupted = False
+        try:
+            while not self.done and not interrupted:
+                interrupted = self._advance(report, stop)
+        except KeyboardInterrupt:
+            interrupted = True
+        self._seconds += time.perf_counter() - begun
+        return self._result(interrupted)
+
+    def save(self, path: Path | str) -> None:
+        """Write the search as it stands, to be resumed by `load`."""
+        beam, arrays = self._beam.pack() if self._beam is not None else (None, {})
+        header = {
+            "task": self.task.describe(),
+            "settings": _settings_header(self.settings),
+            "stage": self._stage,
+            "attempt": self._attempt,
+            "rank": self._rank,
+            "trial": list(self._trial),
+            "high": self._high,
+            "trial_reached": self._trial_reached,
+            "counters": vars(self._counters),
+            "seconds": self._seconds,
+            "beam": beam,
+        }
+        empty = self.states[:0]
+        own = {"routes": np.concatenate([empty, *(route.states for route in self.routes)]), "states": self.states}
+        write_archive(path, FORMAT, header, own | {f"beam_{name}": array for name, array in arrays.items()})
+
+    @classmethod
+    def load(
+        cls,
+        path: Path | str,
+        task: Task,
+        oracle: Oracle,
+        settings: PlannerSettings = PlannerSettings(),
+        *,
+        guide: Guide | None = None,
+    ) -> Planner:
+        """Read a search that `save` wrote and go on where it stood.
+
+        Raises:
+            InputError: no such file, a damaged one, or one of another task or other settings.
+        """
+        header, arrays = read_archive(path, FORMAT)
+        if header.get("task") != task.describe() or header.get("settings") != _settings_header(settings):
+            raise InputError(f"{path} belongs to another structure, task or settings; remove it to begin a new search")
+        planner = cls(task, oracle, settings, guide=guide)
+        try:
+            planner._restore(header, arrays)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{path} is damaged ({error}); remove it to begin a new search") from None
+        return planner
+
+    def _restore(self, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+        self._stage, self._attempt = str(header["stage"]), int(header["attempt"])
+        self._rank, self._high = int(header["rank"]), int(header["high"])
+        self._trial = tuple(int(steps) for steps in header["trial"])
+        self._trial_reached = int(header["trial_reached"])
+        self._counters = SearchCounters(**header["counters"])
+        self._seconds = float(header["seconds"])
+        self.states = arrays["states"]
+        rows = arrays["routes"].reshape(-1, self.task.steps + 1, self.task.part_count)
+        self.routes = [Route.through(states) for states in rows]
+        if header["beam"] is not None:
+            inner = {name.removeprefix("beam_"): array for name, array in arrays.items() if name.startswith("beam_")}
+            task = self.task.postpone(self._trial)
+            self._beam = BeamSearch.unpack(header["beam"], inner, task, self._oracle, guide=self._beam_guide())
+
+    def _advance(self, report: Progress, stop: Stop | None) -> bool:
+        """Run the current beam search to its end and decide on the next; True if it was interrupted."""
+        if self._beam is None:
+            task = self.task.postpone(self._trial)
+            settings = self._attempts()[self._attempt]
+            self._beam = BeamSearch(task, self._oracle, settings, guide=self._beam_guide())
+        result = self._beam.run(progress=report, stop=stop)
+        if result.interrupted:
+            return True
+        beam, self._beam = self._beam, None
+        self._counters += result.counters
+        if self._stage == "alternatives":
+            self._gather(beam, result)
+        elif result.found:
+            begin = not self.routes
+            self.routes = [result.routes[0]]
+            self._next_trial(begin=begin)
+        else:
+            self._failed(result)
+        return False
+
+    def _gather(self, beam: BeamSearch, result: SearchResult) -> None:
+        """Keep the states of a search for another plan, and go on to the next."""
+        self.states = np.concatenate([self.states, beam.states()])
+        if result.found:
+            self.routes.append(result.routes[0])
+            self._attempt = 0
+        else:
+            self._attempt += 1
+        if len(self.routes) == self.settings.alternatives or self._attempt == len(self._attempts()):
+            self._stage = "done"
+
+    def _attempts(self) -> tuple[BeamSettings, ...]:
+        if self._stage == "alternatives":
+            return self.settings.other_attempts()
+        attempts = self.settings.attempts()
+        # How wide the first plan's beam was is no guide to what later missing parts take: bound the effort.
+        return attempts if self._stage == "plan" else attempts[: _TRIAL_ATTEMPTS * len(self.settings.directions)]
+
+    def _failed(self, result: SearchResult) -> None:
+        """Widen the beam, or give this trial up."""
+        proved = result.outcome is Outcome.PROVED_IMPOSSIBLE
+        self._attempt += 1
+        if self._stage == "plan":
+            if proved or self._failure is None or result.reached >= self._failure.reached:
+                self._failure = result
+            if proved or self._attempt == len(self._attempts()):
+                self._stage = "done"
+            return
+        if result.direction is Direction.ASSEMBLY:
+            self._trial_reached = max(self._trial_reached, result.reached)
+        if proved or self._attempt == len(self._attempts()):
+            self._high = self._trial[self._rank]
+            if self._trial_reached >= 0:
+                # Without this part assembly came no further than that, so it is needed by then.
+                self._high = max(min(self._high, self._trial_reached + 1), self.postponed[self._rank] + 1)
+            self._next_trial(begin=False)
+
+    def _next_trial(self, *, begin: bool) -> None:
+        """Choose what to look for next, now that a plan is known; `begin` with the first missing part."""
+        count = len(self.task.missing)
+        self._attempt, self._trial_reached = 0, -1
+        self._stage = "postpone"
+        if begin:
+            self._rank, self._high = 0, self.task.steps - count + 1
+        ambitious = begin
+        while self._rank < count:
+            low = self.postponed[self._rank]
+            if self._high - low > 1:
+                # The most ambitious trial comes first: where it fails tells how far one can get at all.
+                steps = self._high - 1 if ambitious else (low + self._high) // 2
+                self._trial = (*self.postponed[: self._rank], *(steps,) * (count - self._rank))
+                return
+            self._rank += 1
+            ambitious, self._high = True, self.task.steps - count + self._rank + 1
+        self._trial = self.postponed
+        self._stage = "alternatives" if self.settings.alternatives > 1 else "done"
+
+    def _beam_guide(self) -> Guide | None:
+        return NoveltyGuide(self._guide, self.routes) if self._stage == "alternatives" else self._guide
+
+    def _unstable_end(self) -> SearchResult | None:
+        ends = np.stack([self.task.start, self.task.target])
+        verdicts = self._oracle.judge(ends)
+        if verdicts.stable.all():
+            return None
+        row = int(np.argmin(verdicts.stable))
+        name = ("start", "target")[row]
+        proved = bool(verdicts.unstable[row])
+        return SearchResult(
+            outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
+            routes=(),
+            direction=(Direction.DISASSEMBLY, Direction.ASSEMBLY)[row],
+            steps=self.task.steps,
+            reached=0,
+            deepest=ends[:0],
+            rejected=ends[row : row + 1],
+            counters=SearchCounters(asked=2, rejected=int((~verdicts.stable).sum())),
+            seconds=0.0,
+            limit="" if proved else f"the {name} state could be proved neither stable nor unstable",
+            undecided=int(not proved),
+            notes=(f"the {name} state is {'unstable' if proved else 'undecided'}",),
+        )
+
+    def _result(self, interrupted: bool) -> SearchResult:
+        counters = self._counters + (self._beam.counters if self._beam is not None else SearchCounters())
+        if self.routes:
+            notes = ()
+            if interrupted:
+                what = "gathering alternatives" if self._stage == "alternatives" else "postponing missing parts"
+                notes = (f"interrupted while {what}; the plan is complete",)
+            return SearchResult(
+                outcome=Outcome.FOUND,
+                routes=tuple(self.routes),
+                direction=Direction.DISASSEMBLY,
+                steps=self.task.steps,
+                reached=self.task.steps,
+                deepest=self.task.target[None],
+                rejected=self.states[:0],
+                counters=counters,
+                seconds=self._seconds,
+                interrupted=interrupted,
+                notes=notes,
+            )
+        best = self._failure
+        if self._beam is not None:
+            running = self._beam.result(interrupted=True)
+            best = running if best is None or running.reached > best.reached else best
+        assert best is not None
+        return replace(best, counters=counters, seconds=self._seconds, interrupted=interrupted)
+
+
+def insertion_steps(route: Route, task: Task) -> tuple[int, ...]:
+    """Steps of assembly that a route does before the first, second, ... missing part goes in. Ascending."""
+    present = route.states[::-1][:, list(task.missing)] != REMOVED
+    return tuple(sorted(int(steps) for steps in present.argmax(axis=0) - 1))
+
+
+def _settings_header(settings: PlannerSettings) -> dict[str, Any]:
+    return vars(settings) | {"directions": [direction.value for direction in settings.directions]}
