@@ -179,7 +179,7 @@ def test_a_peg_of_facets_in_a_hole(shapes, facets, phase):
     """72 facets against the same, turned, or fewer: the whole wall touches, in a handful of contacts."""
     radius, height = 0.1, 0.2
     pair = [shapes.peg(72, radius, height, phase), shapes.drilled(facets, radius, 0.3, height)]
-    contacts = find_contacts(pair, ContactSettings(gap=2e-4, angle=6.0))
+    contacts = find_contacts(pair)
     assert_sound(contacts)
     assert contacts.areas.sum() == pytest.approx(2 * np.pi * radius * height, rel=2e-3)
     assert 24 <= len(contacts) <= 40
@@ -198,6 +198,12 @@ def test_interfaces_with_few_planes_are_not_rounded_off(shapes):
     """An octagonal peg keeps its eight planes, whatever the angle of curvature."""
     contacts = find_contacts([shapes.peg(8, 0.1, 0.2), shapes.drilled(8, 0.1, 0.3, 0.2)], ContactSettings(curvature=44))
     assert len(contacts) == 8
+
+
+def test_thin_plates_touch_their_neighbours_alone(shapes):
+    """Plates thinner than 1/2000 of their diagonal: the tolerance follows the thickness."""
+    plates = [shapes.box((0, 0, 2e-4 * level), (0.5, 0.5, 2e-4 * (level + 1))) for level in range(10)]
+    assert find_contacts(plates).parts.tolist() == [[level, level + 1] for level in range(9)]
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -53,13 +53,14 @@ class ContactSettings:
     """When two parts touch, and what counts as one plane."""
 
     gap: float | None = None
-    """Largest gap between faces that still touch, metres. None: 1/2000 of the median diagonal of the parts."""
+    """Largest gap between faces that still touch, metres. None: 1/2000 of the median diagonal of the parts, or
+    1/20 of the thickness of the thinnest if that is less."""
     overlap: float | None = None
     """Largest depth to which faces that touch may pass through each other, metres. None: as `gap`."""
     corner: float | None = None
     """Largest depth to which corners and edges may cut into another part, metres. None: 1/50 of the diagonal
     of the smaller part, or 1/5 of the thickness of the thinner one if that is less."""
-    angle: float = 3.0
+    angle: float = 6.0
     """Largest angle between faces that touch, degrees."""
     coplanar: float = 0.1
     """Largest angle between the normals of patches that form one plane, degrees."""
@@ -79,10 +80,11 @@ class ContactSettings:
 
     def lengths(self, meshes: Sequence[TriangleMesh]) -> tuple[float, float]:
         """Gap and overlap in metres for these parts."""
-        default = 0.0
         if self.gap is None:
-            default = float(np.median([np.linalg.norm(np.ptp(mesh.bounds, axis=0)) for mesh in meshes])) / 2000
-        gap = default if self.gap is None else self.gap
+            diagonal = np.median([np.linalg.norm(np.ptp(mesh.bounds, axis=0)) for mesh in meshes])
+            gap = min(float(diagonal) / 2000, min(mesh.thickness for mesh in meshes) / 20)
+        else:
+            gap = self.gap
         return gap, gap if self.overlap is None else self.overlap
 
 
@@ -114,7 +116,7 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
     """
     settings = settings or ContactSettings()
     gap, overlap = settings.lengths(meshes)
-    check_overlap(meshes, overlap, angle=settings.angle, corner=settings.corner)
+    check_overlap(meshes, overlap, corner=settings.corner)
     tolerance = max(gap, overlap)
     patches = face_patches(meshes, gap=gap, overlap=overlap, angle=settings.angle)
     group = planes(patches, settings.coplanar, tolerance)

@@ -61,6 +61,13 @@ class TriangleMesh:
         local = self.triangles - self.vertices[0]
         return float(np.einsum("ij,ij->i", local[:, 0], np.cross(local[:, 1], local[:, 2])).sum() / 6.0)
 
+    @property
+    def thickness(self) -> float:
+        """Twice the volume by the surface, metres: the thickness of a plate, a third of the edge of a cube."""
+        corners = self.triangles
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return 4.0 * self.volume / float(np.linalg.norm(cross, axis=1).sum())
+
 
 @dataclass(frozen=True, eq=False)
 class MassProperties:

@@ -16,14 +16,16 @@ Array = NDArray[np.float64]
 
 _MORE, _LESS = 0.56, 0.45
 """Shares of what is allowed by which the two parts of a pair shrink: together a little more than all."""
+_OPPOSED = 3.0
+"""Largest angle between opposed faces of which an overlap is a mistake and no bevel, degrees."""
 _MEASURED = 20
 """Pairs whose depth is measured before the deepest is reported."""
 
 
-def check_overlap(meshes: Sequence[TriangleMesh], tolerance: float, *, angle: float, corner: float | None) -> None:
+def check_overlap(meshes: Sequence[TriangleMesh], tolerance: float, *, corner: float | None) -> None:
     """Raise if two parts pass through each other by more than modelling leaves behind.
 
-    Faces that should touch, being opposed within `angle`, may overlap by `tolerance`. Corners and edges that
+    Opposed faces, which should touch, may overlap by `tolerance`. Corners and edges that
     cut into a neighbour lose no contact and may go deeper, to `corner`: where four stones of a dome meet,
     their bevelled corners often do.
 
@@ -33,18 +35,17 @@ def check_overlap(meshes: Sequence[TriangleMesh], tolerance: float, *, angle: fl
     Args:
         meshes: closed meshes that face outwards.
         tolerance: metres.
-        angle: degrees.
         corner: metres. None: for each pair 1/50 of the diagonal of its smaller part, or 1/5 of the
             thickness of the thinner one, if that is less.
 
     Raises:
         AssemblyError: names the parts of the deepest overlap and its depth.
     """
-    size = np.array([min(np.linalg.norm(np.ptp(mesh.bounds, axis=0)) / 50, _thickness(mesh) / 5) for mesh in meshes])
+    size = np.array([min(np.linalg.norm(np.ptp(mesh.bounds, axis=0)) / 50, mesh.thickness / 5) for mesh in meshes])
     worst, pair, allowed, measured = 0.0, (0, 0), tolerance, 0
     for a, b in _suspects(meshes, tolerance):
         limit = max(float(min(size[a], size[b])) if corner is None else corner, tolerance)
-        layer = _have_layer(meshes[a], meshes[b], tolerance, limit, angle)
+        layer = _have_layer(meshes[a], meshes[b], tolerance, limit)
         if not layer and not _collide(meshes[a], meshes[b], limit):
             continue
         deep = depth(meshes[a], meshes[b])
@@ -63,16 +64,9 @@ def check_overlap(meshes: Sequence[TriangleMesh], tolerance: float, *, angle: fl
         )
 
 
-def _thickness(mesh: TriangleMesh) -> float:
-    """Twice the volume by the surface: the thickness of a plate, a third of the edge of a cube; metres."""
-    corners = mesh.triangles
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return 4 * mesh.volume / float(np.linalg.norm(cross, axis=1).sum())
-
-
-def _have_layer(a: TriangleMesh, b: TriangleMesh, tolerance: float, limit: float, angle: float) -> bool:
+def _have_layer(a: TriangleMesh, b: TriangleMesh, tolerance: float, limit: float) -> bool:
     """Whether faces of two parts that should touch overlap by more than the tolerance."""
-    patches = face_patches((a, b), gap=-tolerance, overlap=limit, angle=angle)
+    patches = face_patches((a, b), gap=-tolerance, overlap=limit, angle=_OPPOSED)
     return float(patches.areas.sum()) > limit**2
 
 

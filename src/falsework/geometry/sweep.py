@@ -20,8 +20,6 @@ Mask = NDArray[np.bool_]
 
 _SHARE = 0.75
 """Share of the tolerance by which each part shrinks: touching parts are then half of it apart at least."""
-_LEVELS = 8
-"""How often the shrinking may double for parts whose corners cut into each other."""
 _INTO = np.sin(np.radians(3.0))
 """Sine of the angle to a contact from which on a move counts as into it."""
 _PLANES = 1000
@@ -155,12 +153,19 @@ class Sweeper:
         return apart
 
     def _tangled(self, low: Array, high: Array) -> dict[tuple[int, int], int]:
-        """How often the shrinking must double for pairs whose corners cut into each other."""
+        """How often the shrinking must double for pairs whose corners cut into each other.
+
+        It stops at a quarter of the thickness of the thinner part; what then still collides is never free.
+        """
         levels: dict[tuple[int, int], int] = {}
+        thinnest = np.array([mesh.thickness for mesh in self._meshes])
         one, two = box_pairs(low, high)
         for a, b in zip(one.tolist(), two.tolist(), strict=True):
             if a < b and self._collide(a, b, 0):
-                level = next((level for level in range(1, _LEVELS) if not self._collide(a, b, level)), _LEVELS)
+                level = 1
+                deepest = min(thinnest[a], thinnest[b]) / (4 * _SHARE * self._tolerance)
+                while 2**level < deepest and self._collide(a, b, level):
+                    level += 1
                 levels[a, b] = levels[b, a] = level
         return levels
 
