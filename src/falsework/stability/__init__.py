@@ -3,6 +3,7 @@
 from falsework.stability.certificate import Claim as Claim
 from falsework.stability.certificate import accept as accept
 from falsework.stability.exact import ExactSolver as ExactSolver
+from falsework.stability.gurobi import GurobiSolver as GurobiSolver
 from falsework.stability.oracle import Counters as Counters
 from falsework.stability.oracle import Stability as Stability
 from falsework.stability.oracle import describe_motion as describe_motion
@@ -10,6 +11,8 @@ from falsework.stability.problem import Problem as Problem
 from falsework.stability.problem import build_problem as build_problem
 from falsework.stability.settings import CpuSettings as CpuSettings
 from falsework.stability.settings import StabilitySettings as StabilitySettings
+from falsework.stability.shared_inverse import SharedInverse as SharedInverse
+from falsework.stability.shared_inverse import SharedInverseSettings as SharedInverseSettings
 from falsework.stability.verdict import Proof as Proof
 from falsework.stability.verdict import Solver as Solver
 from falsework.stability.verdict import Verdict as Verdict
