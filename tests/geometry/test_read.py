@@ -187,6 +187,14 @@ def test_damaged_files_of_other_formats(tmp_path, suffix, content):
         load_meshes(tmp_path)
 
 
+def test_a_face_of_a_ply_file_that_uses_a_vertex_that_is_not_there(tmp_path):
+    header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    header += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    (tmp_path / "0.ply").write_text(header + "0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n")
+    with pytest.raises(MeshError, match="not there"):
+        load_meshes(tmp_path)
+
+
 def test_messages_are_one_line(tmp_path):
     (tmp_path / "0.glb").write_bytes(b"garbage")
     with pytest.raises(MeshError) as caught:

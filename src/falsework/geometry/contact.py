@@ -93,11 +93,10 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
 
     Opposed faces within the tolerances are intersected; the patches of one pair of parts that lie in one
     plane become one contact, reduced to the corners of their common convex hull. Nothing is lost by that:
-    the friction cone is convex and the same everywhere on the plane, so a force at any point of the hull is
-    a convex combination of forces at its corners with the same total force and moment, and every wrench
-    that pressure spread over the patches can transmit is one that forces at the corners can transmit. The
-    reverse holds where the union of the patches is not convex too: forces at points of the union reach its
-    hull corners, which are points of the union.
+    a point of a patch is a convex combination of the corners, and the friction cone is convex and the same
+    all over the plane, so a force at the point, shared out among the corners in the same proportions, stays
+    in the cone and keeps its total force and moment. Nothing is gained either, since the corners are points
+    of the patches.
 
     The interface of a pair with more than `settings.curved_from` planes is taken as curved: neighbouring
     patches whose normals differ by at most `settings.curvature` from that of the largest among them become

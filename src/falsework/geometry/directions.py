@@ -11,6 +11,8 @@ Array = NDArray[np.float64]
 
 _SAME = np.cos(np.radians(0.02))
 """Directions nearer to each other than this are one."""
+_NORMALS = 128
+"""Normals that are combined two by two; a part that touches in more directions than that is held all round."""
 
 
 def sphere_directions(count: int) -> Array:
@@ -40,7 +42,8 @@ def exit_directions(contacts: Contacts, part: int, count: int) -> Array:
     )
     special = _distinct(away)
     if len(special) > 1:
-        edges = np.cross(special[:, None], special[None])[np.triu_indices(len(special), 1)]
+        chosen = special[:_NORMALS]
+        edges = np.cross(chosen[:, None], chosen[None])[np.triu_indices(len(chosen), 1)]
         length = np.linalg.norm(edges, axis=1)
         edges = edges[length > 1e-3] / length[length > 1e-3, None]
         edges = np.concatenate([edges, -edges])

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import AssemblyError
+from falsework.geometry.boxes import box_pairs
 from falsework.geometry.collision import Body, inside, shrink
 from falsework.geometry.mesh import TriangleMesh
-from falsework.geometry.patches import box_pairs, face_patches
+from falsework.geometry.patches import face_patches
 
 Array = NDArray[np.float64]
 
@@ -25,9 +26,9 @@ _MEASURED = 20
 def check_overlap(meshes: Sequence[TriangleMesh], tolerance: float, *, corner: float | None) -> None:
     """Raise if two parts pass through each other by more than modelling leaves behind.
 
-    Opposed faces, which should touch, may overlap by `tolerance`. Corners and edges that
-    cut into a neighbour lose no contact and may go deeper, to `corner`: where four stones of a dome meet,
-    their bevelled corners often do.
+    Opposed faces, which should touch, may overlap by `tolerance`. Corners and edges that cut into a
+    neighbour lose no contact and may go deeper, to `corner`: where four stones of a dome meet, their
+    bevelled corners often do.
 
     Each part is shrunk by half of what is allowed, so that shallower overlaps vanish; what then still
     collides, or lies one inside the other, is measured by `depth`.
@@ -85,9 +86,6 @@ def _suspects(meshes: Sequence[TriangleMesh], tolerance: float) -> list[tuple[in
     bounds = np.array([mesh.bounds for mesh in meshes])
     low, high = bounds[:, 0] + tolerance / 2, bounds[:, 1] - tolerance / 2
     i, j = box_pairs(low, np.maximum(low, high))
-    ahead = i < j
-    i, j = i[ahead], j[ahead]
-    order = np.lexsort((j, i))
     bodies: dict[tuple[int, bool], Body] = {}
     vertices: dict[tuple[int, bool], Array] = {}
 
@@ -98,7 +96,7 @@ def _suspects(meshes: Sequence[TriangleMesh], tolerance: float) -> list[tuple[in
         return bodies[part, second]
 
     found = []
-    for a, b in zip(i[order].tolist(), j[order].tolist(), strict=True):
+    for a, b in zip(i.tolist(), j.tolist(), strict=True):
         if body(a, False).hits(body(b, True)) or _nested(meshes[a], vertices[a, False], meshes[b], vertices[b, True]):
             found.append((a, b))
     return found

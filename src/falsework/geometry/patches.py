@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from falsework.geometry.boxes import iterate_box_pairs
 from falsework.geometry.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
@@ -52,28 +53,6 @@ class _Faces:
         return _Faces(corners[solid], part[solid], cross[solid] / length[solid, None])
 
 
-def box_pairs(low: Array, high: Array, query: slice = slice(None)) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of boxes that overlap, by a tree over the two axes along which the boxes are most spread.
-
-    Args:
-        low: lowest corners, shape (boxes, 3), metres.
-        high: highest corners, shape (boxes, 3), metres.
-        query: the boxes to look up against all of them.
-
-    Returns:
-        Two index arrays of equal length; every overlapping pair appears once for each of its boxes in `query`.
-    """
-    size = (high - low).mean(axis=0)
-    spread = (high.max(axis=0) - low.min(axis=0)) / np.maximum(size, 1e-300)
-    third, first, second = np.argsort(spread, kind="stable")
-    boxes = shapely.box(low[:, first], low[:, second], high[:, first], high[:, second])
-    start = query.indices(len(low))[0]
-    i, j = shapely.STRtree(boxes).query(boxes[query])
-    i = i + start
-    keep = (i != j) & (low[i, third] <= high[j, third]) & (low[j, third] <= high[i, third])
-    return i[keep], j[keep]
-
-
 def face_patches(meshes: Sequence[TriangleMesh], *, gap: float, overlap: float, angle: float) -> Patches:
     """Intersect all pairs of opposed, nearly coplanar faces of different parts.
 
@@ -104,9 +83,7 @@ def _opposed(faces: _Faces, reach: float, angle: float) -> Iterator[tuple[NDArra
     low = faces.corners.min(axis=1) - reach / 2
     high = faces.corners.max(axis=1) + reach / 2
     limit = -np.cos(np.radians(angle))
-    step = 20_000
-    for start in range(0, max(len(low), 1), step):
-        i, j = box_pairs(low, high, slice(start, start + step)) if len(low) else (np.zeros(0, np.int64),) * 2
+    for i, j in iterate_box_pairs(low, high):
         keep = faces.part[i] < faces.part[j]
         i, j = i[keep], j[keep]
         keep = np.einsum("ij,ij->i", faces.normals[i], faces.normals[j]) <= limit

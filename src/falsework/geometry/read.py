@@ -148,6 +148,8 @@ def _read_solids(file: Path) -> list[_Solid]:
                 continue
             vertices = mesh.vertices @ transform[:3, :3].T + transform[:3, 3]
             faces = np.asarray(mesh.faces, dtype=np.int64)
+            if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
+                raise MeshError(f"a face in {file} uses a vertex that is not there; export it again")
             if np.linalg.det(transform[:3, :3]) < 0:
                 faces = faces[:, ::-1]
             if file.suffix.lower() == ".glb":

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
+from falsework.geometry.boxes import box_pairs
 from falsework.geometry.collision import Body, shrink
 from falsework.geometry.contact import Contacts
 from falsework.geometry.directions import sphere_directions
 from falsework.geometry.mesh import TriangleMesh
-from falsework.geometry.patches import box_pairs
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -24,7 +24,6 @@ _INTO = np.sin(np.radians(3.0))
 """Sine of the angle to a contact from which on a move counts as into it."""
 _PLANES = 1000
 """Normals of planes that are tried to separate parts before any collision is computed."""
-
 _BATCH = 125
 """Directions that are looked at together; the first ones often settle a part."""
 
@@ -161,7 +160,7 @@ class Sweeper:
         thinnest = np.array([mesh.thickness for mesh in self._meshes])
         one, two = box_pairs(low, high)
         for a, b in zip(one.tolist(), two.tolist(), strict=True):
-            if a < b and self._collide(a, b, 0):
+            if self._collide(a, b, 0):
                 level = 1
                 deepest = min(thinnest[a], thinnest[b]) / (4 * _SHARE * self._tolerance)
                 while 2**level < deepest and self._collide(a, b, level):

@@ -1,0 +1,27 @@
+"""The broad phase against all pairs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from falsework.geometry import boxes
+
+
+@pytest.mark.parametrize("stretch", [(1, 1, 1), (50, 1, 1), (1, 1, 50), (1, 30, 30)])
+def test_the_same_pairs_as_comparing_all(stretch, monkeypatch):
+    monkeypatch.setattr(boxes, "_CHUNK", 64)
+    random = np.random.default_rng(4)
+    low = random.uniform(0, 5, (300, 3)) * stretch
+    high = low + random.uniform(0, 1.5, (300, 3))
+    overlap = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
+    expected = np.argwhere(np.triu(overlap, 1))
+    i, j = boxes.box_pairs(low, high)
+    assert (np.stack([i, j], axis=1) == expected).all()
+    assert len(i) > 20
+
+
+def test_boxes_that_touch_count_and_none_are_no_trouble():
+    i, j = boxes.box_pairs(np.array([(0, 0, 0), (1, 1, 1)], float), np.array([(1, 1, 1), (2, 2, 2)], float))
+    assert (i.tolist(), j.tolist()) == ([0], [1])
+    assert len(boxes.box_pairs(np.zeros((0, 3)), np.zeros((0, 3)))[0]) == 0
