@@ -25,7 +25,7 @@ def project(cone, n, x, y, mu):
     """Nearest point of the cone to `(n, x, y)`."""
     if cone == QUADRATIC:
         t = math.sqrt(x * x + y * y)
-        if t <= mu * n:
+        if n >= 0.0 and t <= mu * n:
             return n, x, y
         s = (n + mu * t) / (1.0 + mu * mu)
         if s <= 0.0:
@@ -37,7 +37,7 @@ def project(cone, n, x, y, mu):
     p = u * _C + v * _S  # along the normal of the facet
     q = v * _C - u * _S  # along the facet, within +- mu n sin 22.5
     k = mu * _C
-    if p <= k * n:
+    if n >= 0.0 and p <= k * n:
         return n, x, y
     t = (n + k * p) / (1.0 + k * k)
     half = mu * _S * t
@@ -60,7 +60,7 @@ def project_derivative(cone, n, x, y, mu, rows):
     """Write rows `r` with `sum r r^T` an element of the generalised Jacobian of `project`; return how many."""
     if cone == QUADRATIC:
         t = math.sqrt(x * x + y * y)
-        if t <= mu * n:
+        if n >= 0.0 and t <= mu * n:
             return _identity(rows)
         s = (n + mu * t) / (1.0 + mu * mu)
         if s <= 0.0:
@@ -76,7 +76,7 @@ def project_derivative(cone, n, x, y, mu, rows):
     p = u * _C + v * _S
     q = v * _C - u * _S
     k = mu * _C
-    if p <= k * n:
+    if n >= 0.0 and p <= k * n:
         return _identity(rows)
     t = (n + k * p) / (1.0 + k * k)
     if t > 0.0 and abs(q) <= mu * _S * t:
