@@ -23,16 +23,16 @@ def cubes(count: int) -> Any:
 @pytest.mark.parametrize(
     ("velocity", "words"),
     [
-        ((0, 0, -1, 0, 0, 0), "falls straight down"),
-        ((0, 0, 2, 0, 0, 0), "lifts straight up"),
+        ((0, 0, -1, 0, 0, 0), "falls"),
+        ((0, 0, 2, 0, 0, 0), "lifts"),
         ((1, 0, 0, 0, 0, 0), "slides towards +x"),
         ((0, -3, 0, 0, 0, 0), "slides towards -y"),
         ((1, 0, -1, 0, 0, 0), "slides down and towards +x"),
         ((1, -1, 0, 0, 0, 0), "slides towards +x and -y"),
         ((0, 0, 0, 0, 2, 0), "turns about +y"),
         ((0, 0, 0, 0, 0, -1), "turns about -z"),
-        ((0, 0, -1, 0, 1, 0), "falls straight down, turning about +y"),
-        ((0, 0, -1, 0, 0.01, 0), "falls straight down"),
+        ((0, 0, -1, 0, 1, 0), "falls, turning about +y"),
+        ((0, 0, -1, 0, 0.01, 0), "falls"),
         ((0, 0, -0.01, 1, 0, 1), "turns about the axis (+0.71, +0.00, +0.71)"),
     ],
 )
@@ -61,4 +61,4 @@ def test_nothing_moves() -> None:
 def test_long_lists_are_cut() -> None:
     velocity = np.tile([0, 0, -1.0, 0, 0, 0], (9, 1))
     text = describe(cubes(9), motions(cubes(9), velocity), limit=2)
-    assert text == "part 0 falls straight down; part 1 falls straight down; and 7 more"
+    assert text == "part 0 falls; part 1 falls; and 7 more"

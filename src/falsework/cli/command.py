@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import Positional, arg
 
@@ -38,7 +40,7 @@ class Command(ABC):
     """Command lines for the end of the help text."""
 
     json: bool = False
-    """Print JSON for machines, one object a line; everything for people goes to the error stream."""
+    """Print JSON for machines, one object a line; remarks for people go to the error stream."""
     debug: bool = False
     """Show the traceback of an error."""
 
@@ -48,11 +50,9 @@ class Command(ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StructureOptions:
-    """Options that say which structure is meant; they replace what its files say."""
+class LoadOptions:
+    """Options that replace what the files of a structure say."""
 
-    spec: Annotated[Positional[str], arg(metavar="STRUCTURE")]
-    """Built-in such as `vault` or `arch:blocks=15,thickness=0.2`, or a folder or file of meshes."""
     unit: Annotated[str | None, arg(metavar="UNIT", help_behavior_hint=UNSET)] = None
     """Unit of the meshes, such as mm."""
     density: Annotated[float | None, arg(metavar="KG/M3", help_behavior_hint=UNSET)] = None
@@ -64,6 +64,25 @@ class StructureOptions:
     ground: bool = False
     """Put a fixed ground under the lowest point."""
 
+    def given(self) -> dict[str, Any]:
+        """Those that were given, as `load_structure` takes them.
+
+        Raises:
+            InputError: boundary is no list of parts.
+        """
+        options: dict[str, Any] = {"unit": self.unit, "density": self.density, "friction": self.friction}
+        options["boundary"] = None if self.boundary is None else list(parse_parts(self.boundary, "--boundary"))
+        options["ground"] = self.ground or None
+        return {name: value for name, value in options.items() if value is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class StructureOptions(LoadOptions):
+    """Options that say which structure is meant."""
+
+    spec: Annotated[Positional[str], arg(metavar="STRUCTURE")]
+    """Built-in such as `vault` or `arch:blocks=15,thickness=0.2`, or a folder or file of meshes."""
+
     def load(self) -> Assembly:
         """Build or read the structure.
 
@@ -72,12 +91,18 @@ class StructureOptions:
         """
         from falsework.assembly import load_structure
 
-        boundary = None if self.boundary is None else parse_parts(self.boundary, "--boundary")
-        return load_structure(
-            self.spec,
-            unit=self.unit,
-            density=self.density,
-            friction=self.friction,
-            boundary=boundary,
-            ground=self.ground,
-        )
+        return load_structure(self.spec, **self.given())
+
+    def source(self, beside: Path) -> dict[str, Any]:
+        """What a file beside which others may look for the structure has to say about it.
+
+        Args:
+            beside: the file; a path to the structure is given relative to its folder.
+        """
+        if not Path(self.spec).exists():
+            return {"built_in": self.spec, **self.given()}
+        try:
+            path = os.path.relpath(Path(self.spec).resolve(), beside.resolve().parent)
+        except ValueError:  # on another drive there is no relative path
+            path = str(Path(self.spec).resolve())
+        return {"path": Path(path).as_posix(), **self.given()}

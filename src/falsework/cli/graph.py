@@ -26,7 +26,7 @@ class MakeGraph(Command):
     examples: ClassVar[tuple[str, ...]] = ("falsework graph bottle --width 64 --robots 2 --out graph.npz",)
 
     structure: StructureOptions
-    out: Annotated[Path, arg(metavar="FILE")]
+    out: Annotated[Path, arg(metavar="FILE")] = Path("graph.npz")
     """File to write, a NumPy archive."""
     task: TaskOptions
     search: SearchOptions

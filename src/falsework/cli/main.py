@@ -23,6 +23,8 @@ COMMANDS = {
     "structures": "Structures",
     "export": "Export",
     "stability": "CheckStability",
+    "plan": "MakePlan",
+    "check": "CheckPlan",
     "graph": "MakeGraph",
 }
 """Module of each subcommand in this package, named like it, and its class there."""

@@ -17,6 +17,8 @@ TURNS = 0.2
 """A share of the part's motion, at its outermost point, below which turning or shifting is left unsaid."""
 LEANS = 0.38
 """Components of a direction below this, the sine of about 22 degrees, are left unsaid."""
+STEEP = 0.9
+"""Vertical component of a direction from which on a part falls or lifts instead of sliding."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Motion:
         total = max(shifts, turns, 1e-300)
         texts = []
         if shifts > TURNS * total:
-            texts.append(f"{_verb(shift / shifts)} {_direction(shift / shifts)}")
+            texts.append(_travel(shift / shifts))
         if turns > TURNS * total:
             texts.append(f"{'turning' if texts else 'turns'} about {_axis(turn / turns)}")
         return ", ".join(texts)
@@ -73,7 +75,7 @@ def motions(assembly: Assembly, velocity: NDArray[np.float64]) -> list[Motion]:
 
 
 def describe(assembly: Assembly, moving: list[Motion], limit: int = 6) -> str:
-    """One line for the parts that move, such as `part 3 falls straight down; part 4 turns about +y; and 2 more`."""
+    """One line for the parts that move, such as `part 3 falls; part 4 turns about +y; and 2 more`."""
     texts = [f"{subject(assembly, motion.part)} {motion.words}" for motion in moving[:limit]]
     if len(moving) > limit:
         texts.append(f"and {len(moving) - limit} more")
@@ -94,23 +96,14 @@ def part_name(assembly: Assembly, part: int) -> str:
     return f"{part} ({name})"
 
 
-def _verb(direction: NDArray[np.float64]) -> str:
-    if direction[2] < -0.9:
-        return "falls"
-    if direction[2] > 0.9:
-        return "lifts"
-    return "slides"
-
-
-def _direction(direction: NDArray[np.float64]) -> str:
-    if abs(direction[2]) > 0.995:
-        return "straight down" if direction[2] < 0 else "straight up"
-    words = [f"towards {_sign(direction[axis])}{'xy'[axis]}" for axis in (0, 1) if abs(direction[axis]) > LEANS]
-    if len(words) == 2:
-        words = [f"{words[0]} and{words[1].removeprefix('towards')}"]
+def _travel(direction: NDArray[np.float64]) -> str:
+    if abs(direction[2]) > STEEP:
+        return "falls" if direction[2] < 0 else "lifts"
+    sides = [f"{_sign(direction[axis])}{'xy'[axis]}" for axis in (0, 1) if abs(direction[axis]) > LEANS]
+    words = [f"towards {' and '.join(sides)}"] if sides else []
     if abs(direction[2]) > LEANS:
         words.insert(0, "down" if direction[2] < 0 else "up")
-    return " and ".join(words)
+    return f"slides {' and '.join(words)}"
 
 
 def _axis(axis: NDArray[np.float64]) -> str:

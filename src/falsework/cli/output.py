@@ -36,18 +36,28 @@ class Output:
         self._console(error=True).print(text, soft_wrap=True, markup=False, highlight=False)
 
     @contextmanager
-    def search_progress(self) -> Iterator[Callable[[SearchProgress], None]]:
-        """Show how far a search is on the error stream, if that is a terminal; nothing of it stays there."""
+    def bar(self, title: str) -> Iterator[Callable[[int, int, str], None]]:
+        """Show progress on the error stream, if that is a terminal; nothing of it stays there.
+
+        Yields:
+            Takes what is done, what there is to do, and words for the present state.
+        """
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         console = self._console(error=True)
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[now]}"), TimeElapsedColumn())
-        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-            task = bar.add_task("searching", total=None, now="")
+        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+            task = progress.add_task(title, total=None, now="")
+            yield lambda done, total, now="": progress.update(task, total=total, completed=done, now=now)
+
+    @contextmanager
+    def search_progress(self) -> Iterator[Callable[[SearchProgress], None]]:
+        """Show how far a search is."""
+        with self.bar("searching") as show:
 
             def report(now: SearchProgress) -> None:
-                words = f"step {now.level} of {now.levels}, {now.kept} states kept, {now.asked} verdicts"
-                bar.update(task, total=now.levels, completed=now.level, now=words)
+                doing = f"{now.direction}, width {now.width}: step {now.level} of {now.levels}"
+                show(now.level, now.levels, f"{doing}, {now.kept} states kept, {now.asked} verdicts")
 
             yield report
 

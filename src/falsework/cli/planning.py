@@ -69,7 +69,7 @@ class SearchOptions:
     seed: int = 0
     """Same seed, same machine, same result."""
 
-    def settings(self, *, lazy: bool = False) -> BeamSettings:
+    def settings(self) -> BeamSettings:
         """As the search takes them.
 
         Raises:
@@ -78,7 +78,7 @@ class SearchOptions:
         from falsework.search.beam import BeamSettings
         from falsework.search.result import Direction
 
-        return BeamSettings(self.width, Direction(self.direction), lazy=lazy, seed=self.seed)
+        return BeamSettings(self.width, Direction(self.direction), seed=self.seed)
 
 
 def writable(path: Path) -> None:

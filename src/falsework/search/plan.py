@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,9 @@ class Plan:
     """Parts that were not delivered yet when the plan was made."""
     removable_only_if_clear: bool = False
     """Whether every part that is removed has a straight way out."""
+    source: Mapping[str, Any] | None = None
+    """Where the structure came from: `built_in` or `path` (relative to the file of the plan), and the options of
+    `load_structure` that were given; None if it was not said."""
     forces: NDArray[np.float64] | None = None
     """Proof of each state: contact forces `(n, t1, t2)` in N, shape (steps + 1, points, 3)."""
 

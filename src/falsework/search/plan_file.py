@@ -120,6 +120,7 @@ def to_json(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "friction": plan.friction,
             "boundary": np.flatnonzero(plan.boundary).tolist(),
             "parts": list(plan.part_names),
+            **({} if plan.source is None else {"source": dict(plan.source)}),
         },
         "robots": plan.robots,
         "rules": {
@@ -186,7 +187,12 @@ class _Reader:
             self._fail(f"its format is {data['format']!r}", f"this version reads {FORMAT!r} only; plan again")
         self._keys(data, _KEYS, "the plan", optional=frozenset({"forces"}))
         structure, rules, stability = data["structure"], data["rules"], data["stability"]
-        self._keys(structure, {"name", "identity", "friction", "boundary", "parts"}, "structure")
+        self._keys(
+            structure,
+            {"name", "identity", "friction", "boundary", "parts"},
+            "structure",
+            optional=frozenset({"source"}),
+        )
         self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules")
         self._keys(stability, {"cone", "gravity", "tolerance", "force_bound"}, "stability")
         names = structure["parts"]
@@ -236,11 +242,27 @@ class _Reader:
             "missing": tuple(self._parts(rules["missing"], parts, "rules.missing")),
             "removable_only_if_clear": rules["removable_only_if_clear"],
         }
+        if "source" in structure:
+            fields["source"] = self._source_of(structure["source"])
         if "forces" in data:
             fields["forces"] = self._forces(data["forces"], len(states))
         if data["needs"] != [asdict(need) for need in needs_of(actions, direction, parts, fields["missing"])]:
             self._fail("its needs do not agree with its steps")
         return fields
+
+    def _source_of(self, value: Any) -> dict[str, Any]:
+        """Where the structure came from; whether it is there is for others to find out."""
+        kinds = {
+            "built_in": str, "path": str, "unit": str, "density": (int, float), "friction": (int, float),
+            "boundary": list, "ground": bool,
+        }  # fmt: skip
+        self._keys(value, set(), "structure.source", optional=frozenset(kinds))
+        for key, entry in value.items():
+            if not isinstance(entry, kinds[key]) or (isinstance(entry, bool) and key != "ground"):
+                self._fail(f"structure.source.{key} is {entry!r}")
+        if ("built_in" in value) == ("path" in value):
+            self._fail("structure.source must have either built_in or path")
+        return value
 
     def _sequence(
         self, data: dict[str, Any], direction: Direction, boundary: NDArray[np.bool_], robots: int

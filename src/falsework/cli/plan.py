@@ -1,0 +1,133 @@
+"""`falsework plan`: an order of hold and remove actions in which every state is proven stable."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from tyro.conf import arg
+
+from falsework.cli.command import Command, Exit, StructureOptions
+from falsework.cli.planning import TaskOptions, refuse_unstable, writable
+from falsework.errors import InputError
+
+if TYPE_CHECKING:
+    from falsework.cli.output import Output
+    from falsework.search.find import Planning
+    from falsework.search.plan import Plan
+    from falsework.search.planner import PlannerSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakePlan(Command):
+    """Plan how robots take a structure apart, and so, played backwards, how they build it.
+
+    Narrow and quick searches come first, wider ones where they fail. Every state of the plan is proven stable. Exit
+    code 1 if there is no plan or none was found; the report says which, how far the search came, and what would move.
+    An interrupted search is kept beside the plan; the same command with --resume goes on with it.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework plan vault --robots 2 --out plan.json",
+        "falsework plan my-folder --missing 3,4 --alternatives 5 --out plan.json",
+    )
+
+    structure: StructureOptions
+    out: Annotated[Path, arg(metavar="FILE")] = Path("plan.json")
+    """File to write; alternatives get -2, -3, ... added to its name."""
+    task: TaskOptions
+    alternatives: int = 1
+    """Number of plans wanted, as different from each other as possible."""
+    width: int = 1024
+    """Widest search that is tried, in states kept at each step."""
+    direction: Literal["both", "assembly", "disassembly"] = "both"
+    """Ends from which to search: the empty structure, the complete one, or both in turn."""
+    seed: int = 0
+    """Same seed, same machine, same result."""
+    cone: Literal["octagon", "quadratic"] = "octagon"
+    """Friction cone: eight-sided as in the paper, or round."""
+    assembly_order: bool = False
+    """Write the plan in the order of assembly: insert and release instead of hold and remove."""
+    proofs: bool = False
+    """Write the contact forces that prove each state into the plan too."""
+    resume: bool = False
+    """Go on with the search that was interrupted."""
+
+    def run(self, output: Output) -> Exit:
+        """Search, prove, save."""
+        from falsework.cli.failure import explain
+        from falsework.search.find import find_plans
+        from falsework.stability import Stability, StabilitySettings
+
+        writable(self.out)
+        settings, checkpoint = self._settings(), self._checkpoint()
+        assembly = self.structure.load()
+        task = self.task.task(assembly)
+        oracle = Stability(assembly, StabilitySettings(cone=self.cone))
+        if refuse_unstable(assembly, oracle, task, output):
+            return Exit.NO
+        with output.search_progress() as report:
+            planning = find_plans(
+                assembly, task, oracle=oracle, settings=settings, progress=report, checkpoint=checkpoint
+            )
+        result = planning.result
+        if result.interrupted:
+            output.note(f"interrupted; the search so far is in {checkpoint}, the same command with --resume goes on")
+        if planning.found:
+            self._report(self._save(planning.plans), planning, output)
+        elif not result.interrupted:
+            failure = explain(assembly, oracle, result)
+            output.record(failure.record(assembly))
+            output.note(f"falsework: {failure.text}")
+            return Exit.NO
+        return Exit.INTERRUPTED if result.interrupted else Exit.DONE
+
+    def _settings(self) -> PlannerSettings:
+        from falsework.search.planner import PlannerSettings
+        from falsework.search.result import Direction
+
+        both = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
+        directions = both if self.direction == "both" else (Direction(self.direction),)
+        return PlannerSettings(width=self.width, directions=directions, alternatives=self.alternatives, seed=self.seed)
+
+    def _checkpoint(self) -> Path:
+        """Where the search is kept; an old one is in the way unless it is to be resumed."""
+        path = self.out.with_name(f"{self.out.name}.search")
+        if not self.resume:
+            path.unlink(missing_ok=True)
+        elif not path.is_file():
+            raise InputError(f"there is no interrupted search {path}; leave --resume out")
+        return path
+
+    def _save(self, plans: Sequence[Plan]) -> list[tuple[Path, Plan]]:
+        saved = []
+        for number, found in enumerate(plans, 1):
+            path = self.out if number == 1 else self.out.with_stem(f"{self.out.stem}-{number}")
+            plan = replace(found, source=self.structure.source(path))
+            plan = plan.reverse() if self.assembly_order else plan
+            plan.save(path, proofs=self.proofs)
+            saved.append((path, plan))
+        return saved
+
+    def _report(self, plans: list[tuple[Path, Plan]], planning: Planning, output: Output) -> None:
+        seconds, asked, found = planning.result.seconds, planning.result.counters.asked, planning.alternatives
+        for number, (path, plan) in enumerate(plans):
+            record: dict[str, Any] = {"plan": str(path), "steps": len(plan), "robots": plan.robots}
+            record["needs"] = [asdict(need) for need in plan.needs]
+            if self.alternatives > 1:
+                record["distances"] = [round(float(distance), 4) for distance in found.distance[number]]
+            output.record({**record, "verdicts": asked, "seconds": seconds})
+        path, first = plans[0]
+        output.say(
+            f"{path}: {len(first)} steps with {first.robots} robots, every state proven stable "
+            f"({seconds:.1f} s, {asked} verdicts)"
+        )
+        for need in first.needs:
+            output.say(f"{first.part_names[need.part]} is needed after {need.after_parts} other parts are placed")
+        if len(plans) > 1:
+            others = ", ".join(str(path) for path, _ in plans[1:])
+            output.say(f"alternatives in {others}; the two plans most alike differ by {found.least_distance:.2f} of 1")
+        if len(plans) < self.alternatives:
+            output.note(f"{len(plans)} different plans were found of the {self.alternatives} asked for")

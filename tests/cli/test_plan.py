@@ -1,0 +1,296 @@
+"""`falsework plan`, `check` and `graph`, from one end to the other."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from falsework.assembly import load_structure
+from falsework.search import Plan, StateGraph
+
+Run = Callable[..., Any]
+Write = Callable[..., Path]
+
+
+def test_plan_and_check(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    planned = falsework("plan", "arch:blocks=7", "--robots", 2, "--out", out, "--json")
+    assert planned.code == 0, planned.error
+    assert planned.error == ""
+    (record,) = planned.records
+    assert record["plan"] == str(out)
+    assert record["steps"] == 14  # each block is held and removed once
+    plan = Plan.load(out)
+    assert plan.validate(load_structure("arch:blocks=7")).good
+    checked = falsework("check", out, "--json")
+    assert checked.code == 0, checked.error
+    assert checked.records[0]["good"] is True
+    assert checked.records[0]["checked"] == checked.records[0]["states"] == 15
+    people = falsework("check", out, "--steps")
+    assert people.code == 0
+    assert people.out.count("\n") == 15
+    assert "all 15 states are stable" in people.out
+
+
+def test_order_of_assembly(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    assert falsework("plan", "arch:blocks=5", "--out", out, "--assembly-order").code == 0
+    steps = [line.split()[1:] for line in falsework("check", out, "--steps").out.splitlines()[:-1]]
+    assert steps[0][0] == "insert"
+    assert steps[-1][0] == "release"
+
+
+def test_an_arch_needs_two_robots(falsework: Run, tmp_path: Path) -> None:
+    """One robot cannot take the first block out of an arch: what is left falls, whichever block it is."""
+    finished = falsework("plan", "arch:blocks=5", "--robots", 1, "--out", tmp_path / "plan.json")
+    assert finished.code == 1
+    assert finished.error.count("\n") == 1
+    assert "no plan exists" in finished.error  # proven, not merely not found
+    assert "step 1 of 10" in finished.error
+    assert "voussoir-" in finished.error
+    assert list(tmp_path.iterdir()) == []
+    machine = falsework("plan", "arch:blocks=5", "--robots", 1, "--out", tmp_path / "plan.json", "--json")
+    (record,) = machine.records
+    assert record["plan"] is None
+    assert record["outcome"] == "no plan exists"
+    assert record["moving"]
+
+
+def test_not_found_is_told_from_proven(falsework: Run, tmp_path: Path) -> None:
+    arguments = (
+        "plan",
+        "dome",
+        "--robots",
+        1,
+        "--direction",
+        "assembly",
+        "--width",
+        1,
+        "--out",
+        tmp_path / "plan.json",
+    )
+    finished = falsework(*arguments)
+    if finished.code == 0:
+        pytest.skip("the narrowest search found a plan")
+    assert finished.code == 1
+    assert "no plan was found" in finished.error
+    assert "wider" in finished.error
+
+
+def test_between_two_states(falsework: Run, tmp_path: Path) -> None:
+    """From a wall with its top course gone to one with its ends gone too; the files hold the states in between only."""
+    out, wall = tmp_path / "plan.json", load_structure("wall:bricks=3,courses=3")
+    top = [int(part) for part in wall.mass.center[:, 2].argsort()[::-1] if not wall.boundary[part]][:3]
+    start = "".join("2" if wall.boundary[part] else "0" if part == top[0] else "1" for part in range(wall.part_count))
+    target = "".join("2" if wall.boundary[part] else "0" if part in top else "1" for part in range(wall.part_count))
+    spec = "wall:bricks=3,courses=3"
+    assert falsework("plan", spec, "--start", start, "--target", target, "--out", out).code == 0
+    plan = Plan.load(out)
+    assert "".join(map(str, plan.states[0])) == start
+    assert "".join(map(str, plan.states[-1])) == target
+    assert falsework("check", out).code == 0
+
+
+def test_fixed_parts_are_not_touched(falsework: Run, stack: Path, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    assert falsework("plan", stack, "--fixed", 1, "--out", out).code == 0
+    plan = Plan.load(out)
+    assert 1 not in plan.actions % 3
+    assert plan.states[-1].tolist() == [2, 1, 0]
+
+
+def test_missing_parts_come_last(falsework: Run, write_structure: Write, tmp_path: Path) -> None:
+    boxes = [((0, 0, 0), (9, 1, 1)), *(((2 * k, 0, 1), (2 * k + 1, 1, 2)) for k in range(4))]
+    folder, out = write_structure(tmp_path / "row", boxes), tmp_path / "plan.json"
+    finished = falsework("plan", folder, "--missing", "2,3", "--out", out, "--json")
+    assert finished.code == 0
+    needs = {need["part"]: need["after_parts"] for need in finished.records[0]["needs"]}
+    # Nothing stands on anything here, so both can wait for all the others.
+    assert sorted(needs.values()) == [2, 3]
+    assert "is needed after 2 other parts" in falsework("plan", folder, "--missing", "2,3", "--out", out).out
+
+
+def test_clear_ways_out(falsework: Run, tmp_path: Path) -> None:
+    """Out of interlocking pieces a straight way must be open for each that leaves."""
+    out = tmp_path / "plan.json"
+    assert falsework("plan", "bottle", "--removable-only-if-clear", "--out", out).code == 0
+    plan, bottle = Plan.load(out), load_structure("bottle")
+    parts = len(plan.boundary)
+    for state, action in zip(plan.states[:-1], plan.actions, strict=True):
+        if action >= parts:
+            assert bottle.clearance.can_leave(state[None])[0, action - parts]
+    assert falsework("check", out).code == 0
+
+
+def test_alternatives_differ(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    finished = falsework("plan", "arch:blocks=7", "--alternatives", 3, "--out", out, "--json")
+    assert finished.code == 0, finished.error
+    assert [Path(record["plan"]).name for record in finished.records] == ["plan.json", "plan-2.json", "plan-3.json"]
+    distances = [record["distances"] for record in finished.records]
+    assert all(distances[i][i] == 0 for i in range(3))
+    assert min(distances[i][j] for i in range(3) for j in range(i)) > 0
+    sequences = set()
+    for record in finished.records:
+        assert falsework("check", record["plan"]).code == 0
+        sequences.add(Plan.load(record["plan"]).actions.tobytes())
+    assert len(sequences) == 3
+
+
+def test_round_cone_is_checked_as_such(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    assert falsework("plan", "arch:blocks=5", "--cone", "quadratic", "--out", out).code == 0
+    assert Plan.load(out).claim.cone == "quadratic"
+    assert falsework("check", out).code == 0
+
+
+def test_proofs_can_be_written(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    assert falsework("plan", "arch:blocks=5", "--proofs", "--out", out).code == 0
+    assert Plan.load(out).validate_proofs(load_structure("arch:blocks=5")).good
+
+
+def test_graph(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "graph.npz"
+    finished = falsework("graph", "arch:blocks=5", "--width", 16, "--robots", 2, "--out", out, "--json")
+    assert finished.code == 0, finished.error
+    graph = StateGraph.load(out)
+    assert finished.records[0]["states"] == len(graph)
+    assert finished.records[0]["actions"] == len(graph.source)
+    assert graph.count_routes() >= 1
+    assert graph.solvable.all()  # found from the empty structure
+
+
+def test_graph_of_what_cannot_be_built(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "graph.npz"
+    finished = falsework("graph", "arch:blocks=5", "--robots", 1, "--out", out)
+    assert finished.code == 1
+    assert "no plan exists" in finished.error
+    assert len(StateGraph.load(out)) > 0  # how far it came is kept
+
+
+# What the plan is checked against
+
+
+@pytest.fixture
+def plan_of_stack(falsework: Run, stack: Path, tmp_path: Path) -> Path:
+    out = tmp_path / "plan.json"
+    assert falsework("plan", stack, "--out", out).code == 0
+    return out
+
+
+def refused(finished: Any, *hints: str) -> None:
+    assert finished.code == 2, finished.error
+    assert finished.error.count("\n") == 1
+    assert finished.out == ""
+    for hint in hints:
+        assert hint in finished.error, finished.error
+
+
+def test_a_plan_finds_its_structure_again(falsework: Run, plan_of_stack: Path, tmp_path: Path) -> None:
+    assert falsework("check", plan_of_stack).code == 0
+    # Both moved together, and seen from another folder: the way from one to the other is what counts.
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    shutil.move(tmp_path / "stack", moved / "stack")
+    shutil.move(plan_of_stack, moved / "plan.json")
+    assert falsework("check", moved / "plan.json").code == 0
+    shutil.move(moved / "stack", tmp_path / "renamed")
+    refused(falsework("check", moved / "plan.json"), "stack", "--structure")
+    assert falsework("check", moved / "plan.json", "--structure", tmp_path / "renamed").code == 0
+
+
+def test_options_of_the_structure_are_remembered(falsework: Run, write_structure: Write, tmp_path: Path) -> None:
+    folder, out = write_structure(tmp_path / "loose", boundary=[]), tmp_path / "plan.json"
+    options = ("--ground", "--unit", "cm", "--friction", 0.4, "--density", 1800)
+    assert falsework("plan", folder, *options, "--out", out).code == 0
+    assert falsework("check", out).code == 0
+    refused(falsework("check", out, "--structure", folder, "--ground"), "another structure")
+    assert falsework("check", out, "--structure", folder, *options).code == 0
+    refused(falsework("check", out, "--friction", 0.9), "another structure")
+
+
+def test_plan_for_another_structure(falsework: Run, plan_of_stack: Path) -> None:
+    refused(falsework("check", plan_of_stack, "--structure", "arch:blocks=3"), "parts")
+
+
+def test_structure_changed_since(falsework: Run, plan_of_stack: Path, stack: Path) -> None:
+    (stack / "assembly.json").write_text(json.dumps({"boundary": [0], "friction": 0.3}))
+    refused(falsework("check", plan_of_stack), "another structure")
+
+
+def test_truncated_plan(falsework: Run, plan_of_stack: Path) -> None:
+    text = plan_of_stack.read_text()
+    plan_of_stack.write_text(text[: len(text) // 2])
+    refused(falsework("check", plan_of_stack), "plan.json", "truncated")
+
+
+def test_plan_of_another_version(falsework: Run, plan_of_stack: Path) -> None:
+    plan_of_stack.write_text(plan_of_stack.read_text().replace("falsework.plan/1", "falsework.plan/2"))
+    refused(falsework("check", plan_of_stack), "falsework.plan/2")
+
+
+def test_no_plan_file(falsework: Run, tmp_path: Path) -> None:
+    refused(falsework("check", tmp_path / "none.json"), "none.json")
+
+
+def test_first_bad_step_is_named(falsework: Run, write_structure: Write, tmp_path: Path) -> None:
+    """The order of removal turned round: the block in the middle goes while the upper one still stands on it."""
+    folder, out = write_structure(tmp_path / "stack"), tmp_path / "plan.json"
+    assert falsework("plan", folder, "--robots", 1, "--out", out).code == 0
+    content = json.loads(out.read_text())
+    swap = {1: 2, 2: 1}
+    for step in content["steps"]:
+        step["part"] = swap[step["part"]]
+    out.write_text(json.dumps(content))
+    finished = falsework("check", out)
+    assert finished.code == 1
+    assert finished.error.count("\n") == 1
+    assert "part 2 falls" in finished.error
+    machine = falsework("check", out, "--json")
+    assert machine.code == 1
+    (record,) = machine.records
+    assert record["good"] is False
+    assert record["bad_step"] == 1
+    assert record["checked"] == 2
+
+
+@pytest.mark.skipif(os.name == "nt", reason="interrupts are sent differently on Windows")
+def test_an_interrupted_search_goes_on(tmp_path: Path) -> None:
+    """After Ctrl-C there is no half-written plan, and the search goes on where it stood."""
+    out = tmp_path / "plan.json"
+    # The hardest of the searches: wide enough that it cannot be over before the interruption.
+    command = [sys.executable, "-m", "falsework", "plan", "vault:parts=200", "--robots", "2"]
+    command += ["--alternatives", "4", "--out", str(out)]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    time.sleep(12)
+    running.send_signal(signal.SIGINT)
+    _, error = running.communicate(timeout=60)
+    assert running.returncode == 130, error
+    assert "Traceback" not in error
+    assert error.count("\n") == 1
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left <= {"plan.json", "plan.json.search"}
+    if "plan.json" in left:
+        Plan.load(out)
+
+
+def test_nothing_to_resume(falsework: Run, tmp_path: Path) -> None:
+    refused(falsework("plan", "arch", "--out", tmp_path / "plan.json", "--resume"), "--resume")
+
+
+@pytest.mark.slow
+def test_the_real_vault(falsework: Run, shared_assembly: Callable[[str], Path], tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    assert falsework("plan", shared_assembly("vault-62"), "--robots", 2, "--out", out).code == 0
+    assert falsework("check", out).code == 0

@@ -1,0 +1,139 @@
+"""`falsework stability`, `structures` and `export` on structures whose answers are known."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework.assembly import load_structure
+
+Run = Callable[..., Any]
+Write = Callable[..., Path]
+
+
+def turned(folder: Path, boxes: Any, write_structure: Write, *turns: tuple[str, float], **description: Any) -> Path:
+    """Boxes, turned together about axes by degrees, one turn after the other."""
+    write_structure(folder, boxes, **description)
+    matrix = np.eye(3)
+    for axis, degrees in turns:
+        matrix = rotation(axis, math.radians(degrees)) @ matrix
+    for file in folder.glob("*.obj"):
+        lines = []
+        for line in file.read_text().splitlines():
+            if line.startswith("v "):
+                line = "v {!r} {!r} {!r}".format(*(matrix @ [float(value) for value in line.split()[1:]]).tolist())
+            lines.append(line)
+        file.write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def rotation(axis: str, angle: float) -> np.ndarray:
+    """Right-handed rotation about a coordinate axis, radians."""
+    first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    matrix = np.eye(3)
+    matrix[[first, second], [first, second]] = math.cos(angle)
+    matrix[second, first], matrix[first, second] = math.sin(angle), -math.sin(angle)
+    return matrix
+
+
+def slope(folder: Path, degrees: float, write_structure: Write) -> Path:
+    """A block on a slope that goes down towards +x."""
+    boxes = [((-2, -1, -1), (2, 1, 0)), ((-0.5, -0.5, 0), (0.5, 0.5, 0.4))]
+    return turned(folder, boxes, write_structure, ("y", degrees))
+
+
+def test_a_block_slips_past_the_angle_of_friction(falsework: Run, write_structure: Write, tmp_path: Path) -> None:
+    folder = slope(tmp_path / "slope", 20.0, write_structure)
+    limit = math.tan(math.radians(20.0))
+    stable = falsework("stability", folder, "--friction", limit * 1.02, "--json")
+    assert stable.code == 0
+    assert stable.records[0]["verdict"] == "stable"
+    assert stable.records[0]["proof"] == "forces"
+    assert stable.records[0]["residual"] <= 1e-3
+    assert stable.records[0]["moving"] == []
+    slips = falsework("stability", folder, "--friction", limit * 0.98, "--json")
+    assert slips.code == 1
+    (record,) = slips.records
+    assert (record["verdict"], record["proof"]) == ("unstable", "velocity")
+    assert [motion["part"] for motion in record["moving"]] == [1]
+    # Down the slope: towards +x, and not turning.
+    assert record["moving"][0]["words"] == "slides towards +x"
+    assert record["moving"][0]["translation"][2] < 0
+
+
+def test_people_are_told_which_part_moves_and_how(falsework: Run, write_structure: Write, tmp_path: Path) -> None:
+    folder = slope(tmp_path / "slope", 60.0, write_structure)
+    finished = falsework("stability", folder)
+    assert finished.code == 1
+    assert finished.out.count("\n") == 1
+    assert "unstable" in finished.out
+    assert "part 1 slides down and towards +x" in finished.out
+
+
+def test_states_from_a_file_get_one_record_each(falsework: Run, stack: Path, tmp_path: Path) -> None:
+    states = [[2, 1, 1], [2, 0, 1], [2, 0, 2], [2, 0, 0], [2, 2, 1]]
+    verdicts = ["stable", "unstable", "stable", "stable", "stable"]
+    (tmp_path / "states.json").write_text(json.dumps(states))
+    np.save(tmp_path / "states.npy", np.array(states, dtype=np.int64))
+    for name in ("states.json", "states.npy"):
+        finished = falsework("stability", stack, "--states", tmp_path / name, "--json")
+        assert finished.code == 1
+        assert [record["verdict"] for record in finished.records] == verdicts
+        assert [record["state"] for record in finished.records] == [0, 1, 2, 3, 4]
+        assert finished.error == ""
+    falling = finished.records[1]["moving"][0]
+    assert (falling["part"], falling["words"]) == (2, "falls")
+
+
+def test_the_octagon_lies_inside_the_round_cone(falsework: Run, write_structure: Write, tmp_path: Path) -> None:
+    # A bar in a sloping V-shaped trough slips along neither tangent of its contacts, where the octagon is narrower.
+    boxes = [((-1, 0, -1), (1, 1, 0)), ((-1, -1, 0), (1, 0, 1)), ((-0.5, 0, 0), (0.5, 1, 1))]
+    folder = turned(tmp_path / "trough", boxes, write_structure, ("x", 45), ("y", 16), boundary=[0, 1])
+    codes = {
+        cone: [
+            falsework("stability", folder, "--friction", mu, "--cone", cone).code for mu in np.arange(0.15, 0.26, 0.01)
+        ]
+        for cone in ("octagon", "quadratic")
+    }
+    for octagon, quadratic in zip(codes["octagon"], codes["quadratic"], strict=True):
+        assert quadratic <= octagon  # what the octagon holds, the round cone holds
+    assert sum(codes["octagon"]) > sum(codes["quadratic"]) > 0
+
+
+def test_ground_makes_a_loose_stack_stand(falsework: Run, write_structure: Write, tmp_path: Path) -> None:
+    folder = write_structure(tmp_path / "loose", boundary=[])
+    assert falsework("stability", folder, "--ground").code == 0
+
+
+def test_units_do_not_change_the_answer(falsework: Run, stack: Path) -> None:
+    metres, millimetres = (falsework("stability", stack, "--unit", unit, "--json") for unit in ("m", "cm"))
+    assert metres.code == millimetres.code == 0
+
+
+def test_structures_lists_what_can_be_built(falsework: Run) -> None:
+    machine, people = falsework("structures", "--json"), falsework("structures")
+    assert machine.code == people.code == 0
+    assert {"arch", "vault", "dome", "bottle"} <= {record["name"] for record in machine.records}
+    for record in machine.records:
+        assert record["name"] in people.out
+        defaults = ",".join(f"{parameter['name']}={parameter['default']}" for parameter in record["parameters"])
+        assert load_structure(f"{record['name']}:{defaults}").part_count > 1
+
+
+def test_export_writes_what_was_built(falsework: Run, tmp_path: Path) -> None:
+    finished = falsework("export", "arch:blocks=5", "--out", tmp_path / "arch", "--json")
+    assert finished.code == 0
+    assert finished.records[0]["identity"] == load_structure(tmp_path / "arch").identity
+    assert falsework("stability", tmp_path / "arch").code == 0
+
+
+@pytest.mark.slow
+def test_real_structures_stand(falsework: Run, shared_assembly: Callable[[str], Path]) -> None:
+    for name in ("bottle-12", "dome-37", "vault-62"):
+        assert falsework("stability", shared_assembly(name)).code == 0
