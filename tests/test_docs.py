@@ -1,0 +1,94 @@
+"""What README and documentation tell people to type does what they say."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from falsework.cli.main import COMMANDS, main
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
+# What the pages call the reader's own files; made here so that the commands run.
+OWN = ("my-folder", "my-vault")
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """Code blocks of a page in one language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(REPOSITORY))
+
+
+def test_the_readme_has_code() -> None:
+    assert len(blocks(REPOSITORY / "README.md", "python")) == 1
+    assert len(blocks(REPOSITORY / "README.md", "sh")) >= 3
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=name_of)
+def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The blocks of a page, one after the other, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "__main__"}
+    for block in blocks(page, "python"):
+        exec(compile(block, name_of(page), "exec"), names)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "sh")], ids=name_of)
+def test_commands_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines that begin with `falsework`, one after the other; none may be refused as wrong input."""
+    monkeypatch.chdir(tmp_path)
+    for folder in OWN:
+        assert main(["export", "arch:blocks=5", "--out", folder]) == 0
+    for block in blocks(page, "sh"):
+        for line in block.splitlines():
+            words = shlex.split(line, comments=True)
+            if words[:1] == ["falsework"]:
+                assert main(words[1:]) in (0, 1), line
+
+
+def test_examples_in_help_texts_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from falsework.cli import main as entry
+
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", "arch:blocks=5", "--out", "my-folder"]) == 0
+    Path("states.json").write_text("[[1, 1, 1, 1, 1, 2, 2]]")
+    for name in ("structures", "export", "plan", "check", "stability", "graph"):
+        for example in entry._command_class(name).examples:
+            words = shlex.split(example)
+            assert words[:2] == ["falsework", name]
+            if "shell.glb" not in words:
+                assert main(words[1:]) in (0, 1), example
+
+
+def test_every_command_is_in_the_documentation() -> None:
+    text = (REPOSITORY / "docs" / "cli.md").read_text(encoding="utf-8")
+    for name in COMMANDS:
+        assert f"## falsework {name}\n" in text
+
+
+def test_make_targets_exist() -> None:
+    makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
+    for page in (REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", REPOSITORY / "docs" / "index.md"):
+        for target in re.findall(r"^make (\w+)", page.read_text(encoding="utf-8"), re.MULTILINE):
+            assert re.search(rf"^{target}:", makefile, re.MULTILINE), f"{page.name} names make {target}"
+
+
+def test_links_lead_somewhere() -> None:
+    for page in PAGES:
+        for link in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            if "://" not in link:
+                assert (page.parent / link).exists(), f"{name_of(page)}: {link}"
+
+
+def test_extras_that_are_named_exist() -> None:
+    extras = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    for page in PAGES:
+        for named in re.findall(r"'\.\[([\w,]+)\]'", page.read_text(encoding="utf-8")):
+            assert set(named.split(",")) <= set(extras), f"{name_of(page)}: {named}"
