@@ -23,6 +23,8 @@ from falsework.search.task import Direction, Task
 
 FORMAT = "falsework.beam/1"
 
+Diversity = Literal["k-means", "none"]
+
 _REPORTED = 64
 """States handed back as deepest and as rejected, at most."""
 
@@ -35,7 +37,7 @@ class BeamSettings:
     """States kept at a level."""
     direction: Direction = Direction.ASSEMBLY
     """Which end to begin at."""
-    diversity: Literal["k-means", "none"] = "k-means"
+    diversity: Diversity = "k-means"
     """How states are chosen where there are too many: one from each of `width` clusters, or the best scored."""
     ahead: int = 0
     """0: ask for all verdicts of a level, then choose `width` among the stable states, as the paper does.

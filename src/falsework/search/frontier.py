@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, Mask, States, held_count
 from falsework.search.hashing import Hashes, StateHash, merge
 from falsework.search.task import Direction, Task
+
+_CHUNK = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +50,7 @@ class Frontier:
 
 
 def expand(task: Task, direction: Direction, level: States, hashes: Hashes, state_hash: StateHash) -> Frontier:
-    """Every legal move from every state of a level; states reached twice are kept once.
+    """Every legal move from every state of a level; states reached twice are kept once, dead ends not at all.
 
     Args:
         task: rules of the search.
@@ -70,4 +72,20 @@ def expand(task: Task, direction: Direction, level: States, hashes: Hashes, stat
     first, position = merge(child, rows)
     free = np.zeros(len(first), dtype=bool)
     free[position[~needs]] = True
-    return Frontier(task, direction, level, parent[first], action[first], child[first], free)
+    frontier = Frontier(task, direction, level, parent[first], action[first], child[first], free)
+    return frontier if task.clearance is None else _without_dead_ends(frontier)
+
+
+def _without_dead_ends(frontier: Frontier) -> Frontier:
+    count = len(frontier)
+    dead = np.zeros(count, dtype=bool)
+    for begin in range(0, count, _CHUNK):
+        rows = slice(begin, begin + _CHUNK)
+        dead[rows] = frontier.task.dead_ends(frontier.states(rows), frontier.direction)
+    return replace(
+        frontier,
+        parent=frontier.parent[~dead],
+        action=frontier.action[~dead],
+        hashes=frontier.hashes[~dead],
+        free=frontier.free[~dead],
+    )

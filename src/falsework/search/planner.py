@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
 from falsework.search.archive import read_archive, write_archive
-from falsework.search.beam import BeamSearch, BeamSettings
+from falsework.search.beam import BeamSearch, BeamSettings, Diversity
 from falsework.search.guide import Guide, NoveltyGuide
 from falsework.search.judge import Oracle
 from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
@@ -24,12 +24,12 @@ FORMAT = "falsework.planner/1"
 _BOTH = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
 _AHEAD = 64
 """States that need no verdict which the narrowest beam keeps, so that the next level has a choice."""
-_CLUSTERED_FROM = 16
-"""Narrower beams take the best scored states; they have no room for variety."""
+_DIVERSITIES: tuple[Diversity, ...] = ("none", "k-means")
+"""Both are tried at every width: either finds plans that the other misses."""
 _WIDENING = 4
 """Each attempt's beam is this many times wider than the last one's from the same end."""
-_TRIAL_ATTEMPTS = 2
-"""Widths that are tried for a plan with missing parts later."""
+_TRIAL_WIDTH = 4
+"""Widest beam for a plan with missing parts later: how wide the first plan's beam was is no guide to that."""
 
 
 @dataclass(frozen=True)
@@ -58,20 +58,25 @@ class PlannerSettings:
         widths = [1]
         while widths[-1] < self.width:
             widths.append(min(widths[-1] * _WIDENING, self.width))
-        return tuple(self._attempt(width, direction) for width in widths for direction in self.directions)
+        return tuple(
+            self._attempt(width, direction, diversity)
+            for width in widths
+            for diversity in (("none",) if width == 1 else _DIVERSITIES)
+            for direction in self.directions
+        )
 
     def other_attempts(self) -> tuple[BeamSettings, ...]:
         """Beam searches for a plan unlike those found, in the order in which they are tried."""
         widths = [min(width, self.width) for width in (_WIDENING, _WIDENING**2)]
         # Taking apart leaves more freedom in the order of removal than putting together.
         ends = sorted(self.directions, key=lambda direction: direction is not Direction.DISASSEMBLY)
-        return tuple(self._attempt(width, direction) for width in widths for direction in ends)
+        return tuple(self._attempt(width, direction, "none") for width in widths for direction in ends)
 
-    def _attempt(self, width: int, direction: Direction) -> BeamSettings:
+    def _attempt(self, width: int, direction: Direction, diversity: Diversity) -> BeamSettings:
         return BeamSettings(
             width=width,
             direction=direction,
-            diversity="none" if width < _CLUSTERED_FROM else "k-means",
+            diversity=diversity,
             ahead=max(_AHEAD, 16 * width),
             commit=width == 1,
             seed=self.seed,
@@ -256,8 +261,9 @@ class Planner:
         if self._stage == "alternatives":
             return self.settings.other_attempts()
         attempts = self.settings.attempts()
-        # How wide the first plan's beam was is no guide to what later missing parts take: bound the effort.
-        return attempts if self._stage == "plan" else attempts[: _TRIAL_ATTEMPTS * len(self.settings.directions)]
+        if self._stage == "postpone":
+            attempts = tuple(settings for settings in attempts if settings.width <= _TRIAL_WIDTH)
+        return attempts
 
     def _failed(self, result: SearchResult) -> None:
         """Widen the beam, or give this trial up."""

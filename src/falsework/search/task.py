@@ -185,6 +185,16 @@ class Task:
             return self._forward(states)
         return self._backward(states)
 
+    def dead_ends(self, states: States, direction: Direction) -> Mask:
+        """States from which the goal is certainly out of reach, stability aside. Shape (batch,).
+
+        In assembly parts only ever get in the way: one that is still to come and has no way in now never will.
+        """
+        if self.clearance is None or direction is Direction.DISASSEMBLY:
+            return np.zeros(len(states), dtype=bool)
+        to_come = (states == REMOVED) & (self.start != REMOVED)
+        return (to_come & ~self.clearance.can_leave(states)).any(axis=1)
+
     def needs_verdict(self, actions: NDArray[np.integer], direction: Direction) -> Mask:
         """Which moves can make a stable state unstable. Shape (batch,).
 
