@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.geometry.bits import pack, unpack
 from falsework.geometry.contact import Contacts
 from falsework.geometry.directions import exit_directions
 from falsework.geometry.mesh import TriangleMesh
@@ -56,15 +57,14 @@ class ClearanceTable:
     def blocking(self, state: NDArray[np.uint8], part: int) -> NDArray[np.int64]:
         """The present parts in the way of `part` along its least blocked way out, ascending ids."""
         ways = slice(self.start[part], self.start[part + 1])
-        words = (self.blockers[ways] & self._pack(np.asarray(state)[None])).astype("<u8", copy=False)
-        bits = np.unpackbits(words.view(np.uint8), axis=1, bitorder="little")
-        return np.flatnonzero(bits[np.argmin(bits.sum(axis=1))])
+        present = unpack(self.blockers[ways] & self._pack(np.asarray(state)[None]))
+        return np.flatnonzero(present[np.argmin(present.sum(axis=1))])
 
     def _pack(self, states: NDArray[np.uint8]) -> NDArray[np.uint64]:
         parts = len(self.start) - 1
         if states.ndim != 2 or states.shape[1] != parts:
             raise InputError(f"states have shape {states.shape}; expected (batch, {parts}), one value a part")
-        return _pack(states > 0)
+        return pack(states > 0)
 
 
 def clearance_table(
@@ -93,7 +93,7 @@ def clearance_table(
         tried = exit_directions(contacts, part, directions)
         least, blocked = sweeper.least_blocked(part, tried)
         ways.append(tried[least])
-        blockers.append(_pack(blocked))
+        blockers.append(pack(blocked))
         counts.append(len(least))
     arrays = (
         np.concatenate(ways),
@@ -103,15 +103,6 @@ def clearance_table(
     for array in arrays:
         array.setflags(write=False)
     return ClearanceTable(*arrays)
-
-
-def _pack(rows: NDArray[np.bool_]) -> NDArray[np.uint64]:
-    """Rows of bits as words of 64, lowest bit first, shape (rows, words)."""
-    words = -(-rows.shape[1] // 64)
-    padded = np.zeros((len(rows), words * 8), dtype=np.uint8)
-    packed = np.packbits(rows, axis=1, bitorder="little")
-    padded[:, : packed.shape[1]] = packed
-    return padded.view("<u8").astype(np.uint64, copy=False)
 
 
 @numba.njit(cache=True)

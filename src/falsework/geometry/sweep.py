@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
+from falsework.geometry.bits import intersect, pack
 from falsework.geometry.boxes import box_pairs
 from falsework.geometry.collision import Body, shrink
 from falsework.geometry.contact import Contacts
@@ -85,7 +86,9 @@ class Sweeper:
                 row = hit[way]
                 walls: dict[int, Body] = {}
                 beaten = _includes_one(row, rows)
-                for other in np.flatnonzero(~free[way] & ~row).tolist():
+                others = np.flatnonzero(~free[way] & ~row)
+                # First what blocks the ways already found: it is most likely to show that this one is no better.
+                for other in others[np.argsort(-rows.sum(axis=0)[others], kind="stable")].tolist():
                     if beaten:
                         break
                     if self._meets(part, other, directions[start + way], walls):
@@ -103,9 +106,9 @@ class Sweeper:
 
     def _known(self, part: int, directions: Array) -> tuple[Mask, Mask]:
         """Pairs known to be free and known to be blocked, each of shape (directions, parts)."""
-        ahead = (self._low[part] >= self._high).astype(np.float32)
-        away = (self._planes @ directions.T >= 0).astype(np.float32)
-        free = (ahead @ away > 0).T
+        ahead = self._low[part] >= self._high
+        away = np.einsum("ki,pi->kp", directions, self._planes) >= 0
+        free = intersect(pack(away), pack(ahead))
         hit = np.zeros_like(free)
         for side, sign in ((0, -1.0), (1, 1.0)):
             mine = np.flatnonzero(self._contacts.parts[:, side] == part)
