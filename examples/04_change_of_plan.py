@@ -1,0 +1,30 @@
+"""A part comes late, another must not be touched: plan again, and choose among plans that differ.
+
+Run: python examples/04_change_of_plan.py
+"""
+
+from __future__ import annotations
+
+from falsework.assembly import load_structure
+from falsework.search import PlannerSettings, Task, find_plans
+
+
+def main() -> None:
+    """A dome whose key and one more block have not been delivered."""
+    dome = load_structure("dome:rings=2,blocks=6")
+    late = [part for part in range(dome.part_count) if not dome.boundary[part]][-2:]
+
+    task = Task.create(dome.boundary, robots=2, missing=late, identity=dome.identity)
+    planning = find_plans(dome, task, settings=PlannerSettings(alternatives=3))
+    for need in planning.plans[0].needs:
+        print(f"{dome.names[need.part]} is needed after {need.after_parts} other parts are placed")
+
+    print(f"{len(planning.plans)} plans; share by which each two differ:")
+    for row in planning.alternatives.distance:
+        print("  ", " ".join(f"{value:.2f}" for value in row))
+    for plan in planning.plans:
+        assert plan.validate(dome).good
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,27 @@
+"""One robot cannot build an arch. Prove it, and count the plans that two robots have.
+
+Run: python examples/05_no_plan.py
+"""
+
+from __future__ import annotations
+
+from falsework.assembly import load_structure
+from falsework.search import ExhaustiveSearch, task_of
+from falsework.stability import Stability
+
+
+def main() -> None:
+    """Look at every state that can be reached by taking the arch apart."""
+    arch = load_structure("arch:blocks=5")
+    oracle = Stability(arch)
+    for robots in (1, 2, 3):
+        census = ExhaustiveSearch(task_of(arch, robots), oracle, name=arch.name).run()
+        print(
+            f"{robots} robots: {census.states} states, {census.solvable_states} of them not dead ends, "
+            f"{census.plans} plans ({census.result.outcome})"
+        )
+    print("verdicts:", oracle.counters.as_dict())
+
+
+if __name__ == "__main__":
+    main()
