@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
+from falsework.errors import InputError
 from falsework.stability.verdict import Verdict, Verdicts
 
 Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9
-"""How far a force may stand outside its cone, as a share of itself and of the weight of the structure."""
+"""How far a force may stand outside its cone, as a share of itself and of the weight of the structure; what
+does is moved inside before it is judged."""
 _CHUNK = 256
 
 
@@ -48,9 +50,20 @@ def accept(assembly: Assembly, states: States, verdicts: Verdicts, claim: Claim 
 
     Returns:
         Shape (batch,); an undecided verdict is never accepted.
+
+    Raises:
+        InputError: verdicts without certificates, or whose shapes do not fit the states.
     """
     if verdicts.forces is None or verdicts.velocity is None:
-        raise ValueError("verdicts carry no certificates; ask for them with certificates=True")
+        raise InputError("these verdicts carry no certificates; get verdicts from Stability.check, which returns them")
+    batch, parts = states.shape
+    for name, given, expected in (
+        ("states", states.shape, (len(verdicts), len(assembly.meshes))),
+        ("forces", verdicts.forces.shape, (batch, len(assembly.contacts.points), 3)),
+        ("velocity", verdicts.velocity.shape, (batch, parts, 6)),
+    ):
+        if given != expected:
+            raise InputError(f"{name} have shape {given}; expected {expected} for this assembly")
     accepted = np.zeros(len(states), dtype=bool)
     stable, unstable = np.flatnonzero(verdicts.stable), np.flatnonzero(verdicts.verdict == Verdict.UNSTABLE)
     for rows in _chunks(stable):
@@ -81,10 +94,10 @@ def residual_of_forces(assembly: Assembly, states: States, forces: Array, claim:
     forces = np.where(_acts(states, a, b)[:, :, None], forces, 0.0)
     weight = claim.gravity * mass.mass[~assembly.boundary].sum()
 
-    outside = _outside_cone(forces, assembly.friction, claim.cone)
     size = np.linalg.norm(forces, axis=2)
-    admissible = (outside <= _ROUNDING * (size + weight)).all(axis=1)
-    admissible &= np.isfinite(size).all(axis=1)
+    finite = np.isfinite(size).all(axis=1)
+    forces, outside = _into_cone(np.where(finite[:, None, None], forces, 0.0), assembly.friction, claim.cone)
+    admissible = finite & (outside <= _ROUNDING * (size + weight)).all(axis=1)
     admissible &= forces[:, :, 0].sum(axis=1) <= claim.force_bound * weight * (1 + _ROUNDING)
 
     world = np.einsum("bci,cij->bcj", forces, contacts.frames[owner])
@@ -149,17 +162,22 @@ def _acts(states: States, a: NDArray, b: NDArray) -> NDArray[np.bool_]:
     return (states[:, a] > 0) & (states[:, b] > 0) & ((states[:, a] == 1) | (states[:, b] == 1))
 
 
-def _outside_cone(forces: Array, friction: float, cone: str) -> Array:
-    """How far forces stand outside the cone, in N, measured along the tangent. Shape (batch, points)."""
+def _into_cone(forces: Array, friction: float, cone: str) -> tuple[Array, Array]:
+    """Forces with tangents shrunk until they are in the cone, and how far they stood outside in N.
+
+    Shapes (batch, points, 3) and (batch, points).
+    """
     normal, tangent = forces[..., 0], forces[..., 1:]
     if cone == "quadratic":
-        reach, limit = np.hypot(tangent[..., 0], tangent[..., 1]), friction * normal
+        reach, limit = np.hypot(tangent[..., 0], tangent[..., 1]), friction * np.maximum(normal, 0.0)
     else:
         # An octagon with corners at multiples of 45 degrees has its sides' normals half way between them.
         angle = (np.arange(8) + 0.5) * np.pi / 4
         sides = np.stack([np.cos(angle), np.sin(angle)])
-        reach, limit = (tangent @ sides).max(axis=-1), friction * np.cos(np.pi / 8) * normal
-    return np.maximum(reach - limit, -normal)
+        reach, limit = (tangent @ sides).max(axis=-1), friction * np.cos(np.pi / 8) * np.maximum(normal, 0.0)
+    inside = np.maximum(forces, [0.0, -np.inf, -np.inf])
+    inside[..., 1:] *= np.divide(limit, reach, out=np.ones_like(reach), where=reach > limit)[..., None]
+    return inside, np.maximum(reach - limit, -normal)
 
 
 def _most_power_taken(relative: Array, friction: float, cone: str) -> Array:

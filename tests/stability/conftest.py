@@ -1,0 +1,161 @@
+"""Small scenes with known answers, random states, and a formulation that shares nothing with the solvers."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linprog
+
+from falsework.assembly.model import Assembly
+from falsework.geometry import TriangleMesh
+
+BOX_FACES = np.array(
+    [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
+     (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5)]
+)  # fmt: skip
+
+
+class Scenes:
+    """Makers of assemblies whose stability is known in closed form."""
+
+    @staticmethod
+    def box(low: ArrayLike, high: ArrayLike, name: str = "box", turn: NDArray | None = None) -> TriangleMesh:
+        """Box between two corners, turned about the origin."""
+        low, high = np.asarray(low, float), np.asarray(high, float)
+        corners = low + np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)]) * (high - low)
+        return TriangleMesh.from_arrays(name, corners if turn is None else corners @ turn.T, BOX_FACES)
+
+    @staticmethod
+    def about_y(angle: float) -> NDArray[np.float64]:
+        c, s = np.cos(angle), np.sin(angle)
+        return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+    @staticmethod
+    def about_z(angle: float) -> NDArray[np.float64]:
+        c, s = np.cos(angle), np.sin(angle)
+        return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+    @staticmethod
+    def make(boxes: Sequence[TriangleMesh], fixed: Sequence[int], **options: object) -> Assembly:
+        return Assembly.from_meshes(boxes, boundary=list(fixed), **options)  # type: ignore[arg-type]
+
+    @staticmethod
+    def slope(angle: float, *, friction: float, azimuth: float = 0.0, scale: float = 1.0) -> Assembly:
+        """Part 0 is a flat block on a fixed slab, both tilted: too flat to tip, so it can only slip."""
+        turn = Scenes.about_z(azimuth) @ Scenes.about_y(angle)
+        block = Scenes.box([-0.5 * scale, -0.5 * scale, 0], [0.5 * scale, 0.5 * scale, 0.05 * scale], "block", turn)
+        slab = Scenes.box([-scale, -scale, -0.1 * scale], [scale, scale, 0], "slab", turn)
+        return Scenes.make([block, slab], [1], friction=friction)
+
+    @staticmethod
+    def tower(blocks: int = 2, **options: object) -> Assembly:
+        """Unit cubes on top of each other; the last part is the ground."""
+        boxes = [Scenes.box([0, 0, k], [1, 1, k + 1], f"block-{k}") for k in range(blocks)]
+        return Scenes.make([*boxes, Scenes.box([-1, -1, -1], [2, 2, 0], "ground")], [blocks], **options)
+
+    @staticmethod
+    def clamp(**options: object) -> Assembly:
+        """Part 0 is a unit cube between two fixed walls, with nothing below it."""
+        walls = [Scenes.box([-1, -1, -1], [0, 2, 2], "left"), Scenes.box([1, -1, -1], [2, 2, 2], "right")]
+        return Scenes.make([Scenes.box([0, 0, 0], [1, 1, 1], "cube"), *walls], [1, 2], **options)
+
+    @staticmethod
+    def turn_tangents(assembly: Assembly, angle: float) -> Assembly:
+        """The same assembly with the tangents of all contact frames turned about the normals."""
+        contacts = assembly.contacts
+        frames = contacts.frames.copy()
+        c, s = np.cos(angle), np.sin(angle)
+        frames[:, 1] = c * contacts.frames[:, 1] + s * contacts.frames[:, 2]
+        frames[:, 2] = -s * contacts.frames[:, 1] + c * contacts.frames[:, 2]
+        return dataclasses.replace(assembly, contacts=dataclasses.replace(contacts, frames=frames))
+
+    @staticmethod
+    def random_states(
+        assembly: Assembly, count: int, seed: int, shares: tuple[float, float, float] = (0.2, 0.65, 0.15)
+    ) -> NDArray[np.uint8]:
+        """States whose parts are removed, installed and held with the given probabilities."""
+        random = np.random.default_rng(seed)
+        states = random.choice(3, (count, assembly.part_count), p=shares).astype(np.uint8)
+        states[:, assembly.boundary] = 2
+        return states
+
+    @staticmethod
+    def few_changes(assembly: Assembly, count: int, seed: int, most: int = 4) -> NDArray[np.uint8]:
+        """Complete structures with up to `most` parts removed or held: where verdicts are not obvious."""
+        random = np.random.default_rng(seed)
+        states = np.ones((count, assembly.part_count), np.uint8)
+        free = np.flatnonzero(~assembly.boundary)
+        for state in states:
+            chosen = random.choice(free, min(random.integers(0, most + 1), len(free)), replace=False)
+            state[chosen] = random.choice([0, 2], len(chosen))
+        states[:, assembly.boundary] = 2
+        return states
+
+
+def least_acceleration(
+    assembly: Assembly,
+    state: NDArray[np.uint8],
+    *,
+    directions: int = 8,
+    widen: float = 1.0,
+    force_bound: float = 1e3,
+    gravity: float = 9.81,
+) -> float:
+    """Smallest largest acceleration that admissible forces reach, by the simplex method on rays of the cones.
+
+    Everything is taken from the geometry: each contact point pushes along `directions` rays
+    `n + widen * mu * (cos a t1 + sin a t2)`, and the parts' Newton and Euler equations are written out.
+    """
+    contacts, mass = assembly.contacts, assembly.mass
+    free = [part for part in range(assembly.part_count) if state[part] == 1]
+    if not free:
+        return 0.0
+    row_of = {part: 6 * k for k, part in enumerate(free)}
+    inverse_inertia = {part: np.linalg.inv(mass.inertia[part]) for part in free}
+    angles = 2 * np.pi * np.arange(directions) / directions
+    columns: list[NDArray] = []
+    for contact in range(len(contacts)):
+        a, b = (int(part) for part in contacts.parts[contact])
+        if state[a] == 0 or state[b] == 0 or (a not in row_of and b not in row_of):
+            continue
+        normal, first, second = contacts.frames[contact]
+        for point in contacts.points[contacts.start[contact] : contacts.start[contact + 1]]:
+            for angle in angles:
+                force = normal + widen * assembly.friction * (np.cos(angle) * first + np.sin(angle) * second)
+                column = np.zeros(6 * len(free))
+                for part, sign in ((a, -1), (b, 1)):
+                    if part in row_of:
+                        moment = np.cross(point - mass.center[part], sign * force)
+                        column[row_of[part] : row_of[part] + 3] = sign * force / mass.mass[part]
+                        column[row_of[part] + 3 : row_of[part] + 6] = inverse_inertia[part] @ moment
+                columns.append(column)
+    weight = gravity * mass.mass[~assembly.boundary].sum()
+    fall = np.tile([0, 0, -gravity, 0, 0, 0], len(free))
+    if not columns:
+        return gravity
+    moved = sp.csc_matrix(np.array(columns).T * weight)
+    one = np.ones((6 * len(free), 1))
+    press = sp.csc_matrix(np.append(np.ones(len(columns)), 0.0)[None])
+    answer = linprog(
+        np.append(np.zeros(len(columns)), 1.0),
+        A_ub=sp.vstack([sp.hstack([moved, -one]), sp.hstack([-moved, -one]), press]),
+        b_ub=np.concatenate([-fall, fall, [force_bound]]),
+        method="highs",
+    )
+    assert answer.status == 0, answer.message
+    return float(answer.fun)
+
+
+@pytest.fixture(scope="session")
+def scenes() -> type[Scenes]:
+    return Scenes
+
+
+@pytest.fixture(scope="session")
+def simplex() -> Callable[..., float]:
+    return least_acceleration
