@@ -51,7 +51,8 @@ def _code_in_backticks(_app, _what, _name, _object, _options, lines: list[str]) 
 
 def setup(app: Sphinx) -> None:
     """Connect what is defined here."""
-    app.connect("autodoc-process-docstring", _code_in_backticks)
+    # Before napoleon, which takes the first colon for the end of a type even inside code.
+    app.connect("autodoc-process-docstring", _code_in_backticks, priority=400)
 
 
 def _write_help_texts() -> None:
