@@ -33,6 +33,31 @@ class CpuSettings:
 
 
 @dataclass(frozen=True)
+class GpuSettings:
+    """Numbers that steer the solver on a GPU."""
+
+    rho: float = 1e-3
+    """Penalty of ADMM, relative to the scaled problem."""
+    relaxation: float = 1.3
+    """Over-relaxation of ADMM, between 1 and 2."""
+    iterations: int = 60
+    """ADMM iterations before the interior point method takes over."""
+    first_check: int = 5
+    """Iterations before the first test for a proof."""
+    check_every: int = 5
+    """Iterations between two tests for a proof."""
+    interior_steps: int = 50
+    """Steps of the interior point method before a state is left to the exact solver."""
+    admm_shares: tuple[float, ...] = (0.4, 0.6, 1.0)
+    """Sizes of state, as shares of the whole structure, that ADMM has a launch for: small states leave room on
+    a multiprocessor for more of them."""
+    interior_shares: tuple[float, ...] = (0.5, 1.0)
+    """The same for the interior point method."""
+    interior_threads: int = 128
+    """Threads a state in the interior point method, in batches that fill the device."""
+
+
+@dataclass(frozen=True)
 class StabilitySettings:
     """What stable means, and who decides."""
 
@@ -47,6 +72,7 @@ class StabilitySettings:
     solver: SolverName = "cpu"
     """Who is asked first; what it leaves undecided goes to the exact solver."""
     cpu: CpuSettings = CpuSettings()
+    gpu: GpuSettings = GpuSettings()
 
     def __post_init__(self) -> None:
         for name in ("gravity", "tolerance", "force_bound"):

@@ -1,0 +1,285 @@
+"""The solver on a GPU: batches of states, one state a thread block, on chip until it is proven."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import States
+from falsework.stability.cones import CONES
+from falsework.stability.gpu_driver import CudaDriver, Driver
+from falsework.stability.gpu_layout import KernelBatch, build_layout, kernel_options
+from falsework.stability.problem import Problem
+from falsework.stability.settings import StabilitySettings
+from falsework.stability.verdict import Solver, Verdicts, proof_of
+
+if TYPE_CHECKING:
+    import torch
+
+_STATIC_SHARED = 8 * 1024
+"""Shared memory that the kernels have of their own, at most."""
+_CHUNK_BYTES = 2 << 30
+"""Device memory for the forces and velocities of one chunk of states."""
+
+
+class MemoryWarning(UserWarning):
+    """A batch did not fit into the memory of the GPU and was halved."""
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """One launch of a chain: the states that do not fit on chip go on to the next."""
+
+    kernel: str
+    threads: int
+    shared: int
+    blocks: int
+    scratch: Any
+    """Device memory instead of shared memory, where the largest state does not fit on chip."""
+    pool: int
+    """Bytes that a state may take."""
+
+
+class GpuSolver:
+    """Judges batches of states of one structure on a GPU.
+
+    The same method as `CpuSolver`, with the same certificates: ADMM iterates in float32, both proofs are
+    found in float64, and an interior point method in float64 takes what ADMM leaves open
+    (`docs/decisions/0011`). One kernel does all of ADMM and another all of the interior point method; a list
+    on the device hands states from one to the other.
+
+    Args:
+        problem: the structure.
+        settings: what stable means.
+        device: a CUDA device, such as `cuda` or `cuda:1`.
+        driver: a device to run on instead.
+
+    Raises:
+        DependencyError: torch or cuda-bindings is missing.
+        InputError: no such device, or a structure too large to index.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        settings: StabilitySettings = StabilitySettings(),
+        device: str = "cuda",
+        *,
+        driver: Driver | None = None,
+    ) -> None:
+        self.problem = problem
+        self.settings = settings
+        self.layout = build_layout(problem)
+        # Without friction both cones are the same ray, and only the octagon's multipliers stay positive.
+        quadratic = CONES[settings.cone] if problem.friction > 1e-9 else 0
+        self.driver: Driver = driver or CudaDriver(device, {"QUADRATIC": quadratic, "GROUP": self.layout.group_size})
+        self._arrays = {name: self.driver.put(array) for name, array in self.layout.arrays.items()}
+        self._structure = self.layout.kernel_structure(
+            {name: self.driver.address(array) for name, array in self._arrays.items()}
+        )
+        self._options = kernel_options(settings)
+        self._scratch: dict[str, Any] = {}
+        self._chains: dict[bool, tuple[list[_Stage], list[_Stage], Any]] = {}
+        self._chunk = 1 << 20
+
+    def check(self, states: States, *, certificates: bool = True, guess: NDArray[np.float64] | None = None) -> Verdicts:
+        """Judge a batch.
+
+        Args:
+            states: checked states, shape (batch, parts).
+            certificates: return forces and velocity too.
+            guess: contact forces in N to start from, shape (batch, points, 3); overwritten with the forces
+                that were found.
+
+        Returns:
+            Verdicts; `UNDECIDED` where neither proof was found within the limits of the settings.
+        """
+        batch, problem = len(states), self.problem
+        verdicts = Verdicts.blank(
+            batch, points=problem.points if certificates else None, parts=problem.parts if certificates else None
+        )
+        first = 0
+        while first < batch:
+            rows = slice(first, first + self._chunk_size(batch - first, certificates or guess is not None))
+            if self._try_rows(states, rows, certificates, guess, verdicts):
+                first = rows.stop
+        verdicts.proof[:] = proof_of(verdicts.verdict)
+        verdicts.decided_by[:] = np.where(verdicts.verdict != 0, Solver.GPU, Solver.NONE)
+        return verdicts
+
+    def check_tensor(self, states: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Judge states that are on the device already; nothing waits and nothing is copied to the host.
+
+        Args:
+            states: checked states, `uint8` on the solver's device, contiguous, shape (batch, parts).
+
+        Returns:
+            Verdict, `int8`, and residual in m/s2, `float64`, each of shape (batch,) on the device.
+        """
+        batch = len(states)
+        verdict = self.driver.zeros((batch,), np.int8)
+        residual = self.driver.empty((batch,), np.float64)
+        iterations = self.driver.zeros((batch,), np.int32)
+        first = 0
+        while first < batch:
+            rows = slice(first, min(batch, first + self._chunk_size(batch - first, False)))
+            self._run(states[rows], None, verdict[rows], residual[rows], iterations[rows], None, None)
+            first = rows.stop
+        return verdict, residual
+
+    def _try_rows(
+        self, states: States, rows: slice, certificates: bool, guess: NDArray | None, verdicts: Verdicts
+    ) -> bool:
+        """Judge some rows of a batch; False, with a smaller chunk for the next try, where memory ran out."""
+        part = states[rows]
+        problem, driver = self.problem, self.driver
+        try:
+            verdict = driver.zeros((len(part),), np.int8)
+            residual = driver.empty((len(part),), np.float64)
+            iterations = driver.zeros((len(part),), np.int32)
+            start = None if guess is None else driver.put(guess[rows])
+            wanted = certificates or guess is not None
+            forces = driver.empty((len(part), problem.points, 3), np.float64) if wanted else None
+            velocity = driver.empty((len(part), problem.parts, 6), np.float64) if certificates else None
+            self._run(driver.put(part), start, verdict, residual, iterations, forces, velocity)
+            verdicts.verdict[rows] = driver.get(verdict)
+            verdicts.residual[rows] = driver.get(residual)
+            verdicts.iterations[rows] = driver.get(iterations)
+            found = None if forces is None else driver.get(forces)
+            if guess is not None and found is not None:
+                guess[rows] = found
+            if verdicts.forces is not None and found is not None:
+                verdicts.forces[rows] = found
+            if verdicts.velocity is not None and velocity is not None:
+                verdicts.velocity[rows] = driver.get(velocity)
+        except RuntimeError as error:
+            if "out of memory" not in str(error).lower() or len(part) < 2:
+                raise
+            self._chunk = len(part) // 2
+            warnings.warn(
+                f"the GPU ran out of memory on {len(part)} states; going on with {self._chunk} at a time",
+                MemoryWarning,
+                stacklevel=3,
+            )
+            return False
+        return True
+
+    def _chunk_size(self, left: int, certificates: bool) -> int:
+        each = self.problem.points * (12 + 24 * certificates) + self.problem.parts * 48 * certificates
+        return max(1, min(left, self._chunk, _CHUNK_BYTES // max(each, 1)))
+
+    def _run(
+        self,
+        states: Any,
+        guess: Any,
+        verdict: Any,
+        residual: Any,
+        iterations: Any,
+        forces: Any,
+        velocity: Any,
+    ) -> None:
+        """Queue the launches that judge a batch; all arguments are device arrays."""
+        driver, count = self.driver, len(states)
+        if count == 0:
+            return
+        admm, interior, multipliers = self._stages(count)
+        address = driver.address
+        lists = driver.empty((len(admm) + len(interior) + 1, count), np.int32)
+        counters = driver.zeros((2 * (len(admm) + len(interior) + 1),), np.int32)
+        handoff = driver.empty((count, self.problem.points, 3), np.float32)
+        stages = [*admm, *interior]
+        open_list = len(stages)
+
+        def row(i: int) -> int:
+            return address(lists) + i * count * 4
+
+        def counter(i: int) -> int:
+            return address(counters) + i * 4
+
+        for i, stage in enumerate(stages):
+            source = i if i not in (0, len(admm)) else (None if i == 0 else open_list)
+            batch = KernelBatch(
+                states=address(states),
+                guess=None if guess is None else address(guess),
+                verdict=address(verdict),
+                residual=address(residual),
+                iterations=address(iterations),
+                forces=None if forces is None else address(forces),
+                velocity=None if velocity is None else address(velocity),
+                handoff=address(handoff),
+                list=None if source is None else row(source),
+                list_count=None if source is None else counter(2 * source),
+                ticket=counter(2 * i + 1),
+                large=row(i + 1),
+                large_count=counter(2 * (i + 1)),
+                open=row(open_list),
+                open_count=counter(2 * open_list),
+                scratch=None if stage.scratch is None else address(stage.scratch),
+                scratch_stride=stage.pool,
+                points_scratch=address(multipliers),
+                points_stride=self.layout.multiplier_bytes(),
+                pool_bytes=stage.pool,
+                count=count,
+            )
+            blocks = min(stage.blocks, count)
+            driver.launch(stage.kernel, blocks, stage.threads, stage.shared, (self._structure, self._options, batch))
+
+    def _stages(self, count: int) -> tuple[list[_Stage], list[_Stage], Any]:
+        """Launches for a batch of this size."""
+        few = count <= 2 * self.driver.multiprocessors
+        if few not in self._chains:
+            admm, interior = self._admm_stages(few), self._interior_stages(few)
+            rows = max(stage.blocks for stage in interior)
+            multipliers = self.driver.empty((rows * self.layout.multiplier_bytes() // 8,), np.float64)
+            self._chains[few] = admm, interior, multipliers
+        return self._chains[few]
+
+    def _admm_stages(self, few: bool) -> list[_Stage]:
+        """ADMM with one thread a group of contact points, from the size that most states have to the largest."""
+        driver, layout = self.driver, self.layout
+        needed = -(-max(layout.groups, 1) // 32) * 32
+        shares = (1.0,) if few else self.settings.gpu.admm_shares
+        stages = []
+        for share in shares:
+            threads = min(driver.most_threads, -(-int(share * needed) // 32) * 32)
+            shared = _aligned(layout.admm_bytes(share))
+            if shared <= self._shared_limit and (not stages or threads > stages[-1].threads):
+                blocks = driver.blocks("admm_shared", threads, shared)
+                stages.append(_Stage("admm_shared", threads, shared, blocks, None, shared))
+        if not stages or layout.groups > stages[-1].threads or layout.admm_bytes() > stages[-1].shared:
+            threads = driver.most_threads
+            stages.append(self._scratch_stage("admm_scratch", threads, layout.admm_bytes(on_chip=False)))
+        return stages
+
+    def _interior_stages(self, few: bool) -> list[_Stage]:
+        """The interior point method, from the memory that most states need to that of the largest."""
+        driver, layout, gpu = self.driver, self.layout, self.settings.gpu
+        threads = min(driver.most_threads, 256 if few else gpu.interior_threads)
+        largest = _aligned(layout.interior_bytes())
+        sizes = [_aligned(layout.interior_bytes(share)) for share in ((1.0,) if few else gpu.interior_shares)]
+        sizes = sorted({min(size, largest, self._shared_limit) for size in sizes})
+        stages = []
+        for shared in sizes:
+            blocks = driver.blocks("interior_shared", threads, shared)
+            stages.append(_Stage("interior_shared", threads, shared, blocks, None, shared))
+        if sizes[-1] < largest:
+            stages.append(self._scratch_stage("interior_scratch", threads, largest))
+        return stages
+
+    def _scratch_stage(self, kernel: str, threads: int, largest: int) -> _Stage:
+        largest = _aligned(largest)
+        blocks = self.driver.blocks(kernel, threads, 0)
+        scratch = self.driver.empty((blocks * largest // 8,), np.float64)
+        return _Stage(kernel, threads, 0, blocks, scratch, largest)
+
+    @property
+    def _shared_limit(self) -> int:
+        return (self.driver.shared_limit - _STATIC_SHARED) // 16 * 16
+
+
+def _aligned(size: int) -> int:
+    return -(-size // 16) * 16

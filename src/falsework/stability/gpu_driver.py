@@ -1,0 +1,182 @@
+"""The GPU: compiles the kernel for the device at hand, keeps arrays on it, launches on torch's current stream."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from functools import lru_cache
+from importlib import resources
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from falsework.errors import DependencyError, InputError, SolverError
+
+KERNEL_SOURCE = "gpu_kernel.cu"
+KERNELS = ("admm_shared", "admm_scratch", "interior_shared", "interior_scratch")
+"""Kernels of the source, in the order of its `PART`s: each is compiled when it is first needed."""
+
+
+class Driver(Protocol):
+    """What the solver needs of a device; the tests run the same kernel on the processor behind it."""
+
+    multiprocessors: int
+    shared_limit: int
+    """Most bytes of shared memory that a block can have."""
+    most_threads: int
+    """Most threads that a block can have."""
+
+    def put(self, array: NDArray) -> Any:
+        """Copy of an array on the device."""
+        ...
+
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
+        """Array on the device, contents undefined."""
+        ...
+
+    def zeros(self, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
+        """Array of zeros on the device."""
+        ...
+
+    def get(self, array: Any) -> NDArray:
+        """Copy of a device array here."""
+        ...
+
+    def address(self, array: Any) -> int:
+        """Where a device array lies."""
+        ...
+
+    def blocks(self, kernel: str, threads: int, shared: int) -> int:
+        """Blocks of a kernel that the device holds at a time."""
+        ...
+
+    def launch(
+        self, kernel: str, blocks: int, threads: int, shared: int, arguments: Sequence[ctypes.Structure]
+    ) -> None:
+        """Queue a kernel."""
+        ...
+
+
+class CudaDriver:
+    """A CUDA device, through torch for memory and streams and NVIDIA's `cuda-bindings` for compiling and launching."""
+
+    def __init__(self, device: str, defines: dict[str, int]) -> None:
+        try:
+            import torch
+        except ImportError as error:
+            raise DependencyError("the GPU solver needs torch; pip install 'falsework[gpu]'") from error
+        try:
+            import cuda.bindings.driver  # noqa: F401
+        except ImportError as error:
+            raise DependencyError("the GPU solver needs cuda-bindings; pip install 'falsework[gpu]'") from error
+        if not torch.cuda.is_available():
+            raise InputError("no CUDA device was found; use solver='cpu'")
+        self.device = torch.device(device)
+        if self.device.type != "cuda" or (self.device.index or 0) >= torch.cuda.device_count():
+            raise InputError(f"device is {device!r}; choose cuda or cuda:0 to cuda:{torch.cuda.device_count() - 1}")
+        if self.device.index is None:
+            self.device = torch.device("cuda", torch.cuda.current_device())
+        self._torch = torch
+        properties = torch.cuda.get_device_properties(self.device)
+        self.multiprocessors = properties.multi_processor_count
+        self.shared_limit = getattr(properties, "shared_memory_per_block_optin", 48 * 1024)
+        self.most_threads = 256  # what the kernels are compiled for
+        self._architecture = properties.major, properties.minor
+        self._defines = defines
+        self._functions: dict[str, Any] = {}
+        self._shared: dict[str, int] = {}
+
+    def put(self, array: NDArray) -> Any:
+        """Copy of an array on the device."""
+        return self._torch.from_numpy(np.require(array, requirements=["C", "W"])).to(self.device)
+
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
+        """Array on the device, contents undefined."""
+        return self._torch.empty(shape, dtype=self._type(dtype), device=self.device)
+
+    def zeros(self, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
+        """Array of zeros on the device."""
+        return self._torch.zeros(shape, dtype=self._type(dtype), device=self.device)
+
+    def get(self, array: Any) -> NDArray:
+        """Copy of a device array here."""
+        return array.cpu().numpy()
+
+    def address(self, array: Any) -> int:
+        """Where a device array lies."""
+        return array.data_ptr()
+
+    def blocks(self, kernel: str, threads: int, shared: int) -> int:
+        """Blocks of a kernel that the device holds at a time."""
+        from cuda.bindings import driver
+
+        function = self._function(kernel, shared)
+        each = _ask(driver.cuOccupancyMaxActiveBlocksPerMultiprocessor(function, threads, shared))
+        return self.multiprocessors * max(each, 1)
+
+    def launch(
+        self, kernel: str, blocks: int, threads: int, shared: int, arguments: Sequence[ctypes.Structure]
+    ) -> None:
+        """Queue a kernel on torch's current stream of the device."""
+        from cuda.bindings import driver
+
+        function = self._function(kernel, shared)
+        pointers = (ctypes.c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
+        stream = self._torch.cuda.current_stream(self.device).cuda_stream
+        with self._torch.cuda.device(self.device):
+            _ask(
+                driver.cuLaunchKernel(
+                    function, blocks, 1, 1, threads, 1, 1, shared, stream, ctypes.addressof(pointers), 0
+                )
+            )
+
+    def _type(self, dtype: DTypeLike) -> Any:
+        return getattr(self._torch, np.dtype(dtype).name)
+
+    def _function(self, kernel: str, shared: int) -> Any:
+        """A kernel, compiled and loaded at its first use, that may use this much shared memory."""
+        from cuda.bindings import driver
+
+        if kernel not in self._functions:
+            defines = {**self._defines, "PART": KERNELS.index(kernel)}
+            code = _compile(*self._architecture, tuple(sorted(defines.items())))
+            with self._torch.cuda.device(self.device):
+                self._torch.cuda.current_stream().synchronize()  # makes torch's context current
+                module = _ask(driver.cuModuleLoadData(code))
+            self._functions[kernel] = _ask(driver.cuModuleGetFunction(module, kernel.encode()))
+        function = self._functions[kernel]
+        if shared > self._shared.get(kernel, 0):
+            attribute = driver.CUfunction_attribute.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
+            _ask(driver.cuFuncSetAttribute(function, attribute, shared))
+            self._shared[kernel] = shared
+        return function
+
+
+@lru_cache(maxsize=32)
+def _compile(major: int, minor: int, defines: tuple[tuple[str, int], ...]) -> bytes:
+    """Machine code of the kernel for one architecture and one set of compile-time constants."""
+    from cuda.bindings import nvrtc
+
+    source = resources.files("falsework.stability").joinpath(KERNEL_SOURCE).read_bytes()
+    options = [f"--gpu-architecture=sm_{major}{minor}", "--std=c++17", "--fmad=true"]
+    options += [f"-D{name}={value}" for name, value in defines]
+    program = _ask(nvrtc.nvrtcCreateProgram(source, KERNEL_SOURCE.encode(), 0, [], []))
+    encoded = [option.encode() for option in options]
+    (status,) = nvrtc.nvrtcCompileProgram(program, len(encoded), encoded)
+    if status != nvrtc.nvrtcResult.NVRTC_SUCCESS:
+        log = b" " * _ask(nvrtc.nvrtcGetProgramLogSize(program))
+        _ask(nvrtc.nvrtcGetProgramLog(program, log))
+        raise SolverError(f"the GPU kernel does not compile for sm_{major}{minor}: {log.decode(errors='replace')}")
+    code = b" " * _ask(nvrtc.nvrtcGetCUBINSize(program))
+    _ask(nvrtc.nvrtcGetCUBIN(program, code))
+    _ask(nvrtc.nvrtcDestroyProgram(program))
+    return code
+
+
+def _ask(answer: tuple) -> Any:
+    """Result of a call of the driver, or an error with its name."""
+    status, *result = answer
+    if int(status) != 0:
+        raise SolverError(f"CUDA answered {status.name}; update the driver, or use solver='cpu'")
+    return result[0] if result else None

@@ -1,0 +1,331 @@
+"""A structure laid out for the GPU kernel: elimination by levels, contact points in groups, arrays by columns."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import InputError
+from falsework.stability.problem import Problem
+from falsework.stability.settings import StabilitySettings
+
+_INDEX_LIMIT = 0x7FFF
+_GROUP_SIZES = (3, 4, 5, 6)
+_GROUP_COST = 3
+"""Work of a group of contact points for itself, in contact points."""
+_INT_FIELDS = ("parts", "positions", "groups", "blocks", "levels", "points")
+_ARRAY_FIELDS = (
+    "position",
+    "level_start",
+    "column",
+    "row",
+    "block_column",
+    "row_start",
+    "row_block",
+    "update_start",
+    "update_left",
+    "update_right",
+    "group_part",
+    "group_first",
+    "group_count",
+    "incident_start",
+    "incident",
+    "block_start",
+    "block_group",
+    "point_single",
+    "point",
+    "arm_single",
+    "arm",
+    "local_single",
+    "mass",
+    "inertia",
+    "flexibility",
+    "gravity",
+)
+
+
+class KernelStructure(ctypes.Structure):
+    """`Structure` of the kernel."""
+
+    _fields_ = [  # noqa: RUF012
+        *((name, ctypes.c_int) for name in _INT_FIELDS),
+        *((name, ctypes.c_void_p) for name in _ARRAY_FIELDS),
+        ("weight", ctypes.c_double),
+        ("friction", ctypes.c_double),
+    ]
+
+
+class KernelOptions(ctypes.Structure):
+    """`Options` of the kernel."""
+
+    _fields_ = [  # noqa: RUF012
+        *((name, ctypes.c_double) for name in ("rho", "relaxation", "tolerance", "force_bound")),
+        *((name, ctypes.c_int) for name in ("iterations", "first_check", "check_every", "interior_steps")),
+    ]
+
+
+class KernelBatch(ctypes.Structure):
+    """`Batch` of the kernel."""
+
+    _fields_ = [  # noqa: RUF012
+        *(
+            (name, ctypes.c_void_p)
+            for name in (
+                "states",
+                "guess",
+                "verdict",
+                "residual",
+                "iterations",
+                "forces",
+                "velocity",
+                "handoff",
+                "list",
+                "list_count",
+                "ticket",
+                "large",
+                "large_count",
+                "open",
+                "open_count",
+                "scratch",
+            )
+        ),
+        ("scratch_stride", ctypes.c_longlong),
+        ("points_scratch", ctypes.c_void_p),
+        ("points_stride", ctypes.c_longlong),
+        ("pool_bytes", ctypes.c_longlong),
+        ("count", ctypes.c_int),
+    ]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Arrays of one structure as the kernel reads them; see `Structure` in `gpu_kernel.cu`."""
+
+    sizes: dict[str, int]
+    arrays: dict[str, NDArray]
+    weight: float
+    friction: float
+    group_size: int
+    """Most contact points of a group."""
+
+    def kernel_structure(self, addresses: dict[str, int]) -> KernelStructure:
+        """Argument of the kernel, given where each array was put."""
+        return KernelStructure(**self.sizes, **addresses, weight=self.weight, friction=self.friction)
+
+    @property
+    def groups(self) -> int:
+        """Groups of contact points of the whole structure."""
+        return self.sizes["groups"]
+
+    def admm_bytes(self, share: float = 1.0, *, on_chip: bool = True) -> int:
+        """Memory for ADMM on a state with this share of the structure; iterates may stay in registers."""
+        n, groups, blocks = self._counts(share)
+        points = 0 if on_chip else groups * self.group_size
+        return self._index_bytes() + 4 * (36 * (n + blocks) + 12 * n + 6 * points) + 96 * groups
+
+    def interior_bytes(self, share: float = 1.0) -> int:
+        """Memory for the interior point method on a state with this share of the structure."""
+        n, groups, blocks = self._counts(share)
+        return self._index_bytes() + 8 * (36 * (n + blocks) + 24 * n + 33 * groups)
+
+    def multiplier_bytes(self) -> int:
+        """Memory for the multipliers and slacks of the largest state."""
+        return self.groups * self.group_size * 16 * 8
+
+    def _counts(self, share: float) -> tuple[int, ...]:
+        return tuple(-int(-share * self.sizes[name] // 1) for name in ("positions", "groups", "blocks"))
+
+    def _index_bytes(self) -> int:
+        n, groups, blocks = self._counts(1.0)
+        words = 2 * (8 * n + 2 * self.sizes["levels"] + 6 * groups + 3 * blocks) + 4 * blocks
+        return words + max(n, groups, blocks) // 8 + 32 * 16  # each of the thirty-odd arrays starts at 16 bytes
+
+
+def kernel_options(settings: StabilitySettings) -> KernelOptions:
+    """Argument of the kernel from the settings."""
+    gpu = settings.gpu
+    return KernelOptions(
+        rho=gpu.rho,
+        relaxation=gpu.relaxation,
+        tolerance=settings.tolerance,
+        force_bound=settings.force_bound,
+        iterations=gpu.iterations,
+        first_check=gpu.first_check,
+        check_every=gpu.check_every,
+        interior_steps=gpu.interior_steps,
+    )
+
+
+def build_layout(problem: Problem, group_size: int | None = None) -> Layout:
+    """Lay a problem out for the kernel.
+
+    Args:
+        problem: the structure.
+        group_size: most contact points of a pair that one thread takes; by default what wastes least.
+
+    Raises:
+        InputError: the structure has more contacts or fill than the kernel can index.
+    """
+    pattern = _eliminate(problem)
+    if group_size is None:
+        group_size = min(_GROUP_SIZES, key=lambda size: (size + _GROUP_COST) * len(_groups(problem, size)[0]))
+    first, count, pair = _groups(problem, group_size)
+    groups, n = len(first), len(pattern["column"]) - 1
+    if max(groups, len(pattern["row"]), n) >= _INDEX_LIMIT:
+        raise InputError(
+            f"{groups} groups of contact points and {len(pattern['row'])} blocks of fill are more than the GPU solver "
+            f"can index ({_INDEX_LIMIT}); use solver='cpu'"
+        )
+    position = pattern["position"]
+    part = problem.pair_parts[pair].T.copy() if groups else np.zeros((2, 0), np.int32)
+    block = pattern.pop("pair_block")[pair]
+    incident_start, incident = _lists(position[part].T.ravel(), np.arange(2 * groups), n)
+    block_start, block_group = _lists(block, np.arange(groups), len(pattern["row"]))
+    arrays: dict[str, NDArray] = {
+        **pattern,
+        "group_part": part,
+        "group_first": first,
+        "group_count": count,
+        "incident_start": incident_start,
+        "incident": incident,
+        "block_start": block_start,
+        "block_group": block_group,
+    }
+    arrays = {name: np.ascontiguousarray(array, dtype=np.int32) for name, array in arrays.items()}
+    arrays |= _mechanics(problem, first, count, pair, position, group_size)
+    sizes = {
+        "parts": problem.parts,
+        "positions": n,
+        "groups": groups,
+        "blocks": len(pattern["row"]),
+        "levels": len(pattern["level_start"]) - 1,
+        "points": problem.points,
+    }
+    return Layout(sizes, arrays, problem.weight, problem.friction, group_size)
+
+
+def _eliminate(problem: Problem) -> dict[str, NDArray]:
+    """Symbolic elimination in an order whose tree is shallow, with positions numbered level by level.
+
+    Minimum degree, ties broken by the fewest levels below: the fill of minimum degree with a fifth fewer levels
+    (vault-62 17 instead of 21, dome-72 24 instead of 30), and levels are what a solve has to wait for.
+    """
+    removable = np.flatnonzero(~problem.boundary)
+    neighbours: dict[int, set[int]] = {int(part): set() for part in removable}
+    for a, b in problem.pair_parts.tolist():
+        if a in neighbours and b in neighbours:
+            neighbours[a].add(b)
+            neighbours[b].add(a)
+    level = dict.fromkeys(neighbours, 0)
+    below: dict[int, set[int]] = {}
+    while neighbours:
+        part = min(neighbours, key=lambda candidate: (len(neighbours[candidate]), level[candidate], candidate))
+        below[part] = clique = neighbours.pop(part)
+        for other in clique:
+            neighbours[other] |= clique
+            neighbours[other] -= {other, part}
+            level[other] = max(level[other], level[part] + 1)
+
+    order = sorted(below, key=lambda part: level[part])  # stable: a part comes after all that it waits for
+    n = len(order)
+    position = np.full(problem.parts, -1)
+    position[order] = np.arange(n)
+    rows = [sorted(int(position[other]) for other in below[part]) for part in order]
+    column = np.cumsum([0] + [len(entries) for entries in rows])
+    row = np.array([i for entries in rows for i in entries], dtype=np.int64)
+    block_column = np.repeat(np.arange(n), np.diff(column))
+    block_of = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(row, block_column, strict=True))}
+    updates: list[list[tuple[int, int]]] = [[] for _ in range(len(row) + n)]
+    for j in range(n):
+        for right in range(column[j], column[j + 1]):
+            updates[len(row) + row[right]].append((right, right))
+            for left in range(right + 1, column[j + 1]):
+                updates[block_of[int(row[left]), int(row[right])]].append((left, right))
+    update = np.array([pair for entries in updates for pair in entries], dtype=np.int64).reshape(-1, 2)
+    row_start, row_block = _lists(row, np.arange(len(row)), n)
+    pair_block = [
+        block_of[max(i, j), min(i, j)] if i >= 0 and j >= 0 else -1 for i, j in position[problem.pair_parts].tolist()
+    ]
+    depth = max(level.values(), default=-1) + 1
+    return {
+        "position": position,
+        "level_start": np.searchsorted([level[part] for part in order], np.arange(depth + 1)),
+        "column": column,
+        "row": row,
+        "block_column": block_column,
+        "row_start": row_start,
+        "row_block": row_block,
+        "update_start": np.cumsum([0] + [len(entries) for entries in updates]),
+        "update_left": update[:, 0],
+        "update_right": update[:, 1],
+        "pair_block": np.array(pair_block, dtype=np.int64),
+    }
+
+
+def _groups(problem: Problem, size: int) -> tuple[NDArray, NDArray, NDArray]:
+    """First point, number of points and pair of every group: pairs cut into even runs of at most `size` points."""
+    first, count, pair = [], [], []
+    for q in range(problem.pairs):
+        start, stop = int(problem.pair_start[q]), int(problem.pair_start[q + 1])
+        for run in np.array_split(np.arange(start, stop), -(-(stop - start) // size)):
+            first.append(int(run[0]))
+            count.append(len(run))
+            pair.append(q)
+    return np.array(first, dtype=np.int64), np.array(count, dtype=np.int64), np.array(pair, dtype=np.int64)
+
+
+def _lists(keys: NDArray, values: NDArray, count: int) -> tuple[NDArray, NDArray]:
+    """Values by key in compressed rows; negative keys are left out."""
+    keep = keys >= 0
+    keys, values = keys[keep], values[keep]
+    start = np.concatenate([[0], np.cumsum(np.bincount(keys, minlength=count))])
+    return start, values[np.argsort(keys, kind="stable")]
+
+
+def _mechanics(
+    problem: Problem, first: NDArray, count: NDArray, pair: NDArray, position: NDArray, size: int
+) -> dict[str, NDArray]:
+    """Masses, arms and contact points, in float64 and where ADMM reads them in float32 too."""
+    groups = len(first)
+    axes, moments = problem.basis[:, :3], problem.basis[:, 3:]
+    norm = (axes**2).sum(axis=(1, 2))  # three orthogonal axes of one length: sum of a x (r x a) is 2/3 norm r
+    arms = 1.5 * np.cross(axes, moments, axis=1).sum(axis=2) / norm[:, None]
+    point = np.zeros((size, 13, groups))
+    point[:, 12] = 1.0
+    for i in range(size):
+        rows = np.flatnonzero(count > i)
+        at = first[rows] + i
+        point[i, :9, rows] = axes[at].reshape(-1, 9)
+        point[i, 9:12, rows] = arms[at]
+        point[i, 12, rows] = problem.force_scale[at]
+    stiffness = np.zeros((groups, 6, 6))
+    group_of_point = np.repeat(np.arange(groups), count)
+    np.add.at(stiffness, group_of_point, problem.basis @ problem.basis.transpose(0, 2, 1))
+    low = np.tril_indices(6)
+
+    arm = np.zeros((6, groups))
+    for side, (transfer, sign) in enumerate(((problem.transfer_a, -1.0), (problem.transfer_b, 1.0))):
+        # Undo the whitening; what is left is [1 0; arm x 1]. Boundary parts have zeros, and are never asked for.
+        shift = sign * problem.momentum[problem.pair_parts[:, side]] @ transfer
+        arm[side * 3 : side * 3 + 3] = np.stack([shift[:, 5, 1], shift[:, 3, 2], shift[:, 4, 0]])[:, pair]
+    order = np.argsort(np.where(position < 0, len(position), position))[: int((position >= 0).sum())]
+    factor = problem.momentum[order]
+    inertia = factor[:, 3:, 3:] @ factor[:, 3:, 3:].transpose(0, 2, 1)
+    turn = problem.acceleration[order][:, 3:, 3:]
+    flexibility = turn @ turn.transpose(0, 2, 1)
+    single = point[:, :12].reshape(size, 3, 4, groups).transpose(0, 1, 3, 2)
+    arrays = {
+        "point_single": single.astype(np.float32),
+        "point": point,
+        "arm_single": arm.astype(np.float32),
+        "arm": arm,
+        "local_single": stiffness[:, low[0], low[1]].T.astype(np.float32),
+        "mass": factor[:, 0, 0] ** 2,
+        "inertia": inertia.reshape(-1, 9).T,
+        "flexibility": flexibility.reshape(-1, 9).T,
+        "gravity": problem.gravity_wrench[order].T,
+    }
+    return {name: np.ascontiguousarray(array) for name, array in arrays.items()}
