@@ -45,8 +45,12 @@ suppress_warnings = ["misc.highlighting_failure"]
 
 
 def _code_in_backticks(_app, _what, _name, _object, _options, lines: list[str]) -> None:
-    """Docstrings write code between single backticks, as Markdown does."""
-    lines[:] = [re.sub(r"(?<![`:\w])`([^`]+)`(?!`)", r"``\1``", line) for line in lines]
+    """Docstrings write code between single backticks, as Markdown does, and bars for norms."""
+    for number, line in enumerate(lines):
+        pieces = re.split(r"(``.*?``|(?<![`:\w])`[^`]+`(?!`))", line)
+        pieces[::2] = [text.replace("|", r"\|") for text in pieces[::2]]
+        pieces[1::2] = [f"``{code.strip('`')}``" for code in pieces[1::2]]
+        lines[number] = "".join(pieces)
 
 
 def setup(app: Sphinx) -> None:
