@@ -1,0 +1,36 @@
+"""Built-in structures: parametric, deterministic, with nothing to download.
+
+Each is a function that returns an `Assembly`, here and as `build("arch:blocks=15,thickness=0.2")`.
+"""
+
+from __future__ import annotations
+
+from falsework.assembly.library.arches import arch, catenary
+from falsework.assembly.library.blocks import Blocks
+from falsework.assembly.library.catalogue import Parameter, Structure
+from falsework.assembly.library.corbels import corbel
+from falsework.assembly.library.domes import dome
+from falsework.assembly.library.polycubes import polycube
+from falsework.assembly.library.polyominoes import bottle
+from falsework.assembly.library.specification import build, is_built_in, structures
+from falsework.assembly.library.stacks import stack
+from falsework.assembly.library.vaults import vault
+from falsework.assembly.library.walls import wall
+
+__all__ = [
+    "Blocks",
+    "Parameter",
+    "Structure",
+    "arch",
+    "bottle",
+    "build",
+    "catenary",
+    "corbel",
+    "dome",
+    "is_built_in",
+    "polycube",
+    "stack",
+    "structures",
+    "vault",
+    "wall",
+]
