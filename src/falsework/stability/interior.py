@@ -144,8 +144,10 @@ def _start(structure, work, pairs, octagon, mu, r):
     for j in range(points):
         mean_force += z[j, 0]
         mean_slack += abs(v[j, 0])
-    mean_force = max(mean_force / points, 1e-8)
-    mean_slack = max(mean_slack / points, 1e-8)
+    # Where ADMM has found nothing yet, start from a share of what gravity asks of a contact point.
+    least = 0.01 * math.sqrt(dot(work, r, r) / points)
+    mean_force = max(mean_force / points, least)
+    mean_slack = max(mean_slack / points, least)
     for j in range(points):
         force = z[j, 0] + mean_force
         slack = max(v[j, 0], 0.0) + mean_slack
