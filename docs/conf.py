@@ -7,8 +7,12 @@ import io
 import os
 import re
 import sys
+import textwrap
 from pathlib import Path
+from typing import Any
 
+from docutils import nodes
+from latex2mathml.converter import convert
 from sphinx.application import Sphinx
 
 HERE = Path(__file__).parent
@@ -22,10 +26,11 @@ author = "The falsework authors"
 project_copyright = "The falsework authors, Apache-2.0"
 version = release = __version__
 
-extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx.ext.viewcode", "myst_parser"]
+extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "myst_parser"]
 exclude_patterns = ["_build", "_generated", "pictures"]
 nitpicky = False
 
+html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = f"falsework {__version__}"
 html_static_path: list[str] = []
@@ -53,8 +58,22 @@ def _code_in_backticks(_app, _what, _name, _object, _options, lines: list[str]) 
         lines[number] = "".join(pieces)
 
 
+def _inline_formula(translator: Any, node: nodes.math) -> None:
+    translator.body.append(convert(node.astext()))
+    raise nodes.SkipNode
+
+
+def _display_formula(translator: Any, node: nodes.math_block) -> None:
+    translator.body.append(f'<div class="math">{convert(node.astext(), display="block")}</div>')
+    raise nodes.SkipNode
+
+
 def setup(app: Sphinx) -> None:
     """Connect what is defined here."""
+    # Formulas as MathML: every browser shows it, without scripts from elsewhere.
+    app.add_html_math_renderer(
+        "mathml", inline_renderers=(_inline_formula, None), block_renderers=(_display_formula, None)
+    )
     # Before napoleon, which takes the first colon for the end of a type even inside code.
     app.connect("autodoc-process-docstring", _code_in_backticks, priority=400)
 
@@ -63,14 +82,15 @@ def _write_help_texts() -> None:
     """Help texts as the command prints them, for the page on the command line."""
     folder = HERE / "_generated"
     folder.mkdir(exist_ok=True)
-    os.environ["COLUMNS"] = "96"
+    os.environ["COLUMNS"] = "84"
     for name in ["", *COMMANDS]:
         text = io.StringIO()
         with contextlib.redirect_stdout(text):
             code = main([*name.split(), "--help"])
         if code != 0:
             raise RuntimeError(f"falsework {name} --help failed")
-        (folder / f"help-{name or 'falsework'}.txt").write_text(text.getvalue(), encoding="utf-8")
+        lines = [line if line[:1] in ("", " ") else textwrap.fill(line, 84) for line in text.getvalue().splitlines()]
+        (folder / f"help-{name or 'falsework'}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 _write_help_texts()

@@ -105,7 +105,7 @@ def slope(path: Path) -> None:
             if stands
             else "the force that would balance\nlies outside the cone"
         )
-        place = (contact[0] + 0.15, contact[1] + 1.45)
+        place = contact + ([0.42, 1.12] if stands else [0.15, 1.45])
         axis.annotate(text, place, color=FORCE, ha="left", va="bottom", fontsize=9)
         axis.annotate(f"$\\alpha = {degrees:.0f}°$", (0.62, 0.06), color=INK, fontsize=10)
         relation = "\\leq" if stands else ">"

@@ -1,6 +1,6 @@
 """One robot cannot build an arch. Prove it, and count the plans that two robots have.
 
-Run: python examples/05_no_plan.py
+Run: python examples/06_no_plan.py
 """
 
 from __future__ import annotations

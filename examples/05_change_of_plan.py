@@ -1,6 +1,6 @@
 """A part comes late, another must not be touched: plan again, and choose among plans that differ.
 
-Run: python examples/04_change_of_plan.py
+Run: python examples/05_change_of_plan.py
 """
 
 from __future__ import annotations

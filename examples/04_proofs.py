@@ -1,6 +1,6 @@
 """Why a structure stands or falls: forces that balance it, or a motion by which it collapses.
 
-Run: python examples/03_proofs.py
+Run: python examples/04_proofs.py
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Make an assembly from meshes of your own, save it as a folder, and read it back.
 
-Run: python examples/02_your_own_meshes.py
+Run: python examples/03_your_own_meshes.py
 """
 
 from __future__ import annotations
