@@ -1,0 +1,371 @@
+"""Beam search as tensors on one device, by one process or several (paper, section 5.1)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from falsework.assembly.state import States
+from falsework.errors import InputError
+from falsework.search.beam import BeamSettings, Level
+from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
+from falsework.search.shards import Shards
+from falsework.search.task import Direction, Task
+from falsework.search.tensor_clusters import k_means
+from falsework.search.tensor_judge import TensorJudge, TensorOracle
+from falsework.search.tensor_rules import TensorRules
+from falsework.search.tensors import import_torch, mix
+
+if TYPE_CHECKING:
+    import torch
+
+    TensorGuide = Callable[[torch.Tensor, torch.Tensor, Direction], torch.Tensor]
+    """As `Guide`, on tensors; must give the same scores in every process."""
+
+_REPORTED = 64
+"""States handed back as deepest and as rejected, at most."""
+_CHUNK_BYTES = 1 << 28
+"""States written down at once where they are only looked at, in bytes."""
+
+
+@dataclass(eq=False)
+class _TensorLevel:
+    """States kept the same number of steps away from the origin, as in `Level`, with their hashes."""
+
+    states: torch.Tensor
+    parent: torch.Tensor
+    action: torch.Tensor
+    score: torch.Tensor
+    hashes: torch.Tensor
+
+
+@dataclass(eq=False)
+class _Candidates:
+    """Distinct states one move away from a level, ordered by hash and not written down."""
+
+    parent: torch.Tensor
+    action: torch.Tensor
+    hashes: torch.Tensor
+    score: torch.Tensor
+    free: torch.Tensor
+    """Stable because the level is."""
+
+    def __len__(self) -> int:
+        return len(self.parent)
+
+    def take(self, rows: torch.Tensor) -> _Candidates:
+        """Some of the candidates."""
+        return _Candidates(*(getattr(self, name)[rows] for name in ("parent", "action", "hashes", "score", "free")))
+
+
+class DeviceBeam:
+    """The beam search of `BeamSearch` with all states on one device from the first level to the last.
+
+    Rules, direction, width, diversity and verdicts mean the same; which of equally good states survive differs, since
+    random numbers come from the hashes of states. A level reads six numbers back to the host (sizes of lists), one
+    more with a clearance table; nothing else leaves the device before the end. Several processes share verdicts and
+    clustering and repeat the rest, which is cheap, each for itself (docs/decisions/0012): for one seed the levels are
+    the same whatever the number of processes.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        oracle: TensorOracle,
+        settings: BeamSettings = BeamSettings(),
+        *,
+        device: torch.device | str = "cpu",
+        guide: TensorGuide | None = None,
+        shards: Shards = Shards(),
+    ) -> None:
+        """Begin at the origin of the direction; the start and the target are taken as stable.
+
+        Args:
+            task: rules between start and target.
+            oracle: verdicts on tensors.
+            settings: width, direction, diversity and seed; levels are always judged whole (`ahead` is 0).
+            device: where the search lives.
+            guide: scores actions.
+            shards: the processes that search together; all must be given the same task, settings and guide.
+
+        Raises:
+            DependencyError: torch is not installed.
+            InputError: settings that ask for verdicts one after the other.
+        """
+        if settings.ahead:
+            raise InputError("a beam on a device judges whole levels; set ahead to 0, or use BeamSearch")
+        torch = import_torch()
+        self.task = task
+        self.settings = settings
+        self.device = torch.device(device)
+        self.shards = shards
+        self.exhaustive = True
+        """No state was left out so far: if the search dies now, there is no plan."""
+        self._rules = TensorRules(task, settings.direction, self.device)
+        self._judge = TensorJudge(oracle, shards)
+        self._guide = guide
+        self._candidates = self._asked = 0
+        self._refused = torch.zeros(2, dtype=torch.int64, device=self.device)
+        """Not stable, and of these undecided."""
+        self._rejected = np.empty((0, task.part_count), dtype=np.uint8)
+        self._seconds = 0.0
+        self._levels: list[_TensorLevel] = []
+        self._host: list[Level] = []
+        origin = self._rules.origin()
+        self._dead = not task.contains(task.origin(settings.direction)[None])[0]
+        if not self._dead:
+            none = torch.zeros(1, dtype=torch.int64, device=self.device)
+            self._levels.append(_TensorLevel(origin, none, none - 1, none.double(), self._rules.hashes(origin)))
+
+    @property
+    def found(self) -> bool:
+        """Whether the goal is reached."""
+        return len(self._levels) == self.task.steps + 1
+
+    @property
+    def done(self) -> bool:
+        """Whether the goal is reached or nothing is left to expand."""
+        return self._dead or self.found
+
+    @property
+    def counters(self) -> SearchCounters:
+        """Work done so far, by all processes."""
+        states = sum(len(level.states) for level in self._levels)
+        return SearchCounters(states, self._candidates, self._asked, int(self._refused[0]))
+
+    @property
+    def levels(self) -> list[Level]:
+        """Levels so far, copied to the host."""
+        for level in self._levels[len(self._host) :]:
+            columns = (level.states, level.parent, level.action, level.score)
+            self._host.append(Level(*(column.cpu().numpy() for column in columns)))
+        return self._host
+
+    def states(self) -> States:
+        """All states kept so far, level by level from the origin. Shape (count, parts)."""
+        empty = np.empty((0, self.task.part_count), dtype=np.uint8)
+        return np.concatenate([empty, *(level.states for level in self.levels)])
+
+    def step(self) -> bool:
+        """Find the next level; False if there is none."""
+        torch = import_torch()
+        if self.done:
+            return False
+        level, width = self._levels[-1], self.settings.width
+        candidates = self._expand(level)
+        stable = candidates.free.clone()
+        asked = (~stable).nonzero()[:, 0]
+        if len(asked):
+            mine = candidates.take(asked[self.shards.interleaved()])
+            states = self._rules.follow(level.states[mine.parent], mine.action)
+            verdicts = self._judge.verdicts(states, level.states[mine.parent], len(asked))
+            stable[asked] = verdicts == 1
+            self._refused += torch.stack([(verdicts != 1).sum(), (verdicts == 0).sum()])
+        rows = stable.nonzero()[:, 0]
+        self._candidates += len(candidates)
+        self._asked += len(asked)
+        self.exhaustive &= len(rows) <= width
+        self._dead = len(rows) == 0
+        if self._dead:
+            some = candidates.take(asked[:_REPORTED])
+            self._rejected = self._rules.follow(level.states[some.parent], some.action).cpu().numpy()
+            return False
+        kept = candidates.take(self._choose(level, candidates.take(rows), rows))
+        self._levels.append(
+            _TensorLevel(
+                self._rules.follow(level.states[kept.parent], kept.action),
+                kept.parent,
+                kept.action,
+                kept.score,
+                kept.hashes,
+            )
+        )
+        return True
+
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        """Step until the goal is reached, nothing is left, or somebody stops it.
+
+        Args:
+            progress: called after every level.
+            stop: asked before every level; with several processes it must answer alike in all of them.
+
+        Returns:
+            A found route, or how far the search came.
+        """
+        begun = time.perf_counter()
+        interrupted = False
+        try:
+            while not self.done:
+                if stop is not None and stop():
+                    interrupted = True
+                    break
+                self.step()
+                if progress is not None:
+                    progress(self._report(self._seconds + time.perf_counter() - begun))
+        except KeyboardInterrupt:
+            interrupted = True
+        result = self.result(interrupted=interrupted)
+        self._seconds += time.perf_counter() - begun
+        return result
+
+    def route(self) -> Route:
+        """The best scored way from start to target, in disassembly order; only once `found`."""
+        if not self.found:
+            raise InputError("the beam search has not reached its goal; there is no route yet")
+        row, states = 0, []
+        for level in reversed(self.levels):
+            states.append(level.states[row])
+            row = int(level.parent[row])
+        if self.settings.direction is Direction.DISASSEMBLY:
+            states.reverse()
+        return Route.through(np.array(states))
+
+    def result(self, *, interrupted: bool = False) -> SearchResult:
+        """Where the search stands; `interrupted` if it is to be called unfinished."""
+        undecided, limit = int(self._refused[1]), ""
+        outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
+        if not self.found and not interrupted:
+            if not self.exhaustive:
+                limit = f"the beam keeps {self.settings.width} states a level; a wider one may find a plan"
+            elif undecided:
+                limit = f"{undecided} states could be proved neither stable nor unstable"
+            else:
+                outcome = Outcome.PROVED_IMPOSSIBLE
+        return SearchResult(
+            outcome=outcome,
+            routes=(self.route(),) if self.found else (),
+            direction=self.settings.direction,
+            steps=self.task.steps,
+            reached=max(len(self._levels) - 1, 0),
+            deepest=self.levels[-1].states[:_REPORTED] if self._levels else self._rejected[:0],
+            rejected=self._rejected,
+            counters=self.counters,
+            seconds=self._seconds,
+            interrupted=interrupted,
+            limit=limit,
+            undecided=undecided,
+            notes=tuple(self._judge.notes),
+        )
+
+    def _report(self, seconds: float) -> SearchProgress:
+        kept = len(self._levels[-1].states) if self._levels else 0
+        return SearchProgress(
+            self.settings.direction,
+            len(self._levels) - 1,
+            self.task.steps,
+            kept,
+            self.settings.width,
+            self._asked,
+            seconds,
+        )
+
+    def _expand(self, level: _TensorLevel) -> _Candidates:
+        """Every legal move from a level; states reached twice are kept once, dead ends not at all."""
+        torch = import_torch()
+        rules = self._rules
+        mask = rules.moves(level.states)
+        index = mask.view(-1).nonzero()[:, 0]
+        parent, action = index // mask.shape[1], index % mask.shape[1]
+        hashes = rules.hashes_after(level.states, level.hashes, action, parent)
+        first, group = self._merge(level, hashes, parent, action)
+        free = torch.zeros(len(first), dtype=torch.int32, device=self.device)
+        free.index_add_(0, group, (~rules.needs_verdict(action)).int())
+        score = level.score[parent[first]]
+        if self._guide is not None:
+            scores = self._guide(level.states, mask, self.settings.direction)
+            if scores.shape != mask.shape:
+                raise InputError(
+                    f"the guide returned scores of shape {tuple(scores.shape)}; expected {tuple(mask.shape)}"
+                )
+            score = score + scores.double().view(-1)[index[first]]
+        candidates = _Candidates(parent[first], action[first], hashes[first], score, free > 0)
+        if self.task.clearance is None:
+            return candidates
+        alive = torch.ones(len(candidates), dtype=torch.bool, device=self.device)
+        for rows in self._chunks(len(candidates)):
+            states = rules.follow(level.states[candidates.parent[rows]], candidates.action[rows])
+            alive[rows] = ~rules.dead_ends(states)
+        return candidates.take(alive.nonzero()[:, 0])
+
+    def _merge(
+        self, level: _TensorLevel, hashes: torch.Tensor, parent: torch.Tensor, action: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Find equal states among many.
+
+        Returns:
+            First occurrence of each distinct state, ordered by hash, shape (distinct,), and for every state the
+            position of its representative in that list.
+        """
+        torch = import_torch()
+        count = len(hashes)
+        if count == 0:
+            return parent, parent
+        ordered, order = torch.sort(hashes, stable=True)
+        repeats = torch.zeros(count, dtype=torch.bool, device=self.device)
+        repeats[1:] = ordered[1:] == ordered[:-1]
+        differ = torch.zeros((), dtype=torch.int64, device=self.device)
+        previous = torch.roll(order, 1)
+        for rows in self._chunks(count):
+            one, two = (
+                self._rules.follow(level.states[parent[which[rows]]], action[which[rows]])
+                for which in (order, previous)
+            )
+            differ += ((one != two).any(dim=1) & repeats[rows]).sum()
+        distinct, collisions = torch.stack([count - repeats.sum(), differ]).tolist()
+        if collisions:
+            # Two states share a word of 64 bits: compare all states themselves, once in the life of a universe.
+            states = self._rules.follow(level.states[parent], action)
+            _, group = torch.unique(states, dim=0, return_inverse=True)
+            distinct = int(group.max()) + 1
+            order = torch.sort(group, stable=True).indices
+            repeats[1:] = group[order][1:] == group[order][:-1]
+        place = torch.cumsum(~repeats, dim=0) - 1
+        # Repeats write to a place that is cut off, since a list of unknown length would have to be waited for.
+        first = torch.empty(distinct + 1, dtype=torch.int64, device=self.device)
+        first.scatter_(0, torch.where(repeats, distinct, place), order)
+        return first[:distinct], torch.empty_like(place).scatter_(0, order, place)
+
+    def _choose(self, level: _TensorLevel, stable: _Candidates, rows: torch.Tensor) -> torch.Tensor:
+        """Which of the stable candidates the beam keeps: `width` of `rows`, best scored first."""
+        torch = import_torch()
+        width = self.settings.width
+        words = mix(stable.hashes, (self.settings.seed << 20) + len(self._levels))
+        order = torch.argsort(words, stable=True)
+        if len(order) > width and self.settings.diversity == "k-means":
+            room = max(self.settings.pool // self.task.part_count, 2 * width)
+            # Candidates are in random order now, so the first ones are a fair sample.
+            order = order[:room]
+            mine, _ = self.shards.block(len(order))
+            block = stable.take(order[mine])
+            states = self._rules.follow(level.states[block.parent], block.action)
+            labels, distance = k_means(states, len(order), words[order[mine]], width, shards=self.shards)
+            order = self._deal(order, labels, distance, stable.score)
+        else:
+            order = order[torch.argsort(-stable.score[order], stable=True)]
+        order = order[:width]
+        return rows[order[torch.argsort(-stable.score[order], stable=True)]]
+
+    def _deal(
+        self, order: torch.Tensor, labels: torch.Tensor, distance: torch.Tensor, score: torch.Tensor
+    ) -> torch.Tensor:
+        """The best of each cluster, then the next of each, and so on; best scored, then nearest to the centre."""
+        torch = import_torch()
+        by = torch.argsort(distance, stable=True)
+        if self._guide is not None:
+            by = by[torch.argsort(-score[order[by]], stable=True)]
+        by = by[torch.argsort(labels[by], stable=True)]
+        ordered = labels[by]
+        place = torch.arange(len(by), device=self.device)
+        begins = torch.ones_like(ordered, dtype=torch.bool)
+        begins[1:] = ordered[1:] != ordered[:-1]
+        rank = place - torch.cummax(torch.where(begins, place, 0), dim=0).values
+        return order[by[torch.argsort(rank, stable=True)]]
+
+    def _chunks(self, count: int) -> list[slice]:
+        """Rows whose states fit into a bounded piece of memory."""
+        rows = max(_CHUNK_BYTES // max(self.task.part_count, 1), 1)
+        return [slice(begin, begin + rows) for begin in range(0, count, rows)]

@@ -1,0 +1,121 @@
+"""Several processes at one search: who does which share, and how the shares come together."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from falsework.errors import InputError
+from falsework.search.tensors import choose_device, import_torch
+
+if TYPE_CHECKING:
+    import torch
+
+
+@dataclass(frozen=True)
+class Shards:
+    """One process among the processes of one search.
+
+    Whatever is combined is combined exactly, as integers or unchanged, so that the number of processes does not show
+    in the result.
+    """
+
+    rank: int = 0
+    size: int = 1
+    group: Any = None
+    """Process group of `torch.distributed`; the default one if None."""
+
+    @classmethod
+    def of_group(cls, group: Any = None) -> Shards:
+        """The processes of a group of `torch.distributed`, or this process alone where that is not set up."""
+        import_torch()
+        import torch.distributed as dist
+
+        if not (dist.is_available() and dist.is_initialized()):
+            return cls()
+        return cls(dist.get_rank(group), dist.get_world_size(group), group)
+
+    @property
+    def first(self) -> bool:
+        """Whether this process is the one that reports and writes files."""
+        return self.rank == 0
+
+    def interleaved(self) -> slice:
+        """Every `size`-th of some items: similar neighbours are spread over the processes."""
+        return slice(self.rank, None, self.size)
+
+    def block(self, count: int) -> tuple[slice, int]:
+        """One stretch of `count` items for this process, and how long the longest stretch is."""
+        each = -(-count // self.size)
+        return slice(min(self.rank * each, count), min((self.rank + 1) * each, count)), each
+
+    def add(self, tensor: torch.Tensor) -> torch.Tensor:
+        """Sum over the processes, in place; only ever of integers, so that the order does not matter."""
+        if self.size > 1:
+            import torch.distributed as dist
+
+            dist.all_reduce(tensor, group=self.group)
+        return tensor
+
+    def gather(self, tensor: torch.Tensor) -> torch.Tensor:
+        """The tensors of all processes, which have the same shape, one after the other."""
+        if self.size == 1:
+            return tensor
+        torch = import_torch()
+        import torch.distributed as dist
+
+        whole = torch.empty((self.size * len(tensor), *tensor.shape[1:]), dtype=tensor.dtype, device=tensor.device)
+        dist.all_gather_into_tensor(whole, tensor.contiguous(), group=self.group)
+        return whole
+
+    def gather_blocks(self, tensor: torch.Tensor, count: int) -> torch.Tensor:
+        """Join the stretches that `block(count)` dealt out; shape (count, ...)."""
+        if self.size == 1:
+            return tensor
+        _, each = self.block(count)
+        padded = tensor.new_zeros((each, *tensor.shape[1:]))
+        padded[: len(tensor)] = tensor
+        return self.gather(padded)[:count]
+
+
+@contextmanager
+def joined(device: str = "auto") -> Iterator[tuple[Shards, torch.device]]:
+    """Join the processes that `torchrun` started, for the length of a `with` block; alone without it.
+
+    Each process takes the GPU of its local rank and NCCL, or the processor and gloo.
+
+    Args:
+        device: `auto`, `cpu` or `cuda`.
+
+    Yields:
+        The shards and the device of this process.
+
+    Raises:
+        DependencyError: torch is not installed.
+        InputError: no such device, or more processes on this machine than GPUs.
+    """
+    torch = import_torch()
+    import torch.distributed as dist
+
+    if "RANK" not in os.environ or "WORLD_SIZE" not in os.environ or dist.is_initialized():
+        yield Shards.of_group(), choose_device(device)
+        return
+    chosen = choose_device(device)
+    if chosen.type == "cuda":
+        local = int(os.environ.get("LOCAL_RANK", "0"))
+        if local >= torch.cuda.device_count():
+            raise InputError(
+                f"process {local} of this machine has no GPU of its own; start {torch.cuda.device_count()} processes"
+            )
+        torch.cuda.set_device(local)
+        chosen = torch.device("cuda", local)
+        dist.init_process_group("nccl", device_id=chosen)
+    else:
+        dist.init_process_group("gloo")
+    try:
+        yield Shards.of_group(), chosen
+    finally:
+        dist.destroy_process_group()

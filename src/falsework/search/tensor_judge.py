@@ -1,0 +1,116 @@
+"""Verdicts on states that are tensors: from the solver on their own device, or from an oracle on the processor."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from falsework.search.judge import Oracle
+from falsework.search.shards import Shards
+from falsework.search.tensors import import_torch, put
+
+if TYPE_CHECKING:
+    import torch
+
+    from falsework.stability.oracle import Stability
+
+
+class TensorOracle(Protocol):
+    """Decides stability of batches of states on a device."""
+
+    def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
+        """Verdicts, each with a proof found in float64.
+
+        Args:
+            states: `uint8`, contiguous, shape (batch, parts).
+            parents: for each state a stable one that is one move away, shape (batch, parts).
+
+        Returns:
+            `Verdict` of each state, `int8`, on the same device, shape (batch,).
+        """
+        ...
+
+
+class HostOracle:
+    """An oracle on the processor, asked about states on any device."""
+
+    def __init__(self, oracle: Oracle) -> None:
+        self._oracle = oracle
+
+    def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
+        """As `TensorOracle`."""
+        verdicts = self._oracle.judge(states.cpu().numpy(), parents=parents.cpu().numpy())
+        return put(verdicts.verdict, states.device)
+
+
+class DeviceOracle:
+    """The solver on a GPU; only states that it leaves open go to the exact solver, on the processor."""
+
+    def __init__(self, oracle: Stability, device: torch.device) -> None:
+        """Copy the problem to the device.
+
+        Args:
+            oracle: whose problem, settings and exact solver are used.
+            device: a CUDA device.
+
+        Raises:
+            DependencyError: what the solver needs is not installed.
+            InputError: no such device.
+        """
+        from falsework.stability.gpu import GpuSolver
+
+        self._solver = GpuSolver(oracle.problem, oracle.settings, str(device))
+        self._exact = oracle.exact
+
+    def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
+        """As `TensorOracle`."""
+        verdict, _ = self._solver.check_tensor(states)
+        rest = (verdict == 0).nonzero()[:, 0]
+        if len(rest):
+            decided = self._exact.check(states[rest].cpu().numpy()).verdict
+            verdict[rest] = put(decided, states.device)
+        return verdict
+
+
+def oracle_on(oracle: Stability, device: torch.device) -> TensorOracle:
+    """The oracle's verdicts for states on a device: by the solver there, or by the oracle itself on the processor."""
+    return DeviceOracle(oracle, device) if device.type == "cuda" else HostOracle(oracle)
+
+
+class TensorJudge:
+    """Shares batches of states between the processes of a search, in pieces that fit into memory."""
+
+    def __init__(self, oracle: TensorOracle, shards: Shards, *, batch: int = 1 << 20) -> None:
+        """Begin with pieces of `batch` states; they are halved whenever memory runs out."""
+        self.notes: list[str] = []
+        self._oracle = oracle
+        self._shards = shards
+        self._batch = batch
+
+    def verdicts(self, states: torch.Tensor, parents: torch.Tensor, count: int) -> torch.Tensor:
+        """Verdicts of all states from the share of each process.
+
+        Args:
+            states: this process's share, `Shards.interleaved`, shape (share, parts).
+            parents: stable states one move away, shape (share, parts).
+            count: number of states of all shares.
+
+        Returns:
+            `int8`, in every process, shape (count,).
+        """
+        torch = import_torch()
+        verdicts = torch.zeros(count, dtype=torch.int8, device=states.device)
+        own = verdicts[self._shards.interleaved()]
+        begin = 0
+        while begin < len(states):
+            rows = slice(begin, begin + self._batch)
+            try:
+                own[rows] = self._oracle(states[rows], parents[rows])
+            except torch.OutOfMemoryError:
+                if len(states[rows]) < 2:
+                    raise
+                self._batch = len(states[rows]) // 2
+                torch.cuda.empty_cache()
+                self.notes.append(f"memory ran out; went on with {self._batch} states at a time")
+                continue
+            begin += self._batch
+        return self._shards.add(verdicts)

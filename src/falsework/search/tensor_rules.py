@@ -1,0 +1,161 @@
+"""The rules of a task on tensors: what `Task` says of arrays, for a beam that stays on its device."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from falsework.assembly.state import HELD, INSTALLED, REMOVED
+from falsework.geometry.bits import unpack
+from falsework.geometry.clearance import ClearanceTable
+from falsework.search.hashing import StateHash
+from falsework.search.task import Direction, Task
+from falsework.search.tensors import import_torch, put
+
+if TYPE_CHECKING:
+    import torch
+
+
+class TensorRules:
+    """Legal moves between the states of one task in one direction, on one device."""
+
+    def __init__(self, task: Task, direction: Direction, device: torch.device) -> None:
+        """Copy the rules to the device.
+
+        Args:
+            task: rules between start and target.
+            direction: which way a search walks.
+            device: where the states are.
+        """
+        self.task = task
+        self.direction = direction
+        self.device = device
+        self.part_count = task.part_count
+        goal = task.goal(direction)
+        backward = direction is Direction.ASSEMBLY
+        boundary = np.asarray(task.boundary)
+        # Assembly mirrors disassembly: installed and removed change places, and so do insert and remove.
+        self._from, self._into = (REMOVED, INSTALLED) if backward else (INSTALLED, REMOVED)
+        self._movable = put(~boundary, device)
+        self._first = put(goal != self._from, device)
+        self._second = put(goal == self._into, device)
+        self._kept = put((goal == HELD) & ~boundary, device)
+        self._robots = task.robots
+        self._origin = put(task.origin(direction), device)
+        self._to_come = put(task.start != REMOVED, device)
+        self._words = put(StateHash.for_parts(task.part_count).words, device)
+        self._part = import_torch().arange(task.part_count, device=device)
+        self._postponed = put(np.asarray(task.postponed, dtype=np.int64), device)
+        self._missing = put(np.asarray(task.missing, dtype=np.int64), device)
+        self._ways = _Ways(task, device)
+
+    def origin(self) -> torch.Tensor:
+        """State that the search begins with, shape (1, parts)."""
+        return self._origin[None].clone()
+
+    def moves(self, states: torch.Tensor) -> torch.Tensor:
+        """Actions that the rules allow from each state, as `Task.moves`. Shapes (batch, parts), (batch, 2 parts)."""
+        torch = import_torch()
+        held = (states == HELD) & self._movable
+        idle = held.sum(dim=1) < self._robots
+        take = (states == self._from) & idle[:, None] & self._first
+        give = held & self._second
+        # A robot that holds a part to the end is lost for the rest: the last robot must stay free.
+        last = (held & self._kept).sum(dim=1) + 1 >= self._robots
+        waiting = (self._second & (states != self._into)).any(dim=1)
+        take &= ~(self._kept & (last & waiting)[:, None])
+        forward = self.direction is Direction.DISASSEMBLY
+        hold, remove = (take, give) if forward else (give, take)
+        if self.task.clearance is not None:
+            remove &= self._ways.can_leave(states)
+        mask = torch.cat([hold, remove], dim=1)
+        if any(self.task.postponed):
+            moved = torch.zeros_like(mask[0])
+            moved[self.part_count + self._missing] = True
+            step = -1 if forward else 1
+            present = (states[:, self._missing] != REMOVED).sum(dim=1)
+            after = present[:, None] + step * moved.long()
+            mask &= after <= self._missing_allowed(states, step)[:, None]
+        return mask
+
+    def dead_ends(self, states: torch.Tensor) -> torch.Tensor:
+        """States from which the goal is certainly out of reach, as `Task.dead_ends`. Shape (batch,)."""
+        torch = import_torch()
+        if self.task.clearance is None or self.direction is Direction.DISASSEMBLY:
+            return torch.zeros(len(states), dtype=torch.bool, device=self.device)
+        return ((states == REMOVED) & self._to_come & ~self._ways.can_leave(states)).any(dim=1)
+
+    def needs_verdict(self, actions: torch.Tensor) -> torch.Tensor:
+        """Which moves can make a stable state unstable, as `Task.needs_verdict`. Shape (batch,)."""
+        holds = actions < self.part_count
+        return ~holds if self.direction is Direction.DISASSEMBLY else holds
+
+    def moved_value(self, actions: torch.Tensor) -> torch.Tensor:
+        """Value that each move gives its part, `uint8`, shape (batch,)."""
+        torch = import_torch()
+        holds = actions < self.part_count
+        values = (HELD, REMOVED) if self.direction is Direction.DISASSEMBLY else (INSTALLED, HELD)
+        return torch.where(holds, *(torch.tensor(v, dtype=torch.uint8, device=self.device) for v in values))
+
+    def follow(self, states: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+        """States after one move each. Shapes (batch, parts), (batch,)."""
+        after = states.clone()
+        return after.scatter_(1, (actions % self.part_count)[:, None], self.moved_value(actions)[:, None])
+
+    def hashes(self, states: torch.Tensor) -> torch.Tensor:
+        """The words of `StateHash`, as int64 of the same bits. Shape (batch,)."""
+        words = self._words[self._part, states.long()]
+        while words.shape[1] > 1:  # torch has no exclusive or along an axis
+            half = words.shape[1] // 2
+            words, odd = words[:, :half] ^ words[:, half : 2 * half], words[:, 2 * half :]
+            if odd.shape[1]:
+                words[:, :1] ^= odd
+        return words[:, 0]
+
+    def hashes_after(self, states: torch.Tensor, hashes: torch.Tensor, actions: torch.Tensor, parent: torch.Tensor):
+        """Hashes of the states that moves lead to, without writing these down.
+
+        Args:
+            states: shape (level, parts).
+            hashes: theirs, shape (level,).
+            actions: shape (batch,).
+            parent: state that each action is taken in, shape (batch,).
+
+        Returns:
+            Shape (batch,).
+        """
+        part = actions % self.part_count
+        old = states.view(-1)[parent * self.part_count + part].long()
+        words = self._words.view(-1)
+        return hashes[parent] ^ words[3 * part + old] ^ words[3 * part + self.moved_value(actions).long()]
+
+    def _missing_allowed(self, states: torch.Tensor, offset: int) -> torch.Tensor:
+        """How many missing parts may be present `offset` assembly steps after each state, shape (batch,)."""
+        stage = 2 * (states == REMOVED).sum(dim=1) + (states == HELD).sum(dim=1)
+        start = self.task.start
+        done = stage - int(2 * (start == REMOVED).sum() + (start == HELD).sum())
+        return (self._postponed[None] < (self.task.steps - done + offset)[:, None]).sum(dim=1)
+
+
+class _Ways:
+    """Ways out of each part, as two matrix products of small whole numbers, which are exact in any precision."""
+
+    def __init__(self, task: Task, device: torch.device) -> None:
+        self._clearance = task.clearance
+        self._device = device
+        self._blockers = None
+        if isinstance(task.clearance, ClearanceTable):
+            table, parts = task.clearance, task.part_count
+            owner = np.repeat(np.arange(parts), np.diff(table.start))
+            self._blockers = put(unpack(table.blockers)[:, :parts].T.astype(np.float32), device)
+            self._owner = put((owner[:, None] == np.arange(parts)).astype(np.float32), device)
+
+    def can_leave(self, states: torch.Tensor) -> torch.Tensor:
+        """Shape (batch, parts)."""
+        if self._clearance is None:
+            return import_torch().ones_like(states, dtype=import_torch().bool)
+        if self._blockers is None:
+            return put(np.asarray(self._clearance.can_leave(states.cpu().numpy())), self._device)
+        free = ((states != REMOVED).float() @ self._blockers == 0).float()
+        return free @ self._owner > 0

@@ -1,0 +1,96 @@
+"""Torch at the boundary, and exact arithmetic on tensors that gives the same bits on every device."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from falsework.errors import DependencyError, InputError
+
+if TYPE_CHECKING:
+    import torch
+
+
+def import_torch() -> Any:
+    """The module torch.
+
+    Raises:
+        DependencyError: it is not installed.
+    """
+    try:
+        import torch
+    except ImportError as error:
+        raise DependencyError("a search on tensors needs torch; pip install 'falsework[gpu]'") from error
+    return torch
+
+
+def choose_device(name: str = "auto") -> torch.device:
+    """The device that a name such as `auto`, `cpu`, `cuda` or `cuda:1` means here; `auto` is a GPU if there is one.
+
+    Raises:
+        DependencyError: torch is not installed.
+        InputError: no such device.
+    """
+    torch = import_torch()
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if name == "auto":
+        return torch.device("cuda", torch.cuda.current_device()) if count else torch.device("cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise InputError(f"unknown device {name!r}; choose auto, cpu or cuda") from None
+    if device.type == "cpu":
+        return device
+    if device.type != "cuda":
+        raise InputError(f"device {name!r} is not supported; choose auto, cpu or cuda")
+    if (device.index or 0) >= count:
+        raise InputError(f"device {name!r} was asked for, but {count} CUDA devices were found; choose auto or cpu")
+    return torch.device("cuda", torch.cuda.current_device()) if device.index is None else device
+
+
+def put(array: np.ndarray, device: torch.device) -> torch.Tensor:
+    """Copy of an array on a device; unsigned 64-bit words keep their bits as signed ones."""
+    if array.dtype == np.uint64:
+        array = array.view(np.int64)
+    return import_torch().from_numpy(np.array(array)).to(device)
+
+
+def mix(keys: torch.Tensor, salt: int) -> torch.Tensor:
+    """Random words that depend on nothing but each key and the salt: the finaliser of SplitMix64.
+
+    A state's random numbers are made from its hash, not drawn in turn, so that they are the same wherever the state
+    stands in a list and whichever process looks at it.
+
+    Args:
+        keys: int64, any shape.
+        salt: any integer.
+
+    Returns:
+        int64, all 64 bits random, same shape.
+    """
+    words = keys ^ _signed(_mix_integer(salt))
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        words = (words ^ _shifted(words, shift)) * _signed(factor)
+    return words ^ _shifted(words, 31)
+
+
+def uniform(words: torch.Tensor) -> torch.Tensor:
+    """Numbers strictly between 0 and 1 from random words, float64; exact, so the same on every device."""
+    return (_shifted(words, 12).double() + 0.5) * 2.0**-52
+
+
+def _mix_integer(salt: int) -> int:
+    word = (salt + 0x9E3779B97F4A7C15) % 2**64
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        word = (word ^ (word >> shift)) * factor % 2**64
+    return word ^ (word >> 31)
+
+
+def _signed(word: int) -> int:
+    return word - 2**64 if word >= 2**63 else word
+
+
+def _shifted(words: torch.Tensor, bits: int) -> torch.Tensor:
+    """Shift to the right that fills up with zeros."""
+    return (words >> bits) & ((1 << (64 - bits)) - 1)
