@@ -24,6 +24,8 @@ _GUESSES = 128 * 1024 * 1024
 """Bytes kept of contact forces to start children from."""
 _BATCH = 32 * 1024 * 1024
 """Bytes of contact forces in work at once."""
+_ROUNDING = 1e-6
+"""Ratio of turning to moving, in rad/m or m/rad, below which a motion is rounding."""
 
 
 @dataclass
@@ -201,11 +203,12 @@ def describe_motion(velocity: NDArray[np.float64], *, share: float = 0.05) -> li
     speed = np.linalg.norm(velocity[:, :3], axis=1)
     turn = np.linalg.norm(velocity[:, 3:], axis=1)
     top, spin = max(speed.max(initial=0.0), 1e-300), max(turn.max(initial=0.0), 1e-300)
-    moving = np.flatnonzero((speed > share * top) | (turn > share * spin))
+    # Parts are a tenth of a millimetre to a kilometre large: a turn far below what that allows is rounding.
+    moves = (speed > share * top) & (speed > _ROUNDING * spin)
+    turns = (turn > share * spin) & (turn > _ROUNDING * top)
+    moving = np.flatnonzero(moves | turns)
     moving = moving[np.argsort(-np.maximum(speed[moving] / top, turn[moving] / spin), kind="stable")]
-    return [
-        (int(part), _words(velocity[part], speed[part] > share * top, turn[part] > share * spin)) for part in moving
-    ]
+    return [(int(part), _words(velocity[part], moves[part], turns[part])) for part in moving]
 
 
 def _words(velocity: NDArray[np.float64], moves: bool, turns: bool) -> str:

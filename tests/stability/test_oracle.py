@@ -1,0 +1,320 @@
+"""What everything else calls: batches, bookkeeping, warm starts, threads, and bad input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from falsework.assembly import library
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import complete_state
+from falsework.errors import InputError, StateError
+from falsework.stability import (
+    CpuSettings,
+    ExactSolver,
+    Proof,
+    Solver,
+    Stability,
+    StabilitySettings,
+    Verdict,
+    Verdicts,
+    accept,
+    describe_motion,
+)
+
+
+@pytest.fixture(scope="module")
+def arch() -> Assembly:
+    return library.build("arch:blocks=9,thickness=0.25")
+
+
+@pytest.fixture(scope="module")
+def states(scenes: Any, arch: Assembly) -> NDArray[np.uint8]:
+    """States of both verdicts; some come twice."""
+    return scenes.few_changes(arch, 80, seed=21, most=3)
+
+
+@pytest.fixture(scope="module")
+def expected(arch: Assembly, states: NDArray[np.uint8]) -> NDArray[np.int8]:
+    verdict = ExactSolver(arch).check(states).verdict
+    assert {-1, 1} == set(verdict.tolist())
+    return verdict
+
+
+def children(assembly: Assembly, parent: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A parent with each of its free parts held, and with each removed."""
+    rows = []
+    for part in np.flatnonzero(parent == 1):
+        for value in (0, 2):
+            rows.append(parent.copy())
+            rows[-1][part] = value
+    return np.array(rows)
+
+
+def balanced(stability: Stability) -> bool:
+    """Whether every state that was asked is accounted for."""
+    counters = stability.counters.as_dict()
+    answered = sum(count for name, count in counters.items() if name not in ("asked", "rejected", "warm"))
+    return counters["asked"] == answered
+
+
+def test_check_returns_proofs_that_hold(arch: Assembly, states: NDArray, expected: NDArray) -> None:
+    stability = Stability(arch)
+    verdicts = stability.check(states)
+    np.testing.assert_array_equal(verdicts.verdict, expected)
+    assert accept(arch, states, verdicts).all()
+    np.testing.assert_array_equal(verdicts.proof, np.where(expected == 1, Proof.FORCES, Proof.VELOCITY))
+    assert (verdicts.residual[verdicts.stable] <= 1e-3).all()
+    assert (verdicts.residual[verdicts.unstable] > 1e-3).all()
+    assert verdicts.forces is not None
+    assert verdicts.velocity is not None
+    assert verdicts.forces.shape == (len(states), stability.problem.points, 3)
+    assert verdicts.velocity.shape == (*states.shape, 6)
+    assert balanced(stability)
+
+
+def test_judge_agrees_and_carries_no_proofs(arch: Assembly, states: NDArray, expected: NDArray) -> None:
+    verdicts = Stability(arch).judge(states)
+    np.testing.assert_array_equal(verdicts.verdict, expected)
+    assert verdicts.forces is None
+    assert verdicts.velocity is None
+    np.testing.assert_array_equal(Stability(arch).stable(states), expected == 1)
+
+
+def test_asking_again_costs_nothing(arch: Assembly, states: NDArray, expected: NDArray) -> None:
+    stability = Stability(arch)
+    unique = len(np.unique(states, axis=0))
+    first = stability.judge(states)
+    solved = stability.counters.cpu + stability.counters.exact
+    assert solved == unique
+    assert stability.counters.cached == len(states) - unique
+    again = stability.judge(states)
+    np.testing.assert_array_equal(again.verdict, expected)
+    np.testing.assert_array_equal(again.residual, first.residual)
+    assert stability.counters.cpu + stability.counters.exact == solved
+    assert (again.decided_by == Solver.RULE).all()
+    assert stability.counters.asked == 2 * len(states)
+    assert balanced(stability)
+
+
+def test_the_rules_answer_without_solving(arch: Assembly) -> None:
+    stability = Stability(arch)
+    complete = complete_state(arch.boundary)
+    assert stability.stable(complete)[0]
+    held = children(arch, complete)[1::2]
+    verdicts = stability.judge(held)
+    assert verdicts.stable.all()
+    assert (verdicts.proof == Proof.FORCES).all()
+    assert stability.counters.by_rule == len(held)
+    assert stability.counters.cpu + stability.counters.exact == 1
+    gap = complete.copy()
+    gap[[4, 0]] = 0, 2  # without its keystone, its first block held
+    assert stability.judge(gap).unstable[0]
+    gap[0] = 1
+    verdicts = stability.judge(gap)
+    assert verdicts.unstable[0]
+    assert verdicts.proof[0] == Proof.VELOCITY
+    assert stability.counters.cpu + stability.counters.exact == 2
+    assert balanced(stability)
+
+
+def test_what_was_checked_is_known_to_judge(arch: Assembly, states: NDArray) -> None:
+    stability = Stability(arch)
+    stability.check(states)
+    before = stability.counters.cpu + stability.counters.exact
+    stability.judge(states)
+    assert stability.counters.cpu + stability.counters.exact == before
+
+
+@pytest.mark.parametrize("structure", ["arch:blocks=9,thickness=0.25", "wall:bricks=4,courses=4", "dome"])
+def test_warm_starts_change_no_verdict(structure: str) -> None:
+    """Children that start from their parent's forces get the verdicts that they get on their own."""
+    assembly = library.build(structure)
+    warm, cold = Stability(assembly), Stability(assembly)
+    parent = complete_state(assembly.boundary)
+    assert warm.stable(parent, parents=parent)[0]
+    random = np.random.default_rng(0)
+    for _ in range(3):
+        asked = children(assembly, parent)
+        asked = asked[random.permutation(len(asked))[:60]]
+        parents = np.broadcast_to(parent, asked.shape)
+        verdict = warm.judge(asked, parents=parents).verdict
+        np.testing.assert_array_equal(verdict, cold.check(asked).verdict)
+        stable = asked[(verdict == 1) & (asked == 0).any(axis=1)]
+        if not len(stable):
+            break
+        parent = stable[0]
+    assert warm.counters.warm > 0
+    assert balanced(warm)
+
+
+def test_parents_may_be_anything(arch: Assembly, states: NDArray, expected: NDArray) -> None:
+    """A parent only says where to look first: even a wrong one, never judged or unstable, changes no verdict."""
+    random = np.random.default_rng(5)
+    for parents in (states[::-1], states[random.permutation(len(states))], np.where(arch.boundary, 2, 0 * states)):
+        stability = Stability(arch)
+        np.testing.assert_array_equal(stability.judge(states, parents=parents).verdict, expected)
+
+
+def test_threads_change_nothing(arch: Assembly, states: NDArray) -> None:
+    one, two, again = (
+        Stability(arch, StabilitySettings(cpu=CpuSettings(threads=threads))).check(states) for threads in (1, 2, 2)
+    )
+    for other in (two, again):
+        np.testing.assert_array_equal(one.verdict, other.verdict)
+        np.testing.assert_array_equal(one.residual, other.residual)
+        np.testing.assert_array_equal(one.iterations, other.iterations)
+        np.testing.assert_array_equal(one.forces, other.forces)
+        np.testing.assert_array_equal(one.velocity, other.velocity)
+
+
+def test_order_changes_nothing(arch: Assembly, states: NDArray) -> None:
+    stability = Stability(arch)
+    order = np.random.default_rng(1).permutation(len(states))
+    straight, shuffled = stability.check(states), Stability(arch).check(states[order])
+    np.testing.assert_array_equal(straight.verdict[order], shuffled.verdict)
+    np.testing.assert_array_equal(straight.residual[order], shuffled.residual)
+
+
+def test_an_empty_batch(arch: Assembly) -> None:
+    stability = Stability(arch)
+    nothing = np.zeros((0, arch.part_count), np.uint8)
+    for verdicts in (stability.check(nothing), stability.judge(nothing), stability.judge(nothing, parents=nothing)):
+        assert len(verdicts) == 0
+    assert stability.stable(nothing).shape == (0,)
+    assert stability.counters.asked == 0
+
+
+def test_one_state_is_a_batch_of_one(arch: Assembly) -> None:
+    verdicts = Stability(arch).check(complete_state(arch.boundary))
+    assert len(verdicts) == 1
+    assert verdicts.stable[0]
+
+
+def test_verdicts_can_be_taken_apart(arch: Assembly, states: NDArray) -> None:
+    verdicts = Stability(arch).check(states)
+    assert len(verdicts[3]) == 1
+    assert verdicts[3].verdict[0] == verdicts.verdict[3]
+    assert verdicts[-1].verdict[0] == verdicts.verdict[-1]
+    few = verdicts[verdicts.unstable]
+    assert few.unstable.all()
+    assert few.velocity is not None
+    assert len(few.velocity) == len(few)
+    assert verdicts.without_certificates().forces is None
+    blank = Verdicts.blank(2)
+    assert blank.undecided.all()
+    assert (blank.proof == Proof.NONE).all()
+
+
+def test_the_exact_solver_can_be_asked_alone(arch: Assembly, states: NDArray, expected: NDArray) -> None:
+    stability = Stability(arch, StabilitySettings(solver="exact"))
+    verdicts = stability.check(states[:20])
+    np.testing.assert_array_equal(verdicts.verdict, expected[:20])
+    assert (verdicts.decided_by == Solver.EXACT).all()
+    assert stability.counters.cpu == 0
+    np.testing.assert_array_equal(stability.judge(states[:20]).verdict, expected[:20])
+    assert balanced(stability)
+
+
+def test_what_the_fast_solver_leaves_goes_to_the_exact_one(arch: Assembly, states: NDArray, expected: NDArray) -> None:
+    """With next to no iterations nothing is decided fast, yet everything is decided."""
+    cpu = CpuSettings(iterations=1, interior_steps=0)
+    for ask in (Stability.check, Stability.judge):
+        stability = Stability(arch, StabilitySettings(cpu=cpu))
+        verdicts = ask(stability, states)
+        np.testing.assert_array_equal(verdicts.verdict, expected)
+        assert stability.counters.exact > 0
+        assert balanced(stability)
+
+
+def test_a_proof_that_is_rejected_goes_to_the_exact_solver(
+    arch: Assembly, states: NDArray, expected: NDArray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Were the fast solver wrong, the checker would see it and the exact solver decide."""
+    stability = Stability(arch)
+    assert stability._cpu is not None
+    solve = stability._cpu.check
+
+    def lie(*arguments: Any, **options: Any) -> Verdicts:
+        verdicts = solve(*arguments, **options)
+        return replace(verdicts, verdict=-verdicts.verdict)
+
+    monkeypatch.setattr(stability._cpu, "check", lie)
+    verdicts = stability.check(states)
+    np.testing.assert_array_equal(verdicts.verdict, expected)
+    unique = len(np.unique(states, axis=0))
+    assert stability.counters.rejected == unique
+    assert stability.counters.exact == unique
+
+
+@pytest.mark.parametrize("method", ["check", "judge", "stable"])
+@pytest.mark.parametrize(
+    ("state", "message"),
+    [
+        ([1, 1], "one value a part"),
+        ([[[1] * 11]], "one value a part"),
+        ([3, *[1] * 8, 2, 2], "part 0"),
+        ([-1, *[1] * 8, 2, 2], "part 0"),
+        ([0.5, *[1] * 8, 2, 2], "part 0"),
+        ([np.nan, *[1] * 8, 2, 2], "part 0"),
+        ([*[1] * 9, 1, 2], "boundary part 9"),
+        ([*[1] * 9, 2, 0], "boundary part 10"),
+        (["a"] * 11, "numbers"),
+        ([[1] * 11, [1] * 10], "different lengths"),
+    ],
+)
+def test_bad_states_are_named(arch: Assembly, method: str, state: Any, message: str) -> None:
+    with pytest.raises(StateError, match=message) as caught:
+        getattr(Stability(arch), method)(state)
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_states_do_not_reach_the_exact_solver(arch: Assembly) -> None:
+    with pytest.raises(StateError, match="one value a part"):
+        ExactSolver(arch).check([1, 1])
+
+
+@pytest.mark.parametrize("name", ["gravity", "tolerance", "force_bound"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+def test_bad_settings_are_named(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=name):
+        StabilitySettings(**{name: value})
+
+
+def test_unknown_choices_are_named(arch: Assembly) -> None:
+    with pytest.raises(InputError, match="cpu, exact"):
+        StabilitySettings(solver="magic")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="octagon or quadratic"):
+        Stability(arch, StabilitySettings(cone="pyramid"))  # type: ignore[arg-type]
+
+
+def test_words_for_motions() -> None:
+    velocity = np.zeros((6, 6))
+    velocity[0, 2] = -1.0
+    velocity[1, :3] = 0.8, 0.0, -0.05
+    velocity[2, 4] = -2.0
+    velocity[3, :3] = 0.0, -0.5, -0.5
+    velocity[4, 2] = 0.9
+    velocity[5] = 1e-3
+    words = dict(describe_motion(velocity))
+    assert words == {
+        0: "falls",
+        1: "slides towards +x",
+        2: "tips about -y",
+        3: "falls and slides towards -y",
+        4: "rises",
+    }
+    assert describe_motion(np.zeros((3, 6))) == []
+    assert describe_motion(velocity)[0][0] in (0, 2), "the fastest comes first"
+
+
+def test_words_for_a_real_fall(scenes: Any) -> None:
+    tower = scenes.tower(3)
+    verdicts = Stability(tower).check([1, 0, 1, 2])
+    assert verdicts.verdict[0] == Verdict.UNSTABLE
+    assert verdicts.velocity is not None
+    assert describe_motion(verdicts.velocity[0]) == [(2, "falls")]
