@@ -1,0 +1,55 @@
+"""What each process of `test_distributed.py` runs: some searches, whose levels go to a file."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+
+from falsework.search import BeamSettings, Direction, Task
+from falsework.search.device_beam import DeviceBeam
+from falsework.search.shards import Shards, joined
+
+PARTS = 18
+
+SEARCHES = (
+    BeamSettings(width=16, direction=Direction.ASSEMBLY, seed=3),
+    BeamSettings(width=7, direction=Direction.DISASSEMBLY, seed=4),
+    # A pool this small makes the clusters of a sample only.
+    BeamSettings(width=12, direction=Direction.DISASSEMBLY, pool=PARTS * 50),
+    BeamSettings(width=5, diversity="none"),
+)
+
+
+def neighbours_stand(states: Any, parents: Any) -> Any:
+    """An installed part stands on either of the two before it, or on the ground beside it."""
+    present = states > 0
+    support = present.roll(1, 1) | present.roll(2, 1)
+    support[:, 1::5] = True
+    return ((states != 1) | support).all(dim=1).to(states.dtype).char() * 2 - 1
+
+
+def search_all(device: str, shards: Shards) -> dict[str, np.ndarray]:
+    """Every search, as arrays to compare."""
+    task = Task.create(np.arange(PARTS) == 0, 3)
+    arrays = {}
+    for index, settings in enumerate(SEARCHES):
+        search = DeviceBeam(task, neighbours_stand, settings, device=device, shards=shards)
+        result = search.run()
+        arrays[f"states {index}"] = search.states()
+        arrays[f"parent {index}"] = np.concatenate([level.parent for level in search.levels])
+        arrays[f"counters {index}"] = np.array(list(vars(result.counters).values()))
+        arrays[f"route {index}"] = result.routes[0].states if result.found else np.empty(0)
+    return arrays
+
+
+def main() -> None:
+    """Search with the processes that the environment names."""
+    with joined("cpu") as (shards, device):
+        arrays = search_all(str(device), shards)
+        np.savez(f"{sys.argv[1]}/{shards.rank}-of-{shards.size}.npz", **arrays)
+
+
+if __name__ == "__main__":
+    main()
