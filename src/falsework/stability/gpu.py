@@ -20,7 +20,7 @@ from falsework.stability.verdict import Solver, Verdicts, proof_of
 if TYPE_CHECKING:
     import torch
 
-_STATIC_SHARED = 8 * 1024
+_STATIC_SHARED = 4 * 1024
 """Shared memory that the kernels have of their own, at most."""
 _CHUNK_BYTES = 2 << 30
 """Device memory for the forces and velocities of one chunk of states."""
@@ -221,7 +221,7 @@ class GpuSolver:
                 scratch=None if stage.scratch is None else address(stage.scratch),
                 scratch_stride=stage.pool,
                 points_scratch=address(multipliers),
-                points_stride=self.layout.multiplier_bytes(),
+                points_stride=self.layout.group_bytes(),
                 pool_bytes=stage.pool,
                 count=count,
             )
@@ -232,9 +232,9 @@ class GpuSolver:
         """Launches for a batch of this size."""
         few = count <= 2 * self.driver.multiprocessors
         if few not in self._chains:
-            admm, interior = self._admm_stages(few), self._interior_stages(few)
+            admm, interior = self._admm_stages(few), self._interior_stages()
             rows = max(stage.blocks for stage in interior)
-            multipliers = self.driver.empty((rows * self.layout.multiplier_bytes() // 8,), np.float64)
+            multipliers = self.driver.empty((rows * self.layout.group_bytes() // 8,), np.float64)
             self._chains[few] = admm, interior, multipliers
         return self._chains[few]
 
@@ -242,31 +242,27 @@ class GpuSolver:
         """ADMM with one thread a group of contact points, from the size that most states have to the largest."""
         driver, layout = self.driver, self.layout
         needed = -(-max(layout.groups, 1) // 32) * 32
-        shares = (1.0,) if few else self.settings.gpu.admm_shares
-        stages = []
-        for share in shares:
+        stages: list[_Stage] = []
+        for share in (1.0,) if few else self.settings.gpu.admm_shares:
             threads = min(driver.most_threads, -(-int(share * needed) // 32) * 32)
             shared = _aligned(layout.admm_bytes(share))
-            if shared <= self._shared_limit and (not stages or threads > stages[-1].threads):
+            if shared <= self._shared_limit:
                 blocks = driver.blocks("admm_shared", threads, shared)
+                stages = [stage for stage in stages if stage.threads < threads]
                 stages.append(_Stage("admm_shared", threads, shared, blocks, None, shared))
         if not stages or layout.groups > stages[-1].threads or layout.admm_bytes() > stages[-1].shared:
             threads = driver.most_threads
             stages.append(self._scratch_stage("admm_scratch", threads, layout.admm_bytes(on_chip=False)))
         return stages
 
-    def _interior_stages(self, few: bool) -> list[_Stage]:
-        """The interior point method, from the memory that most states need to that of the largest."""
-        driver, layout, gpu = self.driver, self.layout, self.settings.gpu
-        threads = min(driver.most_threads, 256 if few else gpu.interior_threads)
-        largest = _aligned(layout.interior_bytes())
-        sizes = [_aligned(layout.interior_bytes(share)) for share in ((1.0,) if few else gpu.interior_shares)]
-        sizes = sorted({min(size, largest, self._shared_limit) for size in sizes})
-        stages = []
-        for shared in sizes:
-            blocks = driver.blocks("interior_shared", threads, shared)
-            stages.append(_Stage("interior_shared", threads, shared, blocks, None, shared))
-        if sizes[-1] < largest:
+    def _interior_stages(self) -> list[_Stage]:
+        """The interior point method, on chip as far as it goes."""
+        driver, threads = self.driver, self.driver.most_threads
+        largest = _aligned(self.layout.interior_bytes())
+        shared = min(largest, self._shared_limit)
+        blocks = driver.blocks("interior_shared", threads, shared)
+        stages = [_Stage("interior_shared", threads, shared, blocks, None, shared)]
+        if shared < largest:
             stages.append(self._scratch_stage("interior_scratch", threads, largest))
         return stages
 

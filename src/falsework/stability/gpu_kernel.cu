@@ -22,6 +22,7 @@ typedef unsigned int uint32_t;
 #define SYNC __syncthreads()
 #define DEVICE static __device__ __forceinline__
 #define PHASE static __device__ PHASE_INLINE
+#define METHOD __device__ __forceinline__
 #define KERNEL(bounds) extern "C" __global__ void __launch_bounds__ bounds
 #define POPCOUNT __popc
 template <class T>
@@ -40,6 +41,7 @@ extern __shared__ double2 dynamic_pool[];
 #define SYNC
 #define DEVICE static inline
 #define PHASE static
+#define METHOD inline
 #define KERNEL(bounds) extern "C" void
 #define POPCOUNT __builtin_popcount
 #define __shared__ static thread_local
@@ -99,13 +101,11 @@ struct Structure {
   const int* position;       // (parts,) -1 for boundary
   const int* level_start;    // (levels + 1,) first position of each level
   const int* column;         // (positions + 1,) first block of each column
-  const int* row;            // (blocks,) position of a block's row
+  const int* block_row;      // (blocks,) position of a block's row
   const int* block_column;   // (blocks,) position of a block's column
-  const int* row_start;      // (positions + 1,)
-  const int* row_block;      // blocks of each row
-  const int* update_start;   // (blocks + positions + 1,) targets: blocks, then diagonals
-  const int* update_left;    // blocks whose product is taken from the target
-  const int* update_right;
+  const int* fill_start;     // (blocks + 1,)
+  const int* fill_left;      // pairs of blocks that fill a block where both are there
+  const int* fill_right;
   const int* group_part;     // (2, groups)
   const int* group_first;    // (groups,) first contact point
   const int* group_count;    // (groups,)
@@ -149,7 +149,7 @@ struct Batch {
   int* open_count;
   char* scratch;           // `scratch_stride` bytes a block, where the pool is not in shared memory
   long long scratch_stride;
-  char* points_scratch;    // `points_stride` bytes a block: multipliers and slacks
+  char* points_scratch;    // `points_stride` bytes a block: what the interior point method keeps of each group
   long long points_stride;
   long long pool_bytes;
   int count;
@@ -258,21 +258,39 @@ DEVICE double ray_y(int k) { return ray_x((k + 6) & 7); }
 // ---------------------------------------------------------------------------------------------------------------
 // A state on chip.
 
+// There is a block for every node and each of its ancestors in the elimination tree: the pattern of the inverse of
+// the factor. The ancestors of a node are a chain, so the block of ancestor `i` in column `j` is number
+// `column[j] + depth[j] - depth[i] - 1`. ADMM stores all of them, since it solves often; the interior point method
+// stores those that the factor itself has.
 struct State {
   int nodes, groups, blocks, levels;  // what acts in this state
+  int storage;                        // blocks that are stored
   uint16_t* node;                     // positions that can move
   uint16_t* node_slot;                // (positions,) index in `node`
   uint16_t* level_node;               // first node of each level that is not empty
-  uint16_t* level_block;              // first block of it
   uint16_t* group;                    // groups that act
   uint16_t* group_slot;               // (groups,) index in `group`
   uint16_t* group_node;               // (2, groups that act) node of each side, kNone where it is held
-  uint16_t* block;                    // blocks of the factor, column by column
-  uint16_t* block_slot;               // (blocks,) index in `block`
-  uint16_t* block_node;               // node of each block's row
+  uint16_t* depth;                    // number of ancestors of each node
+  int* column;                        // first block of each node's column
+  uint16_t* block_row;                // node of each block's row
+  uint16_t* block_column;             // node of each block's column
+  uint16_t* block_pattern;            // block of the structure's pattern, kNone where the factor is zero
+  short* stored;                      // where each block is stored, -1 where it is not; null where all are
+  int* row;                           // first entry of each node's row
+  int* row_block;                     // blocks of the rows, column by column; -1 - block where the factor is zero
   uint16_t* incident;                 // 2 slot + side of the groups on each node
-  uint32_t* row_block;                // block + 65536 node of its column, for each node's row
-  uint16_t *incident_first, *incident_last, *row_first, *row_last, *column_first, *column_last;  // of each node
+  uint16_t *incident_first, *incident_last;
+
+  METHOD int at(int block) const { return stored ? stored[block] : block; }
+
+  // Block of row `i` in column `j`, -1 where `i` is no ancestor of `j`.
+  METHOD int block_of(int i, int j) const {
+    int up = int(depth[j]) - int(depth[i]) - 1;
+    if (up < 0) return -1;
+    int b = column[j] + up;
+    return block_row[b] == i ? b : -1;
+  }
 };
 
 #ifdef __CUDACC__
@@ -322,20 +340,18 @@ DEVICE int compact(uint16_t* slot, uint16_t* list, uint32_t* mask, int count) {
   return total;
 }
 
-// Finds what acts in a state and which blocks its factor has.
+// Finds what acts in a state, its elimination tree and the blocks of its factor.
+template <bool StoreAll>
 PHASE State restrict_to(const Structure& s, const uint8_t* state, char*& top) {
   State a;
   int largest = s.positions > s.groups ? s.positions : s.groups;
-  largest = largest > s.blocks ? largest : s.blocks;
   uint32_t* mask = take<uint32_t>(top, (largest + 31) / 32);
+  uint8_t* filled = take<uint8_t>(top, s.blocks);
   a.node = take<uint16_t>(top, s.positions);
   a.node_slot = take<uint16_t>(top, s.positions);
   a.level_node = take<uint16_t>(top, s.levels + 1);
-  a.level_block = take<uint16_t>(top, s.levels + 1);
   a.group = take<uint16_t>(top, s.groups);
   a.group_slot = take<uint16_t>(top, s.groups);
-  a.block = take<uint16_t>(top, s.blocks);
-  a.block_slot = take<uint16_t>(top, s.blocks);
 
   for (int p = TID; p < s.parts; p += THREADS) {
     int j = load(s.position + p);
@@ -348,73 +364,122 @@ PHASE State restrict_to(const Structure& s, const uint8_t* state, char*& top) {
   SYNC;
   // A block is in the pattern of S where its two parts touch and both can move; two such parts always act.
   for (int e = TID; e < s.blocks; e += THREADS) {
-    bool both = a.node_slot[load(s.row + e)] != kNone && a.node_slot[load(s.block_column + e)] != kNone;
-    a.block_slot[e] = both && load(s.block_start + e) < load(s.block_start + e + 1) ? 0 : kNone;
+    bool both = a.node_slot[load(s.block_row + e)] != kNone && a.node_slot[load(s.block_column + e)] != kNone;
+    filled[e] = both && load(s.block_start + e) < load(s.block_start + e + 1);
   }
   a.nodes = compact(a.node_slot, a.node, mask, s.positions);
   a.groups = compact(a.group_slot, a.group, mask, s.groups);
-  a.group_node = take<uint16_t>(top, 2 * a.groups);
-  for (int i = TID; i < a.groups; i += THREADS)
-    for (int side = 0; side < 2; side++) {
-      int j = load(s.position + load(s.group_part + side * s.groups + a.group[i]));
-      a.group_node[side * a.groups + i] = j >= 0 ? a.node_slot[j] : kNone;
-    }
   for (int level = 1; level < s.levels; level++) {  // fill
     int last = load(s.column + load(s.level_start + level + 1));
     for (int e = load(s.column + load(s.level_start + level)) + TID; e < last; e += THREADS) {
-      if (a.block_slot[e] != kNone || a.node_slot[load(s.block_column + e)] == kNone) continue;
-      for (int u = load(s.update_start + e); u < load(s.update_start + e + 1); u++)
-        if (a.block_slot[load(s.update_left + u)] != kNone && a.block_slot[load(s.update_right + u)] != kNone) {
-          a.block_slot[e] = 0;
+      if (filled[e] || a.node_slot[load(s.block_column + e)] == kNone) continue;
+      for (int u = load(s.fill_start + e); u < load(s.fill_start + e + 1); u++)
+        if (filled[load(s.fill_left + u)] && filled[load(s.fill_right + u)]) {
+          filled[e] = 1;
           break;
         }
     }
     SYNC;
   }
-  a.blocks = compact(a.block_slot, a.block, mask, s.blocks);
-  a.block_node = take<uint16_t>(top, a.blocks);
-  a.row_block = take<uint32_t>(top, s.blocks);
+  a.group_node = take<uint16_t>(top, 2 * a.groups);
+  a.depth = take<uint16_t>(top, a.nodes);
+  a.column = take<int>(top, a.nodes + 1);
+  a.row = take<int>(top, a.nodes + 1);
   a.incident = take<uint16_t>(top, 2 * s.groups);
-  uint16_t** ends[6] = {&a.incident_first, &a.incident_last, &a.row_first, &a.row_last, &a.column_first, &a.column_last};
-  for (int i = 0; i < 6; i++) *ends[i] = take<uint16_t>(top, a.nodes);
-  for (int b = TID; b < a.blocks; b += THREADS) a.block_node[b] = a.node_slot[load(s.row + a.block[b])];
-  // Lists of the whole structure with what does not act left out; each keeps its place.
-  for (int t = TID; t < a.nodes * 3; t += THREADS) {
-    int i = t / 3, j = a.node[i];
-    if (t % 3 == 0) {
-      int k = load(s.incident_start + j), last = load(s.incident_start + j + 1), out = k;
-      a.incident_first[i] = uint16_t(k);
-      for (; k < last; k++) {
-        int code = load(s.incident + k), slot = a.group_slot[code >> 1];
-        if (slot != kNone) a.incident[out++] = uint16_t(2 * slot + (code & 1));
-      }
-      a.incident_last[i] = uint16_t(out);
-    } else if (t % 3 == 1) {
-      int k = load(s.row_start + j), last = load(s.row_start + j + 1), out = k;
-      a.row_first[i] = uint16_t(k);
-      for (; k < last; k++) {
-        int e = load(s.row_block + k), slot = a.block_slot[e];
-        if (slot != kNone) a.row_block[out++] = uint32_t(slot) | uint32_t(a.node_slot[load(s.block_column + e)]) << 16;
-      }
-      a.row_last[i] = uint16_t(out);
-    } else {
-      int k = load(s.column + j), last = load(s.column + j + 1), first = 0, number = 0;
-      for (; k < last; k++)
-        if (a.block_slot[k] != kNone) first = number ? first : a.block_slot[k], number++;
-      a.column_first[i] = uint16_t(first), a.column_last[i] = uint16_t(first + number);
+  a.incident_first = take<uint16_t>(top, a.nodes);
+  a.incident_last = take<uint16_t>(top, a.nodes);
+  uint16_t* parent = take<uint16_t>(top, a.nodes);
+  for (int i = TID; i < a.groups; i += THREADS)
+    for (int side = 0; side < 2; side++) {
+      int j = load(s.position + load(s.group_part + side * s.groups + a.group[i]));
+      a.group_node[side * a.groups + i] = j >= 0 ? a.node_slot[j] : kNone;
     }
+  for (int i = TID; i < a.nodes; i += THREADS) {
+    int j = a.node[i], e = load(s.column + j), last = load(s.column + j + 1);
+    while (e < last && !filled[e]) e++;
+    parent[i] = e < last ? a.node_slot[load(s.block_row + e)] : kNone;
+    // Groups of the whole structure with those that do not act left out; each list keeps its place.
+    int k = load(s.incident_start + j), out = k, end = load(s.incident_start + j + 1);
+    a.incident_first[i] = uint16_t(k);
+    for (; k < end; k++) {
+      int code = load(s.incident + k), slot = a.group_slot[code >> 1];
+      if (slot != kNone) a.incident[out++] = uint16_t(2 * slot + (code & 1));
+    }
+    a.incident_last[i] = uint16_t(out);
   }
   a.levels = 0;
-  for (int level = 0, j = 0, e = 0; level < s.levels; level++) {  // every thread alike
-    int j0 = j, e0 = e;
-    int j_last = load(s.level_start + level + 1), e_last = load(s.column + j_last);
-    while (j < a.nodes && a.node[j] < j_last) j++;
-    while (e < a.blocks && a.block[e] < e_last) e++;
-    if (j == j0) continue;
-    if (TID == 0) a.level_node[a.levels] = uint16_t(j0), a.level_block[a.levels] = uint16_t(e0);
+  for (int level = 0, i = 0; level < s.levels; level++) {  // every thread alike
+    int first = i, last = load(s.level_start + level + 1);
+    while (i < a.nodes && a.node[i] < last) i++;
+    if (i == first) continue;
+    if (TID == 0) a.level_node[a.levels] = uint16_t(first);
     a.levels++;
   }
-  if (TID == 0) a.level_node[a.levels] = uint16_t(a.nodes), a.level_block[a.levels] = uint16_t(a.blocks);
+  if (TID == 0) a.level_node[a.levels] = uint16_t(a.nodes);
+  SYNC;
+  for (int i = TID; i < a.nodes; i += THREADS) {
+    int depth = 0;
+    for (int k = parent[i]; k != kNone; k = parent[k]) depth++;
+    a.depth[i] = uint16_t(depth);
+  }
+  SYNC;
+  for (int i = TID; i <= a.nodes; i += THREADS) {
+    int total = 0;
+    for (int k = 0; k < i; k++) total += a.depth[k];
+    a.column[i] = total;
+  }
+  SYNC;
+  a.blocks = a.column[a.nodes];
+  a.block_row = take<uint16_t>(top, a.blocks);
+  a.block_column = take<uint16_t>(top, a.blocks);
+  a.block_pattern = take<uint16_t>(top, a.blocks);
+  a.row_block = take<int>(top, a.blocks);
+  for (int i = TID; i < a.nodes; i += THREADS) {
+    int b = a.column[i], j = a.node[i], e = load(s.column + j), last = load(s.column + j + 1);
+    for (int k = parent[i]; k != kNone; k = parent[k], b++) {
+      int row = a.node[k];
+      while (e < last && load(s.block_row + e) < row) e++;
+      a.block_row[b] = uint16_t(k);
+      a.block_column[b] = uint16_t(i);
+      a.block_pattern[b] = e < last && load(s.block_row + e) == row && filled[e] ? uint16_t(e) : kNone;
+    }
+  }
+  SYNC;
+  uint16_t* count = parent;
+  a.stored = nullptr;
+  a.storage = a.blocks;
+  if (!StoreAll) {
+    a.stored = take<short>(top, a.blocks);
+    for (int i = TID; i < a.nodes; i += THREADS) {
+      int total = 0;
+      for (int b = a.column[i]; b < a.column[i + 1]; b++) total += a.block_pattern[b] != kNone;
+      count[i] = uint16_t(total);
+    }
+    SYNC;
+    for (int i = TID; i < a.nodes; i += THREADS) {
+      int out = 0;
+      for (int k = 0; k < i; k++) out += count[k];
+      for (int b = a.column[i]; b < a.column[i + 1]; b++) a.stored[b] = short(a.block_pattern[b] == kNone ? -1 : out++);
+    }
+    a.storage = 0;
+    for (int k = 0; k < a.nodes; k++) a.storage += count[k];
+    SYNC;
+  }
+  for (int i = TID; i < a.nodes; i += THREADS) {
+    int total = 0;
+    for (int j = 0; j < i; j++) total += a.block_of(i, j) >= 0;
+    count[i] = uint16_t(total);
+  }
+  SYNC;
+  for (int i = TID; i <= a.nodes; i += THREADS) {
+    int out = 0;
+    for (int k = 0; k < i; k++) out += count[k];
+    a.row[i] = out;
+    for (int j = 0; j < i && i < a.nodes; j++) {
+      int b = a.block_of(i, j);
+      if (b >= 0) a.row_block[out++] = a.block_pattern[b] == kNone ? -1 - b : b;
+    }
+  }
   SYNC;
   return a;
 }
@@ -544,12 +609,12 @@ DEVICE T node_wrench(const Structure& s, const State& a, int node, int r, const 
 }
 
 // ---------------------------------------------------------------------------------------------------------------
-// S = shift M + sum of the groups' local matrices, its factor L D L^T, and solves. All by 6 x 6 blocks, by rows.
+// S = shift M + sum of the groups' local matrices, and solves with it. All by 6 x 6 blocks, row by row.
 
 template <class T>
 struct Matrix {
-  T* diagonal;  // (nodes, 36): S, then C^-1, then D^-1
-  T* lower;     // (blocks, 36): S, then C, then L
+  T* diagonal;  // (nodes, 36): S, then the inverse of the factor
+  T* lower;     // (storage, 36)
 };
 
 // Where entry (i, k) of a symmetric matrix stands in its packed lower triangle.
@@ -590,6 +655,8 @@ template <class T>
 PHASE void assemble(const Structure& s, const State& a, double shift, const T* local, Matrix<T> m) {
   for (int t = TID; t < (a.nodes + a.blocks) * 6; t += THREADS) {
     int item = t / 6, r = t % 6;
+    int place = item < a.nodes ? item : a.at(item - a.nodes);
+    if (place < 0) continue;
     T out[6] = {};
     if (item < a.nodes) {
       int j = a.node[item];
@@ -605,14 +672,15 @@ PHASE void assemble(const Structure& s, const State& a, double shift, const T* l
         add_local_row(s, a, local, int(a.group[slot]), slot, r, code & 1, code & 1, T(1), out);
       }
     } else {
-      int e = a.block[item - a.nodes];
-      for (int k = load(s.block_start + e); k < load(s.block_start + e + 1); k++) {
+      int e = a.block_pattern[item - a.nodes];
+      int k = e == kNone ? 0 : load(s.block_start + e), last = e == kNone ? 0 : load(s.block_start + e + 1);
+      for (; k < last; k++) {
         int g = load(s.block_group + k);
-        int side = load(s.position + load(s.group_part + s.groups + g)) == load(s.row + e);
+        int side = load(s.position + load(s.group_part + s.groups + g)) == load(s.block_row + e);
         add_local_row(s, a, local, g, int(a.group_slot[g]), r, side, 1 - side, T(-1), out);
       }
     }
-    T* row = (item < a.nodes ? m.diagonal + item * 36 : m.lower + (item - a.nodes) * 36) + r * 6;
+    T* row = (item < a.nodes ? m.diagonal : m.lower) + place * 36 + r * 6;
 #pragma unroll
     for (int k = 0; k < 6; k++) row[k] = out[k];
   }
@@ -662,42 +730,57 @@ DEVICE bool invert_factor(T* block) {
 }
 
 template <class T>
-PHASE bool factor(const Structure& s, const State& a, Matrix<T> m) {
+DEVICE T dot6(const T* a, const T* b) {
+#ifdef __CUDACC__
+  using Two = typename Pair<T>::type;  // rows are 24 or 48 bytes
+  const Two* p = reinterpret_cast<const Two*>(a);
+  const Two* q = reinterpret_cast<const Two*>(b);
+  Two a0 = p[0], a1 = p[1], a2 = p[2], b0 = q[0], b1 = q[1], b2 = q[2];
+  return (a0.x * b0.x + a0.y * b0.y) + (a1.x * b1.x + a1.y * b1.y) + (a2.x * b2.x + a2.y * b2.y);
+#else
+  return (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5]);
+#endif
+}
+
+// Replaces S, level by level, by its Cholesky factor C with inverted diagonal blocks; false where a pivot is not
+// positive. Then multiplies by them to make L with unit diagonal.
+template <class T>
+PHASE bool factor(const State& a, Matrix<T> m) {
   double bad[1] = {0};
   for (int level = 0; level < a.levels; level++) {
     int node0 = a.level_node[level], nodes = a.level_node[level + 1] - node0;
-    int block0 = a.level_block[level], blocks = a.level_block[level + 1] - block0;
-    if (level) {
-      for (int t = TID; t < (nodes + blocks) * 6; t += THREADS) {
-        int item = t / 6, r = t % 6;
-        int target = item < nodes ? s.blocks + a.node[node0 + item] : a.block[block0 + item - nodes];
-        T* row = (item < nodes ? m.diagonal + (node0 + item) * 36 : m.lower + (block0 + item - nodes) * 36) + r * 6;
-        T out[6];
+    int block0 = a.column[node0], blocks = a.column[node0 + nodes] - block0;
+    for (int t = TID; level && t < (nodes + blocks) * 6; t += THREADS) {
+      int item = t / 6, r = t - item * 6, b = block0 + item - nodes;
+      if (item >= nodes && a.block_pattern[b] == kNone) continue;
+      int j = item < nodes ? node0 + item : a.block_column[b];
+      int up = item < nodes ? 0 : a.depth[j] - a.depth[a.block_row[b]];
+      T* row = (item < nodes ? m.diagonal + j * 36 : m.lower + a.at(b) * 36) + r * 6;
+      T out[6];
 #pragma unroll
-        for (int k = 0; k < 6; k++) out[k] = row[k];
-        for (int u = load(s.update_start + target); u < load(s.update_start + target + 1); u++) {
-          int left = a.block_slot[load(s.update_left + u)], right = a.block_slot[load(s.update_right + u)];
-          if (left == kNone || right == kNone) continue;
-          const T* x = m.lower + left * 36 + r * 6;
-          const T* y = m.lower + right * 36;
-          T x0 = x[0], x1 = x[1], x2 = x[2], x3 = x[3], x4 = x[4], x5 = x[5];
+      for (int k = 0; k < 6; k++) out[k] = row[k];
+      for (int n = a.row[j]; n < a.row[j + 1]; n++) {
+        int right = a.row_block[n];
+        if (right < 0) continue;
+        int left = a.at(right + up);
+        if (left < 0) continue;
+        const T* x = m.lower + left * 36 + r * 6;
+        const T* y = m.lower + a.at(right) * 36;
 #pragma unroll
-          for (int k = 0; k < 6; k++)
-            out[k] -= x0 * y[k * 6] + x1 * y[k * 6 + 1] + x2 * y[k * 6 + 2] + x3 * y[k * 6 + 3] + x4 * y[k * 6 + 4] +
-                      x5 * y[k * 6 + 5];
-        }
-#pragma unroll
-        for (int k = 0; k < 6; k++) row[k] = out[k];
+        for (int k = 0; k < 6; k++) out[k] -= dot6(x, y + k * 6);
       }
-      SYNC;
+#pragma unroll
+      for (int k = 0; k < 6; k++) row[k] = out[k];
     }
+    SYNC;
     for (int i = TID; i < nodes; i += THREADS)
       if (!invert_factor(m.diagonal + (node0 + i) * 36)) bad[0] = 1;
     SYNC;
     for (int t = TID; t < blocks * 6; t += THREADS) {
       int b = block0 + t / 6;
-      T* row = m.lower + b * 36 + t % 6 * 6;
-      const T* c = m.diagonal + a.node_slot[load(s.block_column + a.block[b])] * 36;
+      if (a.block_pattern[b] == kNone) continue;
+      T* row = m.lower + a.at(b) * 36 + t % 6 * 6;
+      const T* c = m.diagonal + a.block_column[b] * 36;
       T x[6];
 #pragma unroll
       for (int k = 0; k < 6; k++) x[k] = row[k];
@@ -713,8 +796,9 @@ PHASE bool factor(const Structure& s, const State& a, Matrix<T> m) {
   }
   for (int t = TID; t < a.blocks * 6; t += THREADS) {
     int b = t / 6;
-    T* row = m.lower + b * 36 + t % 6 * 6;
-    const T* c = m.diagonal + a.node_slot[load(s.block_column + a.block[b])] * 36;
+    if (a.block_pattern[b] == kNone) continue;
+    T* row = m.lower + a.at(b) * 36 + t % 6 * 6;
+    const T* c = m.diagonal + a.block_column[b] * 36;
     T x[6];
 #pragma unroll
     for (int k = 0; k < 6; k++) x[k] = row[k];
@@ -727,70 +811,135 @@ PHASE bool factor(const Structure& s, const State& a, Matrix<T> m) {
     }
   }
   SYNC;
-  for (int i = TID; i < a.nodes; i += THREADS) {
-    T* block = m.diagonal + i * 36;
-    T c[21];
-#pragma unroll
-    for (int k = 0; k < 6; k++)
-#pragma unroll
-      for (int j = 0; j <= k; j++) c[k * (k + 1) / 2 + j] = block[k * 6 + j];
-#pragma unroll
-    for (int r = 0; r < 6; r++)
-#pragma unroll
-      for (int j = 0; j <= r; j++) {
-        T total = T(0);
-#pragma unroll
-        for (int k = r; k < 6; k++) total += c[k * (k + 1) / 2 + r] * c[k * (k + 1) / 2 + j];
-        block[r * 6 + j] = block[j * 6 + r] = total;
-      }
-  }
   reduce<1, 0>(bad);
   SYNC;
   return bad[0] == 0;
 }
 
+// From L and the inverse of the diagonal of C to W = L^-1 and then to V = C^-1, so that S^-1 = V^T V.
 template <class T>
-DEVICE T dot6(const T* a, const T* b) {
-#ifdef __CUDACC__
-  using Two = typename Pair<T>::type;  // rows are 24 or 48 bytes
-  const Two* p = reinterpret_cast<const Two*>(a);
-  const Two* q = reinterpret_cast<const Two*>(b);
-  Two a0 = p[0], a1 = p[1], a2 = p[2], b0 = q[0], b1 = q[1], b2 = q[2];
-  return (a0.x * b0.x + a0.y * b0.y) + (a1.x * b1.x + a1.y * b1.y) + (a2.x * b2.x + a2.y * b2.y);
-#else
-  return (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5]);
-#endif
+PHASE void invert(const State& a, Matrix<T> m) {
+  // Row i of W in place of row i of L: a block of L is needed for the columns up to its own, so columns ascend and
+  // nothing is written before all threads have read.
+  for (int level = 1; level < a.levels; level++) {
+    int first = a.row[a.level_node[level]], items = (a.row[a.level_node[level + 1]] - first) * 6;
+    for (int t0 = 0; t0 < items; t0 += THREADS) {
+      int t = t0 + TID;
+      T out[6];
+      T* row = nullptr;
+      if (t < items) {
+        int b = a.row_block[first + t / 6], r = t % 6;
+        b = b < 0 ? -1 - b : b;
+        row = m.lower + b * 36 + r * 6;
+        int j = a.block_column[b], depth = a.depth[a.block_row[b]];
+#pragma unroll
+        for (int k = 0; k < 6; k++) out[k] = -row[k];
+        for (int c = a.column[j]; c < b; c++) {
+          int k = a.block_row[c], left = a.column[k] + a.depth[k] - depth - 1;
+          if (a.block_pattern[left] == kNone) continue;
+          const T* x = m.lower + left * 36 + r * 6;
+          const T* y = m.lower + c * 36;
+#pragma unroll
+          for (int i = 0; i < 6; i++) {
+            T value = x[i];
+#pragma unroll
+            for (int n = 0; n < 6; n++) out[n] -= value * y[i * 6 + n];
+          }
+        }
+      }
+      SYNC;
+      if (row)
+#pragma unroll
+        for (int k = 0; k < 6; k++) row[k] = out[k];
+    }
+    SYNC;
+  }
+  for (int t = TID; t < a.blocks * 6; t += THREADS) {
+    int b = t / 6;
+    T* column = m.lower + b * 36 + t % 6;
+    const T* c = m.diagonal + a.block_row[b] * 36;
+    T x[6];
+#pragma unroll
+    for (int k = 0; k < 6; k++) x[k] = column[k * 6];
+#pragma unroll
+    for (int i = 0; i < 6; i++) {
+      T total = T(0);
+#pragma unroll
+      for (int k = 0; k <= i; k++) total += c[i * 6 + k] * x[k];
+      column[i * 6] = total;
+    }
+  }
+  for (int t = TID; t < a.nodes * 36; t += THREADS)
+    if (t / 6 % 6 < t % 6) m.diagonal[t] = T(0);
+  SYNC;
 }
 
-// Solves S out = x; overwrites x.
+// Solves S out = V^T V x; `between` holds V x.
 template <class T>
-DEVICE void solve(const State& a, Matrix<T> m, T* x, T* out) {
-  for (int level = 1; level < a.levels; level++) {
-    int first = a.level_node[level] * 6, last = a.level_node[level + 1] * 6;
-    for (int t = first + TID; t < last; t += THREADS) {
-      int i = t / 6, r = t - i * 6;
-      T total = x[t];
-      int end = a.row_last[i];
+DEVICE void solve(const State& a, Matrix<T> m, const T* x, T* between, T* out) {
+  for (int t = TID; t < a.nodes * 6; t += THREADS) {
+    int i = t / 6, r = t - i * 6, end = a.row[i + 1];
+    T total = dot6(m.diagonal + t * 6, x + i * 6);
 #pragma unroll 4
-      for (int k = a.row_first[i]; k < end; k++) {
-        uint32_t code = a.row_block[k];
-        total -= dot6(m.lower + (code & 0xffff) * 36 + r * 6, x + (code >> 16) * 6);
+    for (int k = a.row[i]; k < end; k++) {
+      int b = a.row_block[k];
+      b = b < 0 ? -1 - b : b;
+      total += dot6(m.lower + b * 36 + r * 6, x + a.block_column[b] * 6);
+    }
+    between[t] = total;
+  }
+  SYNC;
+  for (int t = TID; t < a.nodes * 6; t += THREADS) {
+    int j = t / 6, c = t - j * 6, end = a.column[j + 1];
+    const T* l = m.diagonal + j * 36 + c;
+    const T* y = between + j * 6;
+    T total = (l[0] * y[0] + l[6] * y[1]) + (l[12] * y[2] + l[18] * y[3]) + (l[24] * y[4] + l[30] * y[5]);
+#pragma unroll 4
+    for (int b = a.column[j]; b < end; b++) {
+      l = m.lower + b * 36 + c;
+      y = between + a.block_row[b] * 6;
+      total += (l[0] * y[0] + l[6] * y[1]) + (l[12] * y[2] + l[18] * y[3]) + (l[24] * y[4] + l[30] * y[5]);
+    }
+    out[t] = total;
+  }
+  SYNC;
+}
+
+// Solves S out = x with L and the inverse of the diagonal of C, level by level; overwrites x.
+template <class T>
+DEVICE void solve_by_levels(const State& a, Matrix<T> m, T* x, T* between, T* out) {
+  for (int level = 1; level < a.levels; level++) {
+    int last = a.level_node[level + 1] * 6;
+    for (int t = a.level_node[level] * 6 + TID; t < last; t += THREADS) {
+      int i = t / 6, r = t - i * 6, end = a.row[i + 1];
+      T total = x[t];
+      for (int k = a.row[i]; k < end; k++) {
+        int b = a.row_block[k];
+        if (b >= 0) total -= dot6(m.lower + a.at(b) * 36 + r * 6, x + a.block_column[b] * 6);
       }
       x[t] = total;
     }
     SYNC;
   }
+  for (int t = TID; t < a.nodes * 6; t += THREADS) {
+    int i = t / 6, r = t - i * 6;
+    T total = T(0);
+    for (int k = 0; k <= r; k++) total += m.diagonal[t * 6 + k] * x[i * 6 + k];
+    between[t] = total;
+  }
+  SYNC;
   for (int level = a.levels - 1; level >= 0; level--) {
-    int first = a.level_node[level] * 6, last = a.level_node[level + 1] * 6;
-    for (int t = first + TID; t < last; t += THREADS) {
-      int i = t / 6, c = t - i * 6;
-      T total = dot6(m.diagonal + i * 36 + c * 6, x + i * 6);
-      int end = a.column_last[i];
-#pragma unroll 4
-      for (int b = a.column_first[i]; b < end; b++) {
-        const T* l = m.lower + b * 36 + c;
-        const T* w = out + a.block_node[b] * 6;
-        total -= (l[0] * w[0] + l[6] * w[1]) + (l[12] * w[2] + l[18] * w[3]) + (l[24] * w[4] + l[30] * w[5]);
+    int last = a.level_node[level + 1] * 6;
+    for (int t = a.level_node[level] * 6 + TID; t < last; t += THREADS) {
+      int j = t / 6, c = t - j * 6, end = a.column[j + 1];
+      T total = T(0);
+      for (int k = c; k < 6; k++) total += m.diagonal[j * 36 + k * 6 + c] * between[j * 6 + k];
+      for (int b = a.column[j]; b < end; b++) {
+        int place = a.at(b);
+        if (place < 0) continue;
+        const T* l = m.lower + place * 36 + c;
+        const T* y = out + a.block_row[b] * 6;
+        total -= (l[0] * y[0] + l[6] * y[1]) + (l[12] * y[2] + l[18] * y[3]) + (l[24] * y[4] + l[30] * y[5]);
       }
       out[t] = total;
     }
@@ -1067,11 +1216,12 @@ DEVICE void run_admm(const Structure& s, const Options& o, const Batch& b) {
   for (int index = next_state(b); index >= 0; index = next_state(b)) {
     char* base = OneEach ? POOL : b.scratch + BLOCK * b.scratch_stride;
     char* top = base;
-    State a = restrict_to(s, b.states + (long long)index * s.parts, top);
+    State a = restrict_to<true>(s, b.states + (long long)index * s.parts, top);
     Matrix<float> m;
     m.diagonal = take<float>(top, a.nodes * 36);
-    m.lower = take<float>(top, a.blocks * 36);
+    m.lower = take<float>(top, a.storage * 36);
     float* x = take<float>(top, a.nodes * 6);
+    float* between = take<float>(top, a.nodes * 6);
     float* w = take<float>(top, a.nodes * 6);
     double* proof_wrench = take<double>(top, a.groups * 12);
     float* wrench = reinterpret_cast<float*>(proof_wrench);
@@ -1090,14 +1240,15 @@ DEVICE void run_admm(const Structure& s, const Options& o, const Batch& b) {
       if (!OneEach) store_iterate(a, slot, u, z, q);
     }
     assemble(s, a, o.rho, s.local_single, m);
-    bool good = factor(s, a, m);
+    bool good = factor(a, m);
+    invert(a, m);
     int verdict = a.nodes ? kUndecided : kStable, iteration = 0;
     double residual = a.nodes ? kHuge : 0.0;
     while (good && verdict == kUndecided && iteration < o.iterations) {
       iteration++;
       for (int t = TID; t < a.nodes * 6; t += THREADS) x[t] = node_wrench(s, a, t / 6, t % 6, wrench);
       SYNC;
-      solve(a, m, x, w);
+      solve(a, m, x, between, w);
       bool check = iteration >= o.first_check && (iteration - o.first_check) % o.check_every == 0;
       Tally tally = {{0, -kHuge, 0, 0, 0}};
       for (int slot = TID; slot < a.groups; slot += THREADS) {
@@ -1267,7 +1418,7 @@ DEVICE void point_system(
 
 struct Interior {
   double *weights, *slacks;              // (GROUP, kRays, groups that act)
-  double *r, *ahead, *step, *x;          // (nodes, 6): velocity, velocity after a step, step, right-hand side
+  double *r, *ahead, *step, *x, *between;          // (nodes, 6): velocity, velocity after a step, step, right-hand side
   double *wrench, *local;                // (2, 6, groups), (21, groups)
   Matrix<double> m;
 };
@@ -1333,7 +1484,7 @@ PHASE void newton_step(const Structure& s, const State& a, const Interior& q) {
   for (int t = TID; t < a.nodes * 6; t += THREADS)
     q.x[t] = node_wrench(s, a, t / 6, t % 6, q.wrench) - momentum_of(s, a, q.r, t / 6, t % 6);
   SYNC;
-  solve(a, q.m, q.x, q.step);
+  solve_by_levels(a, q.m, q.x, q.between, q.step);
 }
 
 // Reach of a step, and its complementarity as a polynomial of its length: tally of reach, constant, linear, square.
@@ -1461,22 +1612,23 @@ DEVICE void run_interior(const Structure& s, const Options& o, const Batch& b) {
   for (int index = next_state(b); index >= 0; index = next_state(b)) {
     char* base = InShared ? POOL : b.scratch + BLOCK * b.scratch_stride;
     char* top = base;
-    State a = restrict_to(s, b.states + (long long)index * s.parts, top);
+    State a = restrict_to<false>(s, b.states + (long long)index * s.parts, top);
     Interior q;
     q.m.diagonal = take<double>(top, a.nodes * 36);
-    q.m.lower = take<double>(top, a.blocks * 36);
+    q.m.lower = take<double>(top, a.storage * 36);
     q.r = take<double>(top, a.nodes * 6);
     q.ahead = take<double>(top, a.nodes * 6);
     q.step = take<double>(top, a.nodes * 6);
     q.x = take<double>(top, a.nodes * 6);
-    q.wrench = take<double>(top, a.groups * 12);
-    q.local = take<double>(top, a.groups * 21);
+    q.between = take<double>(top, a.nodes * 6);
     if (top - base > b.pool_bytes) {
       if (TID == 0) b.large[atomicAdd(b.large_count, 1)] = index;
       continue;
     }
     q.weights = reinterpret_cast<double*>(b.points_scratch + BLOCK * b.points_stride);
     q.slacks = q.weights + s.groups * GROUP * kRays;
+    q.local = q.slacks + s.groups * GROUP * kRays;
+    q.wrench = q.local + s.groups * 21;
     int points = start_interior(s, a, b, index, q);
     FromMultipliers source = {q.weights, s.friction};
     int verdict = kUndecided, step = 0;
@@ -1485,7 +1637,7 @@ DEVICE void run_interior(const Structure& s, const Options& o, const Batch& b) {
       step++;
       prepare<true>(s, a, q, 0.0);
       assemble(s, a, 1.0, q.local, q.m);
-      if (!factor(s, a, q.m)) break;
+      if (!factor(a, q.m)) break;
       newton_step(s, a, q);
       for (int t = TID; t < a.nodes * 6; t += THREADS) q.ahead[t] = q.r[t] + q.step[t];
       SYNC;

@@ -21,13 +21,11 @@ _ARRAY_FIELDS = (
     "position",
     "level_start",
     "column",
-    "row",
+    "block_row",
     "block_column",
-    "row_start",
-    "row_block",
-    "update_start",
-    "update_left",
-    "update_right",
+    "fill_start",
+    "fill_left",
+    "fill_right",
     "group_part",
     "group_first",
     "group_count",
@@ -110,6 +108,8 @@ class Layout:
     friction: float
     group_size: int
     """Most contact points of a group."""
+    ancestors: int
+    """Pairs of a part and one of its ancestors in the elimination tree of the complete structure."""
 
     def kernel_structure(self, addresses: dict[str, int]) -> KernelStructure:
         """Argument of the kernel, given where each array was put."""
@@ -120,28 +120,36 @@ class Layout:
         """Groups of contact points of the whole structure."""
         return self.sizes["groups"]
 
+    @property
+    def groups(self) -> int:
+        """Groups of contact points of the whole structure."""
+        return self.sizes["groups"]
+
     def admm_bytes(self, share: float = 1.0, *, on_chip: bool = True) -> int:
         """Memory for ADMM on a state with this share of the structure; iterates may stay in registers."""
         n, groups, blocks = self._counts(share)
         points = 0 if on_chip else groups * self.group_size
-        return self._index_bytes() + 4 * (36 * (n + blocks) + 12 * n + 6 * points) + 96 * groups
+        return self._index_bytes(share) + 4 * (36 * (n + blocks) + 18 * n + 6 * points) + 96 * groups
 
-    def interior_bytes(self, share: float = 1.0) -> int:
-        """Memory for the interior point method on a state with this share of the structure."""
+    def interior_bytes(self) -> int:
+        """Memory for the interior point method on the largest state."""
+        n, blocks = self.sizes["positions"], self.sizes["blocks"]
+        return self._index_bytes(1.0) + 2 * self.ancestors + 8 * (36 * (n + blocks) + 30 * n)
+
+    def group_bytes(self) -> int:
+        """Memory for multipliers, slacks, local matrices and wrenches of all groups."""
+        return self.groups * (self.group_size * 16 + 21 + 12) * 8
+
+    def _counts(self, share: float) -> tuple[int, int, int]:
+        """Nodes, groups and blocks of the inverse factor: parts have fewer ancestors in a smaller state."""
+        n, groups = (-int(-share * self.sizes[name] // 1) for name in ("positions", "groups"))
+        return n, groups, -int(-(share**1.5) * self.ancestors // 1)
+
+    def _index_bytes(self, share: float) -> int:
         n, groups, blocks = self._counts(share)
-        return self._index_bytes() + 8 * (36 * (n + blocks) + 24 * n + 33 * groups)
-
-    def multiplier_bytes(self) -> int:
-        """Memory for the multipliers and slacks of the largest state."""
-        return self.groups * self.group_size * 16 * 8
-
-    def _counts(self, share: float) -> tuple[int, ...]:
-        return tuple(-int(-share * self.sizes[name] // 1) for name in ("positions", "groups", "blocks"))
-
-    def _index_bytes(self) -> int:
-        n, groups, blocks = self._counts(1.0)
-        words = 2 * (8 * n + 2 * self.sizes["levels"] + 6 * groups + 3 * blocks) + 4 * blocks
-        return words + max(n, groups, blocks) // 8 + 32 * 16  # each of the thirty-odd arrays starts at 16 bytes
+        whole = self.sizes["positions"] * 4 + self.sizes["levels"] * 2 + self.groups * 8 + self.sizes["blocks"]
+        most = max(self.sizes["positions"], self.groups)
+        return whole + most // 8 + 4 * groups + 16 * n + 10 * blocks + 32 * 16  # arrays start at 16 bytes
 
 
 def kernel_options(settings: StabilitySettings) -> KernelOptions:
@@ -174,7 +182,7 @@ def build_layout(problem: Problem, group_size: int | None = None) -> Layout:
         group_size = min(_GROUP_SIZES, key=lambda size: (size + _GROUP_COST) * len(_groups(problem, size)[0]))
     first, count, pair = _groups(problem, group_size)
     groups, n = len(first), len(pattern["column"]) - 1
-    if max(groups, len(pattern["row"]), n) >= _INDEX_LIMIT:
+    if max(groups, len(pattern["block_row"]), n) >= _INDEX_LIMIT:
         raise InputError(
             f"{groups} groups of contact points and {len(pattern['row'])} blocks of fill are more than the GPU solver "
             f"can index ({_INDEX_LIMIT}); use solver='cpu'"
@@ -183,7 +191,7 @@ def build_layout(problem: Problem, group_size: int | None = None) -> Layout:
     part = problem.pair_parts[pair].T.copy() if groups else np.zeros((2, 0), np.int32)
     block = pattern.pop("pair_block")[pair]
     incident_start, incident = _lists(position[part].T.ravel(), np.arange(2 * groups), n)
-    block_start, block_group = _lists(block, np.arange(groups), len(pattern["row"]))
+    block_start, block_group = _lists(block, np.arange(groups), len(pattern["block_row"]))
     arrays: dict[str, NDArray] = {
         **pattern,
         "group_part": part,
@@ -200,11 +208,11 @@ def build_layout(problem: Problem, group_size: int | None = None) -> Layout:
         "parts": problem.parts,
         "positions": n,
         "groups": groups,
-        "blocks": len(pattern["row"]),
+        "blocks": len(pattern["block_row"]),
         "levels": len(pattern["level_start"]) - 1,
         "points": problem.points,
     }
-    return Layout(sizes, arrays, problem.weight, problem.friction, group_size)
+    return Layout(sizes, arrays, problem.weight, problem.friction, group_size, _ancestors(pattern))
 
 
 def _eliminate(problem: Problem) -> dict[str, NDArray]:
@@ -238,14 +246,12 @@ def _eliminate(problem: Problem) -> dict[str, NDArray]:
     row = np.array([i for entries in rows for i in entries], dtype=np.int64)
     block_column = np.repeat(np.arange(n), np.diff(column))
     block_of = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(row, block_column, strict=True))}
-    updates: list[list[tuple[int, int]]] = [[] for _ in range(len(row) + n)]
+    fill: list[list[tuple[int, int]]] = [[] for _ in row]
     for j in range(n):
         for right in range(column[j], column[j + 1]):
-            updates[len(row) + row[right]].append((right, right))
             for left in range(right + 1, column[j + 1]):
-                updates[block_of[int(row[left]), int(row[right])]].append((left, right))
-    update = np.array([pair for entries in updates for pair in entries], dtype=np.int64).reshape(-1, 2)
-    row_start, row_block = _lists(row, np.arange(len(row)), n)
+                fill[block_of[int(row[left]), int(row[right])]].append((left, right))
+    pairs = np.array([pair for entries in fill for pair in entries], dtype=np.int64).reshape(-1, 2)
     pair_block = [
         block_of[max(i, j), min(i, j)] if i >= 0 and j >= 0 else -1 for i, j in position[problem.pair_parts].tolist()
     ]
@@ -254,15 +260,22 @@ def _eliminate(problem: Problem) -> dict[str, NDArray]:
         "position": position,
         "level_start": np.searchsorted([level[part] for part in order], np.arange(depth + 1)),
         "column": column,
-        "row": row,
+        "block_row": row,
         "block_column": block_column,
-        "row_start": row_start,
-        "row_block": row_block,
-        "update_start": np.cumsum([0] + [len(entries) for entries in updates]),
-        "update_left": update[:, 0],
-        "update_right": update[:, 1],
+        "fill_start": np.cumsum([0] + [len(entries) for entries in fill]),
+        "fill_left": pairs[:, 0],
+        "fill_right": pairs[:, 1],
         "pair_block": np.array(pair_block, dtype=np.int64),
     }
+
+
+def _ancestors(pattern: dict[str, NDArray]) -> int:
+    column, row = pattern["column"], pattern["block_row"]
+    depth = np.zeros(len(column), dtype=np.int64)
+    for j in range(len(column) - 2, -1, -1):
+        if column[j + 1] > column[j]:
+            depth[j] = depth[row[column[j]]] + 1
+    return int(depth.sum())
 
 
 def _groups(problem: Problem, size: int) -> tuple[NDArray, NDArray, NDArray]:

@@ -48,13 +48,9 @@ class GpuSettings:
     """Iterations between two tests for a proof."""
     interior_steps: int = 50
     """Steps of the interior point method before a state is left to the exact solver."""
-    admm_shares: tuple[float, ...] = (0.4, 0.6, 1.0)
+    admm_shares: tuple[float, ...] = (0.5, 1.0)
     """Sizes of state, as shares of the whole structure, that ADMM has a launch for: small states leave room on
     a multiprocessor for more of them."""
-    interior_shares: tuple[float, ...] = (0.5, 1.0)
-    """The same for the interior point method."""
-    interior_threads: int = 128
-    """Threads a state in the interior point method, in batches that fill the device."""
 
 
 @dataclass(frozen=True)
