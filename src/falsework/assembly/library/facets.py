@@ -103,8 +103,11 @@ def shell_solids(
     solids = []
     for kind, cells, fixed in groups:
         rings = _outlines(cells, index, len(names))
-        for ring in rings[: 2 * len(cells)]:
-            _check_ring(vertices[list(ring)], thickness)
+        for number, ring in enumerate(rings[: 2 * len(cells)]):
+            if not _convex(vertices[list(ring)], upward=number >= len(cells)):
+                raise InputError(
+                    f"thickness {thickness:g} m is too much for blocks this small or this curved; make it thinner"
+                )
         used = sorted({corner for ring in rings for corner in ring})
         place = {corner: k for k, corner in enumerate(used)}
         solids.append(Solid(kind, vertices[used], tuple(tuple(place[k] for k in ring) for ring in rings), fixed))
@@ -121,10 +124,9 @@ def _outlines(cells: Sequence[Cell], index: dict, count: int) -> list[tuple[int,
     return rings
 
 
-def _check_ring(corners: Array, thickness: float) -> None:
-    """Refuse faces that are not convex: there the joints cross before they reach the face."""
+def _convex(corners: Array, *, upward: bool) -> bool:
+    """Whether a face is convex and looks the right way; else the joints around it cross before they reach it."""
     along = np.roll(corners, -1, axis=0) - corners
     turn = np.cross(along, np.roll(along, -1, axis=0))
-    total = turn.sum(axis=0)
-    if not (turn @ total > 0.0).all():
-        raise InputError(f"thickness {thickness:g} m is too much for blocks this small or this curved; make it thinner")
+    normal = turn.sum(axis=0)
+    return bool((turn @ normal > 0.0).all()) and (normal[2] > 0.0) == upward

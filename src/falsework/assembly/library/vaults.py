@@ -22,7 +22,8 @@ SLENDERNESS = 0.75
 the coefficient of friction: neighbours that press from both sides would squeeze a block out otherwise."""
 
 END_SHIFT = 0.15
-"""How far, in widths, the last blocks of the short courses move to the free edge that they have to fill."""
+"""How far, in widths, the centres of the first and last cells of the short courses move outwards: these cells
+reach to the free edge and are half a width wider."""
 
 
 @structure("vault")
