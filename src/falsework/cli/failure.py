@@ -60,7 +60,8 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
         oracle: decides which parts move in the states where the search broke off.
         result: end of the search.
     """
-    from falsework.search.result import Direction, Outcome
+    from falsework.search.result import Outcome
+    from falsework.search.task import Direction
 
     proven = result.outcome is Outcome.PROVED_IMPOSSIBLE
     disassembly = result.direction is Direction.DISASSEMBLY

@@ -86,7 +86,7 @@ class MakePlan(Command):
 
     def _settings(self) -> PlannerSettings:
         from falsework.search.planner import PlannerSettings
-        from falsework.search.result import Direction
+        from falsework.search.task import Direction
 
         both = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
         directions = both if self.direction == "both" else (Direction(self.direction),)

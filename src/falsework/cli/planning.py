@@ -76,7 +76,7 @@ class SearchOptions:
             InputError: a width below one.
         """
         from falsework.search.beam import BeamSettings
-        from falsework.search.result import Direction
+        from falsework.search.task import Direction
 
         return BeamSettings(self.width, Direction(self.direction), seed=self.seed)
 

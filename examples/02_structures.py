@@ -1,6 +1,6 @@
 """Built-in structures: what there is, how to change one, and how thin an arch can be.
 
-Run: python examples/06_structures.py
+Run: python examples/02_structures.py
 """
 
 from __future__ import annotations
