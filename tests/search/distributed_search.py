@@ -30,10 +30,10 @@ def neighbours_stand(states: Any, parents: Any) -> Any:
     return ((states != 1) | support).all(dim=1).to(states.dtype).char() * 2 - 1
 
 
-def search_all(device: str, shards: Shards) -> dict[str, np.ndarray]:
+def search_all(device: str, shards: Shards) -> dict[str, Any]:
     """Every search, as arrays to compare."""
     task = Task.create(np.arange(PARTS) == 0, 3)
-    arrays = {}
+    arrays: dict[str, Any] = {}
     for index, settings in enumerate(SEARCHES):
         search = DeviceBeam(task, neighbours_stand, settings, device=device, shards=shards)
         result = search.run()

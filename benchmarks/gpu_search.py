@@ -1,0 +1,179 @@
+"""Time whole beam searches on a device, every verdict proven: one JSON object a line.
+
+    python benchmarks/gpu_search.py
+    python benchmarks/gpu_search.py --cases vault-62:64 dome:256 --device cpu
+    torchrun --nproc-per-node 4 benchmarks/gpu_search.py --cases vault-62:4096
+
+A case is a structure, by the name of a real one (FALSEWORK_DATA, else the folder `shared` beside the repository), of a
+built-in one, or by its path, and a width. `seconds` is the whole search from the origin to plan and levels on the
+host, after a narrow search that compiles the kernels (`warm_up_seconds`); `phases` is from another run of the same
+search that waits after each phase, so its sum may exceed `seconds`. `levels` is a hash over all states kept: equal
+hashes, equal searches, on any number of processes. `disagree` counts states kept, out of `checked` drawn at random,
+that the solver on the processor does not call stable. With `--host`, the beam of the processor runs as well, at widths
+up to the one given.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+
+from falsework.assembly import Assembly, load_structure
+from falsework.search import BeamSearch, BeamSettings, StateGraph, Task
+from falsework.search.device_beam import DeviceBeam
+from falsework.search.shards import Shards, joined
+from falsework.search.tensor_judge import oracle_on
+from falsework.stability import Stability
+
+TARGET = {("vault-62", 64): 2.0, ("vault-62", 1024): 15.0, ("dome-72", 64): 4.0}
+"""Seconds asked for, with two robots on one H200."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to time."""
+
+    cases: tuple[str, ...] = ("vault-62:64", "dome-72:64", "vault-62:1024")
+    """Structures and widths, `structure:width`."""
+    robots: int = 2
+    """Parts that may be held at once."""
+    device: str = "auto"
+    """`auto`, `cpu` or `cuda`."""
+    host: int = 64
+    """Widest case for which the beam of the processor is timed too; 0 for none."""
+    checked: int = 256
+    """Kept states whose verdicts are compared with those of the processor."""
+    phases: bool = True
+    """Run each search a second time to time its phases."""
+    graph: bool = False
+    """Build the state graph too, and count the states from which it leads to the goal."""
+
+
+def find(name: str) -> str:
+    """Path of a real structure where there is one of that name, else the name."""
+    named = os.environ.get("FALSEWORK_DATA")
+    data = Path(named) if named else Path(__file__).resolve().parents[2] / "shared"
+    path = data / "assemblies" / name
+    return str(path) if path.is_dir() else name
+
+
+def wait(device: torch.device) -> None:
+    """Until all that was queued on a device is done."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def time_phases(search: DeviceBeam) -> dict[str, float]:
+    """Run a search that waits after each phase, and return the seconds in each."""
+    seconds = {"expand": 0.0, "verdicts": 0.0, "choose": 0.0}
+
+    def timed(phase: str, work: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*arguments: Any) -> Any:
+            wait(search.device)
+            begin = time.perf_counter()
+            answer = work(*arguments)
+            wait(search.device)
+            seconds[phase] += time.perf_counter() - begin
+            return answer
+
+        return run
+
+    search._expand = timed("expand", search._expand)
+    search._choose = timed("choose", search._choose)
+    search._judge.verdicts = timed("verdicts", search._judge.verdicts)
+    search.run()
+    return {phase: round(spent, 3) for phase, spent in seconds.items()}
+
+
+def disagreements(states: np.ndarray, count: int, oracle: Stability) -> int:
+    """How many of some states drawn at random the oracle does not prove stable."""
+    rows = np.random.default_rng(0).permutation(len(states))[:count]
+    return int((~oracle.stable(states[rows])).sum())
+
+
+def measure(case: str, options: Options, shards: Shards, device: torch.device) -> dict[str, Any]:
+    """One case on the device."""
+    name, _, width = case.rpartition(":")
+    assembly: Assembly = load_structure(find(name))
+    task = Task.create(assembly.boundary, options.robots)
+    oracle = Stability(assembly)
+    on_device = oracle_on(oracle, device)
+
+    def search(width: int) -> DeviceBeam:
+        return DeviceBeam(task, on_device, BeamSettings(width=width), device=device, shards=shards)
+
+    begin = time.perf_counter()
+    search(min(8, int(width))).run()
+    warm_up = time.perf_counter() - begin
+    beam = search(int(width))
+    wait(device)
+    begin = time.perf_counter()
+    result = beam.run()
+    states = beam.states()
+    seconds = time.perf_counter() - begin
+    row = {
+        "benchmark": "gpu_search",
+        "structure": name,
+        "robots": options.robots,
+        "width": int(width),
+        "device": torch.cuda.get_device_name(device) if device.type == "cuda" else platform.processor() or "cpu",
+        "processes": shards.size,
+        "seconds": round(seconds, 3),
+        "target_seconds": TARGET.get((name, int(width))) if options.robots == 2 else None,
+        "warm_up_seconds": round(warm_up, 2),
+        "found": result.found,
+        "states": result.counters.states,
+        "candidates": result.counters.candidates,
+        "asked": result.counters.asked,
+        "rejected": result.counters.rejected,
+        "undecided": result.undecided,
+        "levels": hashlib.sha256(states.tobytes()).hexdigest()[:16],
+        "notes": result.notes,
+        "torch": torch.__version__,
+    }
+    if device.type == "cuda":
+        row["peak_bytes"] = torch.cuda.max_memory_allocated(device)
+    if options.phases:
+        row["phases"] = time_phases(search(int(width)))
+    if shards.first and options.checked:
+        row["checked"] = min(options.checked, len(states))
+        row["disagree"] = disagreements(states, options.checked, Stability(assembly))
+    if shards.first and options.graph:
+        graph = StateGraph.build(task, states)
+        row["graph_edges"], row["graph_solvable"] = len(graph.source), int(graph.solvable.sum())
+    if shards.first and int(width) <= options.host:
+        host = BeamSearch(task, Stability(assembly), BeamSettings(width=int(width)))
+        begin = time.perf_counter()
+        found = host.run()
+        row["host"] = {
+            "seconds": round(time.perf_counter() - begin, 3),
+            "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+            "found": found.found,
+            "states": found.counters.states,
+            "asked": found.counters.asked,
+        }
+    return row
+
+
+def main(options: Options) -> None:
+    """Run the benchmark."""
+    with joined(options.device) as (shards, device):
+        for case in options.cases:
+            row = measure(case, options, shards, device)
+            if shards.first:
+                print(json.dumps(row), flush=True)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
