@@ -282,7 +282,7 @@ def test_bad_states_do_not_reach_the_exact_solver(arch: Assembly) -> None:
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
 def test_bad_settings_are_named(name: str, value: float) -> None:
     with pytest.raises(InputError, match=name):
-        StabilitySettings(**{name: value})
+        StabilitySettings(**{name: value})  # type: ignore[arg-type]
 
 
 def test_unknown_choices_are_named(arch: Assembly) -> None:
