@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import io
 import os
@@ -93,4 +94,15 @@ def _write_help_texts() -> None:
         (folder / f"help-{name or 'falsework'}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def _write_benchmarks() -> None:
+    """What each benchmark says of itself, for the page on benchmarks."""
+    texts = []
+    for path in sorted((HERE.parent / "benchmarks").glob("[!_]*.py")):
+        about = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        first, _, rest = about.partition("\n")
+        texts.append(f"## {path.name}\n\n{first}\n\n```text\n{rest.strip()}\n```\n")
+    (HERE / "_generated" / "benchmarks.md").write_text("\n".join(texts), encoding="utf-8")
+
+
 _write_help_texts()
+_write_benchmarks()
