@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -56,7 +57,7 @@ class GpuSolver:
         problem: the structure.
         settings: what stable means.
         device: a CUDA device, such as `cuda` or `cuda:1`.
-        driver: a device to run on instead.
+        make_driver: makes a device to run on instead, given the compile-time constants of the kernel.
 
     Raises:
         DependencyError: torch or cuda-bindings is missing.
@@ -69,20 +70,20 @@ class GpuSolver:
         settings: StabilitySettings = StabilitySettings(),
         device: str = "cuda",
         *,
-        driver: Driver | None = None,
+        make_driver: Callable[[dict[str, int]], Driver] | None = None,
     ) -> None:
         self.problem = problem
         self.settings = settings
         self.layout = build_layout(problem)
         # Without friction both cones are the same ray, and only the octagon's multipliers stay positive.
         quadratic = CONES[settings.cone] if problem.friction > 1e-9 else 0
-        self.driver: Driver = driver or CudaDriver(device, {"QUADRATIC": quadratic, "GROUP": self.layout.group_size})
+        constants = {"QUADRATIC": quadratic, "GROUP": self.layout.group_size}
+        self.driver = CudaDriver(device, constants) if make_driver is None else make_driver(constants)
         self._arrays = {name: self.driver.put(array) for name, array in self.layout.arrays.items()}
         self._structure = self.layout.kernel_structure(
             {name: self.driver.address(array) for name, array in self._arrays.items()}
         )
         self._options = kernel_options(settings)
-        self._scratch: dict[str, Any] = {}
         self._chains: dict[bool, tuple[list[_Stage], list[_Stage], Any]] = {}
         self._chunk = 1 << 20
 

@@ -13,7 +13,18 @@ from numpy.typing import DTypeLike, NDArray
 
 from falsework.errors import DependencyError, InputError, SolverError
 
-KERNEL_SOURCE = "gpu_kernel.cu"
+SOURCES = (
+    "common.cuh",
+    "cones.cuh",
+    "state.cuh",
+    "contacts.cuh",
+    "matrix.cuh",
+    "judge.cuh",
+    "admm.cuh",
+    "interior_point.cuh",
+    "interior.cuh",
+    "kernels.cuh",
+)
 KERNELS = ("admm_shared", "admm_scratch", "interior_shared", "interior_scratch")
 """Kernels of the source, in the order of its `PART`s: each is compiled when it is first needed."""
 
@@ -56,6 +67,12 @@ class Driver(Protocol):
     ) -> None:
         """Queue a kernel."""
         ...
+
+
+def kernel_source() -> str:
+    """The whole source: C++17, for NVRTC or, with one thread a block, for any other compiler."""
+    folder = resources.files("falsework.stability.gpu_source")
+    return "".join(f'#line 1 "{name}"\n{folder.joinpath(name).read_text(encoding="utf-8")}' for name in SOURCES)
 
 
 class CudaDriver:
@@ -140,7 +157,7 @@ class CudaDriver:
 
         if kernel not in self._functions:
             defines = {**self._defines, "PART": KERNELS.index(kernel)}
-            code = _compile(*self._architecture, tuple(sorted(defines.items())))
+            code = compile_kernel(*self._architecture, tuple(sorted(defines.items())))
             with self._torch.cuda.device(self.device):
                 self._torch.cuda.current_stream().synchronize()  # makes torch's context current
                 module = _ask(driver.cuModuleLoadData(code))
@@ -154,14 +171,13 @@ class CudaDriver:
 
 
 @lru_cache(maxsize=32)
-def _compile(major: int, minor: int, defines: tuple[tuple[str, int], ...]) -> bytes:
+def compile_kernel(major: int, minor: int, defines: tuple[tuple[str, int], ...]) -> bytes:
     """Machine code of the kernel for one architecture and one set of compile-time constants."""
     from cuda.bindings import nvrtc
 
-    source = resources.files("falsework.stability").joinpath(KERNEL_SOURCE).read_bytes()
     options = [f"--gpu-architecture=sm_{major}{minor}", "--std=c++17", "--fmad=true"]
     options += [f"-D{name}={value}" for name, value in defines]
-    program = _ask(nvrtc.nvrtcCreateProgram(source, KERNEL_SOURCE.encode(), 0, [], []))
+    program = _ask(nvrtc.nvrtcCreateProgram(kernel_source().encode(), b"falsework", 0, [], []))
     encoded = [option.encode() for option in options]
     (status,) = nvrtc.nvrtcCompileProgram(program, len(encoded), encoded)
     if status != nvrtc.nvrtcResult.NVRTC_SUCCESS:
