@@ -90,8 +90,8 @@ class BeamSearch:
         self.task = task
         self.settings = settings
         self.levels: list[Level] = []
-        self.exhaustive = True
-        """No state was left out so far: if the search dies now, there is no plan."""
+        self._whole: list[bool] = []
+        """For each level after the first, and for the attempt at the next if dead: no stable state was left out."""
         self._judge = Judge(oracle)
         self._guide = guide
         self._hash = StateHash.for_parts(task.part_count)
@@ -116,6 +116,11 @@ class BeamSearch:
     def found(self) -> bool:
         """Whether the goal is reached."""
         return len(self.levels) == self.task.steps + 1
+
+    @property
+    def exhaustive(self) -> bool:
+        """Whether no state was left out so far: if so and the search is dead, there is no plan."""
+        return all(self._whole)
 
     @property
     def counters(self) -> SearchCounters:
@@ -153,12 +158,25 @@ class BeamSearch:
         self._candidates += len(frontier)
         self._rejected = frontier.states(choice.rejected[:_REPORTED])
         self._dead = len(choice.kept) == 0
-        self.exhaustive &= choice.exhaustive
+        self._whole = [*self._whole[: len(self.levels) - 1], choice.exhaustive]
         if self._dead:
             return False
         kept = choice.kept
         self.levels.append(Level(frontier.states(kept), frontier.parent[kept], frontier.action[kept], score[kept]))
         return True
+
+    def rewind(self, level: int, settings: BeamSettings) -> None:
+        """Forget all levels after `level` and go on from there with other settings.
+
+        Raises:
+            InputError: settings for the other direction, or a level that was not reached.
+        """
+        if settings.direction is not self.settings.direction or not 0 <= level < len(self.levels):
+            raise InputError(f"cannot rewind a beam search of {len(self.levels)} levels to level {level}")
+        del self.levels[level + 1 :]
+        self.settings = settings
+        del self._whole[level:]
+        self._dead = False
 
     def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
         """Step until the goal is reached, nothing is left, or somebody stops it.
@@ -226,7 +244,7 @@ class BeamSearch:
             "counters": asdict(self.counters) | {"states": 0},
             "seconds": self._seconds,
             "undecided": self._judge.undecided + self._undecided,
-            "exhaustive": self.exhaustive,
+            "whole": self._whole,
             "dead": self._dead,
         }
         arrays: dict[str, NDArray[Any]] = {
@@ -266,7 +284,7 @@ class BeamSearch:
         search.levels = [Level(*column) for column in zip(*columns, strict=True)] if len(sizes) else []
         search._before = SearchCounters(**header["counters"])
         search._seconds, search._undecided = float(header["seconds"]), int(header["undecided"])
-        search._dead, search.exhaustive = bool(header["dead"]), bool(header["exhaustive"])
+        search._dead, search._whole = bool(header["dead"]), [bool(flag) for flag in header["whole"]]
         search._rejected = arrays["rejected"]
         return search
 
@@ -282,7 +300,7 @@ class BeamSearch:
         )
 
     def result(self, *, interrupted: bool = False) -> SearchResult:
-        """Where the search stands; `interrupted` if it is to be called unfinished."""
+        """What the search found so far; `interrupted` if somebody stopped it."""
         undecided, limit = self._judge.undecided + self._undecided, ""
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:

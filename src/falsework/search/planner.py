@@ -1,4 +1,4 @@
-"""Finds plans: narrow beams first, wider ones where they fail, from both ends."""
+"""Finds plans: beams that widen where they must, from both ends; then later missing parts; then other plans."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
+from falsework.search.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.archive import read_archive, write_archive
-from falsework.search.beam import BeamSearch, BeamSettings, Diversity
 from falsework.search.guide import Guide, NoveltyGuide
 from falsework.search.judge import Oracle
 from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
@@ -22,14 +22,14 @@ from falsework.search.task import Direction, Task
 FORMAT = "falsework.planner/1"
 
 _BOTH = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
-_AHEAD = 64
-"""States that need no verdict which the narrowest beam keeps, so that the next level has a choice."""
-_DIVERSITIES: tuple[Diversity, ...] = ("none", "k-means")
-"""Both are tried at every width: either finds plans that the other misses."""
+_FIRST_WIDTH = 16
+"""Beams grow to this width from one end before the other end is tried ..."""
 _WIDENING = 4
-"""Each attempt's beam is this many times wider than the last one's from the same end."""
+"""... and then to widths this many times larger, in turn."""
 _TRIAL_WIDTH = 4
 """Widest beam for a plan with missing parts later: how wide the first plan's beam was is no guide to that."""
+_NOVEL_WIDTH = 4
+"""Narrowest beam for a plan unlike others: one state a level leaves no choice."""
 
 
 @dataclass(frozen=True)
@@ -53,34 +53,21 @@ class PlannerSettings:
         if self.alternatives < 1:
             raise InputError(f"{self.alternatives} alternatives is no number of plans; ask for at least 1")
 
-    def attempts(self) -> tuple[BeamSettings, ...]:
-        """Beam searches in the order in which they are tried, cheap ones first."""
-        widths = [1]
-        while widths[-1] < self.width:
-            widths.append(min(widths[-1] * _WIDENING, self.width))
-        return tuple(
-            self._attempt(width, direction, diversity)
-            for width in widths
-            for diversity in (("none",) if width == 1 else _DIVERSITIES)
-            for direction in self.directions
-        )
+    def attempts(self, stage: str = "plan") -> tuple[tuple[Direction, int], ...]:
+        """Ends to search from, and how wide a beam may become there, in the order in which they are tried.
 
-    def other_attempts(self) -> tuple[BeamSettings, ...]:
-        """Beam searches for a plan unlike those found, in the order in which they are tried."""
-        widths = [min(width, self.width) for width in (_WIDENING, _WIDENING**2)]
-        # Taking apart leaves more freedom in the order of removal than putting together.
-        ends = sorted(self.directions, key=lambda direction: direction is not Direction.DISASSEMBLY)
-        return tuple(self._attempt(width, direction, "none") for width in widths for direction in ends)
-
-    def _attempt(self, width: int, direction: Direction, diversity: Diversity) -> BeamSettings:
-        return BeamSettings(
-            width=width,
-            direction=direction,
-            diversity=diversity,
-            ahead=max(_AHEAD, 16 * width),
-            commit=width == 1,
-            seed=self.seed,
-        )
+        Args:
+            stage: `plan`, `postpone` or `alternatives`.
+        """
+        limit = min(self.width, _TRIAL_WIDTH) if stage == "postpone" else self.width
+        widths = [min(_FIRST_WIDTH, limit)]
+        while widths[-1] < limit and stage == "plan":
+            widths.append(min(widths[-1] * _WIDENING, limit))
+        directions = self.directions
+        if stage == "alternatives":
+            # Taking apart leaves more freedom in the order of removal than putting together.
+            directions = tuple(sorted(directions, key=lambda direction: direction is not Direction.DISASSEMBLY))
+        return tuple((direction, width) for width in widths for direction in directions)
 
 
 class Planner:
@@ -117,7 +104,7 @@ class Planner:
         self._guide = guide
         self._stage = "plan"
         self._attempt = 0
-        self._beam: BeamSearch | None = None
+        self._beams: dict[Direction, AdaptiveBeam] = {}
         self._rank = 0
         self._trial: tuple[int, ...] = (0,) * len(task.missing)
         self._trial_reached = -1
@@ -167,7 +154,10 @@ class Planner:
 
     def save(self, path: Path | str) -> None:
         """Write the search as it stands, to be resumed by `load`."""
-        beam, arrays = self._beam.pack() if self._beam is not None else (None, {})
+        beams, arrays = {}, {}
+        for direction, beam in self._beams.items():
+            beams[direction.value], packed = beam.pack()
+            arrays |= {f"{direction.value}_{name}": array for name, array in packed.items()}
         header = {
             "task": self.task.describe(),
             "settings": _settings_header(self.settings),
@@ -179,11 +169,11 @@ class Planner:
             "trial_reached": self._trial_reached,
             "counters": vars(self._counters),
             "seconds": self._seconds,
-            "beam": beam,
+            "beams": beams,
         }
         empty = self.states[:0]
         own = {"routes": np.concatenate([empty, *(route.states for route in self.routes)]), "states": self.states}
-        write_archive(path, FORMAT, header, own | {f"beam_{name}": array for name, array in arrays.items()})
+        write_archive(path, FORMAT, header, own | arrays)
 
     @classmethod
     def load(
@@ -220,22 +210,24 @@ class Planner:
         self.states = arrays["states"]
         rows = arrays["routes"].reshape(-1, self.task.steps + 1, self.task.part_count)
         self.routes = [Route.through(states) for states in rows]
-        if header["beam"] is not None:
-            inner = {name.removeprefix("beam_"): array for name, array in arrays.items() if name.startswith("beam_")}
-            task = self.task.postpone(self._trial)
-            self._beam = BeamSearch.unpack(header["beam"], inner, task, self._oracle, guide=self._beam_guide())
+        task = self.task.postpone(self._trial)
+        for name, packed in header["beams"].items():
+            inner = {key.removeprefix(f"{name}_"): array for key, array in arrays.items() if key.startswith(f"{name}_")}
+            beam = AdaptiveBeam.unpack(packed, inner, task, self._oracle, guide=self._beam_guide())
+            self._beams[Direction(name)] = beam
 
     def _advance(self, report: Progress, stop: Stop | None) -> bool:
-        """Run the current beam search to its end and decide on the next; True if it was interrupted."""
-        if self._beam is None:
+        """Run the current attempt to its end and decide on the next; True if it was interrupted."""
+        direction, width = self.settings.attempts(self._stage)[self._attempt]
+        if direction not in self._beams:
+            narrowest = min(_NOVEL_WIDTH if self._stage == "alternatives" else 1, self.settings.width)
+            settings = AdaptiveSettings(direction, narrowest, self.settings.seed)
             task = self.task.postpone(self._trial)
-            settings = self._attempts()[self._attempt]
-            self._beam = BeamSearch(task, self._oracle, settings, guide=self._beam_guide())
-        result = self._beam.run(progress=report, stop=stop)
+            self._beams[direction] = AdaptiveBeam(task, self._oracle, settings, guide=self._beam_guide())
+        beam = self._beams[direction]
+        result = beam.run(width, progress=report, stop=stop)
         if result.interrupted:
             return True
-        beam, self._beam = self._beam, None
-        self._counters += result.counters
         if self._stage == "alternatives":
             self._gather(beam, result)
         elif result.found:
@@ -246,48 +238,55 @@ class Planner:
             self._failed(result)
         return False
 
-    def _gather(self, beam: BeamSearch, result: SearchResult) -> None:
+    def _drop_beams(self) -> None:
+        """Forget the beams of an attempt that is over, but not the work that they did."""
+        for beam in self._beams.values():
+            self._counters += beam.search.counters
+        self._beams = {}
+        self._attempt = 0
+
+    def _gather(self, beam: AdaptiveBeam, result: SearchResult) -> None:
         """Keep the states of a search for another plan, and go on to the next."""
-        self.states = np.concatenate([self.states, beam.states()])
         if result.found:
+            self.states = np.concatenate([self.states, beam.search.states()])
             self.routes.append(result.routes[0])
-            self._attempt = 0
+            self._drop_beams()
         else:
             self._attempt += 1
-        if len(self.routes) == self.settings.alternatives or self._attempt == len(self._attempts()):
-            self._stage = "done"
-
-    def _attempts(self) -> tuple[BeamSettings, ...]:
-        if self._stage == "alternatives":
-            return self.settings.other_attempts()
-        attempts = self.settings.attempts()
-        if self._stage == "postpone":
-            attempts = tuple(settings for settings in attempts if settings.width <= _TRIAL_WIDTH)
-        return attempts
+        if len(self.routes) == self.settings.alternatives or self._last_attempt_failed():
+            self._finish()
 
     def _failed(self, result: SearchResult) -> None:
-        """Widen the beam, or give this trial up."""
+        """Try the next attempt, or give this trial up."""
         proved = result.outcome is Outcome.PROVED_IMPOSSIBLE
         self._attempt += 1
         if self._stage == "plan":
             if proved or self._failure is None or result.reached >= self._failure.reached:
                 self._failure = result
-            if proved or self._attempt == len(self._attempts()):
-                self._stage = "done"
+            if proved or self._last_attempt_failed():
+                self._finish()
             return
         if result.direction is Direction.ASSEMBLY:
             self._trial_reached = max(self._trial_reached, result.reached)
-        if proved or self._attempt == len(self._attempts()):
+        if proved or self._last_attempt_failed():
             self._high = self._trial[self._rank]
             if self._trial_reached >= 0:
                 # Without this part assembly came no further than that, so it is needed by then.
                 self._high = max(min(self._high, self._trial_reached + 1), self.postponed[self._rank] + 1)
             self._next_trial(begin=False)
 
+    def _last_attempt_failed(self) -> bool:
+        return self._attempt == len(self.settings.attempts(self._stage))
+
+    def _finish(self) -> None:
+        self._drop_beams()
+        self._stage = "done"
+
     def _next_trial(self, *, begin: bool) -> None:
         """Choose what to look for next, now that a plan is known; `begin` with the first missing part."""
         count = len(self.task.missing)
-        self._attempt, self._trial_reached = 0, -1
+        self._drop_beams()
+        self._trial_reached = -1
         self._stage = "postpone"
         if begin:
             self._rank, self._high = 0, self.task.steps - count + 1
@@ -302,7 +301,9 @@ class Planner:
             self._rank += 1
             ambitious, self._high = True, self.task.steps - count + self._rank + 1
         self._trial = self.postponed
-        self._stage = "alternatives" if self.settings.alternatives > 1 else "done"
+        self._stage = "alternatives"
+        if self.settings.alternatives == 1:
+            self._finish()
 
     def _beam_guide(self) -> Guide | None:
         return NoveltyGuide(self._guide, self.routes) if self._stage == "alternatives" else self._guide
@@ -331,7 +332,9 @@ class Planner:
         )
 
     def _result(self, interrupted: bool) -> SearchResult:
-        counters = self._counters + (self._beam.counters if self._beam is not None else SearchCounters())
+        counters = self._counters
+        for beam in self._beams.values():
+            counters += beam.search.counters
         if self.routes:
             notes = ()
             if interrupted:
@@ -351,8 +354,8 @@ class Planner:
                 notes=notes,
             )
         best = self._failure
-        if self._beam is not None:
-            running = self._beam.result(interrupted=True)
+        for beam in self._beams.values():
+            running = beam.search.result(interrupted=True)
             best = running if best is None or running.reached > best.reached else best
         assert best is not None
         return replace(best, counters=counters, seconds=self._seconds, interrupted=interrupted)

@@ -1,0 +1,147 @@
+"""A beam as narrow as it can be and as wide as it must: it goes back where it dies, and comes again wider."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from numpy.typing import NDArray
+
+from falsework.search.beam import BeamSearch, BeamSettings
+from falsework.search.guide import Guide
+from falsework.search.judge import Oracle
+from falsework.search.result import Progress, SearchResult, Stop
+from falsework.search.task import Direction, Task
+
+_WIDER = 4
+"""Each time in a row that the beam dies at one place, it comes back this many times wider ..."""
+_FARTHER = 4
+"""... from this many times farther back ..."""
+_BACK = 8
+"""... beginning with so many levels."""
+_AHEAD = 64
+"""States that need no verdict which the narrowest beam keeps, so that the next level has a choice."""
+_AHEAD_SHARE = 16
+"""The same for wide beams, as a multiple of the width."""
+
+
+@dataclass(frozen=True)
+class AdaptiveSettings:
+    """Where an adaptive beam begins."""
+
+    direction: Direction = Direction.ASSEMBLY
+    """Which end to begin at."""
+    width: int = 1
+    """Width to begin with and to return to after every hard place."""
+    seed: int = 0
+    """Same seed, same machine, same result."""
+
+    def beam(self, strikes: int) -> BeamSettings:
+        """Settings of the beam after so many deaths in a row at one place."""
+        width = self.width * _WIDER**strikes
+        return BeamSettings(
+            width=width,
+            direction=self.direction,
+            diversity="none",
+            ahead=max(_AHEAD, _AHEAD_SHARE * width),
+            commit=width == 1,
+            seed=self.seed,
+        )
+
+
+class AdaptiveBeam:
+    """A beam search in which hard places get the width that they need, and the rest stays cheap.
+
+    Where the beam dies, it is taken back some levels and widened; if it dies there again, back farther and wider
+    still. Once it is well past the place, it becomes narrow again. Verdicts asked before are in the oracle's memory,
+    so going over the same ground costs little.
+    """
+
+    def __init__(self, task: Task, oracle: Oracle, settings: AdaptiveSettings, *, guide: Guide | None = None) -> None:
+        """Begin narrow, at the origin of the direction."""
+        self.settings = settings
+        self.search = BeamSearch(task, oracle, settings.beam(0), guide=guide)
+        self._strikes = 0
+        self._farthest = -1
+        self._easy_from = -1
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether the search is dead with no state left out: there is no plan."""
+        return self.search.done and not self.search.found and self.search.exhaustive
+
+    def run(self, widest: int, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        """Search until the goal is reached, a beam wider than `widest` would be needed, or somebody stops it.
+
+        Args:
+            widest: limit on the width; run again with a larger one to go on.
+            progress: called after every level.
+            stop: asked before every level.
+        """
+        eased = False
+
+        def halt() -> bool:
+            nonlocal eased
+            eased = self._eased()
+            return eased or (stop is not None and stop())
+
+        while True:
+            eased = False
+            result = self.search.run(progress=progress, stop=halt)
+            if eased:
+                self._strikes = 0
+                self.search.rewind(len(self.search.levels) - 1, self.settings.beam(0))
+            elif result.interrupted or result.found or self.hopeless:
+                return result
+            elif not self._widen(widest):
+                if not result.undecided:
+                    limit = (
+                        f"beams of up to {self.search.settings.width} states a level died; wider ones may come through"
+                    )
+                    result = replace(result, limit=limit)
+                return result
+
+    def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """The search as it stands: plain values, and arrays."""
+        header, arrays = self.search.pack()
+        own = {"strikes": self._strikes, "farthest": self._farthest, "easy_from": self._easy_from}
+        return header | {"adaptive": own, "base": self.settings.width, "base_seed": self.settings.seed}, arrays
+
+    @classmethod
+    def unpack(
+        cls,
+        header: dict[str, Any],
+        arrays: dict[str, NDArray[Any]],
+        task: Task,
+        oracle: Oracle,
+        *,
+        guide: Guide | None = None,
+    ) -> AdaptiveBeam:
+        """The search that `pack` described.
+
+        Raises:
+            KeyError, TypeError, ValueError: not what `pack` returned for this task.
+        """
+        direction = Direction(header["settings"]["direction"])
+        beam = cls(task, oracle, AdaptiveSettings(direction, int(header["base"]), int(header["base_seed"])))
+        beam.search = BeamSearch.unpack(header, arrays, task, oracle, guide=guide)
+        own = header["adaptive"]
+        beam._strikes, beam._farthest = int(own["strikes"]), int(own["farthest"])
+        beam._easy_from = int(own["easy_from"])
+        return beam
+
+    def _eased(self) -> bool:
+        """Whether the beam is wide and well past the place where it died."""
+        return self._strikes > 0 and len(self.search.levels) - 1 > self._easy_from and not self.search.done
+
+    def _widen(self, widest: int) -> bool:
+        """Go back and come again wider; False if that would be too wide."""
+        level = len(self.search.levels) - 1
+        strikes = 1 if level > self._farthest + 2 else self._strikes + 1
+        settings = self.settings.beam(strikes)
+        if settings.width > widest:
+            return False
+        self._strikes, self._farthest = strikes, max(self._farthest, level)
+        self._easy_from = self._farthest + 2 * _BACK
+        self.search.rewind(max(level - _BACK * _FARTHER ** (strikes - 1), 0), settings)
+        return True
