@@ -239,17 +239,19 @@ def test_a_missing_device_is_said_in_one_line() -> None:
 
         if torch.cuda.is_available():
             pytest.skip("this machine has a GPU")
-    with pytest.raises((DependencyError, InputError), match="pip install|solver='cpu'"):
+    with pytest.raises((DependencyError, InputError), match=r"pip install|solver='cpu'"):
         CudaDriver("cuda", {})
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("cuda") is None or find_spec("cuda.bindings") is None, reason="no cuda-bindings")
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_compiles_for_a_gpu(kernel: str) -> None:
-    """The compiler needs no GPU."""
+def test_compiles_for_a_gpu(kernel: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiler needs no GPU; what it made is kept."""
+    monkeypatch.setenv("FALSEWORK_CACHE", str(tmp_path))
     try:
         code = compile_kernel(9, 0, (("GROUP", 4), ("PART", KERNELS.index(kernel)), ("QUADRATIC", 0)))
     except (OSError, RuntimeError) as error:
         pytest.skip(f"NVRTC is not there: {error}")
     assert kernel.encode() in code
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [code]

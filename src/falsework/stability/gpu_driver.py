@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
+import os
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import lru_cache
-from importlib import resources
+from importlib import import_module, resources
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -84,7 +88,7 @@ class CudaDriver:
         except ImportError as error:
             raise DependencyError("the GPU solver needs torch; pip install 'falsework[gpu]'") from error
         try:
-            import cuda.bindings.driver  # noqa: F401
+            self._cuda = _bindings("driver")
         except ImportError as error:
             raise DependencyError("the GPU solver needs cuda-bindings; pip install 'falsework[gpu]'") from error
         if not torch.cuda.is_available():
@@ -126,24 +130,20 @@ class CudaDriver:
 
     def blocks(self, kernel: str, threads: int, shared: int) -> int:
         """Blocks of a kernel that the device holds at a time."""
-        from cuda.bindings import driver
-
         function = self._function(kernel, shared)
-        each = _ask(driver.cuOccupancyMaxActiveBlocksPerMultiprocessor(function, threads, shared))
+        each = _ask(self._cuda.cuOccupancyMaxActiveBlocksPerMultiprocessor(function, threads, shared))
         return self.multiprocessors * max(each, 1)
 
     def launch(
         self, kernel: str, blocks: int, threads: int, shared: int, arguments: Sequence[ctypes.Structure]
     ) -> None:
         """Queue a kernel on torch's current stream of the device."""
-        from cuda.bindings import driver
-
         function = self._function(kernel, shared)
         pointers = (ctypes.c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
         stream = self._torch.cuda.current_stream(self.device).cuda_stream
         with self._torch.cuda.device(self.device):
             _ask(
-                driver.cuLaunchKernel(
+                self._cuda.cuLaunchKernel(
                     function, blocks, 1, 1, threads, 1, 1, shared, stream, ctypes.addressof(pointers), 0
                 )
             )
@@ -153,32 +153,36 @@ class CudaDriver:
 
     def _function(self, kernel: str, shared: int) -> Any:
         """A kernel, compiled and loaded at its first use, that may use this much shared memory."""
-        from cuda.bindings import driver
-
         if kernel not in self._functions:
             defines = {**self._defines, "PART": KERNELS.index(kernel)}
             code = compile_kernel(*self._architecture, tuple(sorted(defines.items())))
             with self._torch.cuda.device(self.device):
                 self._torch.cuda.current_stream().synchronize()  # makes torch's context current
-                module = _ask(driver.cuModuleLoadData(code))
-            self._functions[kernel] = _ask(driver.cuModuleGetFunction(module, kernel.encode()))
+                module = _ask(self._cuda.cuModuleLoadData(code))
+            self._functions[kernel] = _ask(self._cuda.cuModuleGetFunction(module, kernel.encode()))
         function = self._functions[kernel]
         if shared > self._shared.get(kernel, 0):
-            attribute = driver.CUfunction_attribute.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
-            _ask(driver.cuFuncSetAttribute(function, attribute, shared))
+            attribute = self._cuda.CUfunction_attribute.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
+            _ask(self._cuda.cuFuncSetAttribute(function, attribute, shared))
             self._shared[kernel] = shared
         return function
 
 
 @lru_cache(maxsize=32)
 def compile_kernel(major: int, minor: int, defines: tuple[tuple[str, int], ...]) -> bytes:
-    """Machine code of the kernel for one architecture and one set of compile-time constants."""
-    from cuda.bindings import nvrtc
+    """Machine code of a kernel for one architecture and one set of compile-time constants, kept on disk.
 
+    Raises:
+        SolverError: the compiler refused the source.
+    """
+    nvrtc = _bindings("nvrtc")
     options = [f"--gpu-architecture=sm_{major}{minor}", "--std=c++17", "--fmad=true"]
     options += [f"-D{name}={value}" for name, value in defines]
-    program = _ask(nvrtc.nvrtcCreateProgram(kernel_source().encode(), b"falsework", 0, [], []))
     encoded = [option.encode() for option in options]
+    kept = _cache_folder() / f"{_identity(options, nvrtc)}.cubin"
+    if kept.is_file():
+        return kept.read_bytes()
+    program = _ask(nvrtc.nvrtcCreateProgram(kernel_source().encode(), b"falsework", 0, [], []))
     (status,) = nvrtc.nvrtcCompileProgram(program, len(encoded), encoded)
     if status != nvrtc.nvrtcResult.NVRTC_SUCCESS:
         log = b" " * _ask(nvrtc.nvrtcGetProgramLogSize(program))
@@ -187,7 +191,31 @@ def compile_kernel(major: int, minor: int, defines: tuple[tuple[str, int], ...])
     code = b" " * _ask(nvrtc.nvrtcGetCUBINSize(program))
     _ask(nvrtc.nvrtcGetCUBIN(program, code))
     _ask(nvrtc.nvrtcDestroyProgram(program))
+    with suppress(OSError):  # a folder that cannot be written costs seconds at the next start, nothing else
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        fresh = kept.with_suffix(f".{os.getpid()}.tmp")
+        fresh.write_bytes(code)
+        fresh.replace(kept)
     return code
+
+
+def _cache_folder() -> Path:
+    """Where compiled kernels are kept: `FALSEWORK_CACHE`, else the user's cache folder."""
+    named = os.environ.get("FALSEWORK_CACHE")
+    if named:
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "falsework"
+
+
+def _identity(options: list[str], nvrtc: Any) -> str:
+    """Digest of all that the machine code depends on."""
+    text = "\n".join([kernel_source(), *options, str(nvrtc.nvrtcVersion()[1:])])
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _bindings(name: str) -> Any:
+    """A module of NVIDIA's bindings, which type checkers cannot look into."""
+    return import_module(f"cuda.bindings.{name}")
 
 
 def _ask(answer: tuple) -> Any:

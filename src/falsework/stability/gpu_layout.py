@@ -48,7 +48,7 @@ _ARRAY_FIELDS = (
 class KernelStructure(ctypes.Structure):
     """`Structure` of the kernel."""
 
-    _fields_ = [  # noqa: RUF012
+    _fields_ = [
         *((name, ctypes.c_int) for name in _INT_FIELDS),
         *((name, ctypes.c_void_p) for name in _ARRAY_FIELDS),
         ("weight", ctypes.c_double),
@@ -59,7 +59,7 @@ class KernelStructure(ctypes.Structure):
 class KernelOptions(ctypes.Structure):
     """`Options` of the kernel."""
 
-    _fields_ = [  # noqa: RUF012
+    _fields_ = [
         *((name, ctypes.c_double) for name in ("rho", "relaxation", "tolerance", "force_bound")),
         *((name, ctypes.c_int) for name in ("iterations", "first_check", "check_every", "interior_steps")),
     ]
@@ -68,7 +68,7 @@ class KernelOptions(ctypes.Structure):
 class KernelBatch(ctypes.Structure):
     """`Batch` of the kernel."""
 
-    _fields_ = [  # noqa: RUF012
+    _fields_ = [
         *(
             (name, ctypes.c_void_p)
             for name in (
@@ -114,11 +114,6 @@ class Layout:
     def kernel_structure(self, addresses: dict[str, int]) -> KernelStructure:
         """Argument of the kernel, given where each array was put."""
         return KernelStructure(**self.sizes, **addresses, weight=self.weight, friction=self.friction)
-
-    @property
-    def groups(self) -> int:
-        """Groups of contact points of the whole structure."""
-        return self.sizes["groups"]
 
     @property
     def groups(self) -> int:
