@@ -66,8 +66,8 @@ class DeviceBeam:
     """The beam search of `BeamSearch` with all states on one device from the first level to the last.
 
     Rules, direction, width, diversity and verdicts mean the same; which of equally good states survive differs, since
-    random numbers come from the hashes of states. A level reads six numbers back to the host (sizes of lists), one
-    more with a clearance table; nothing else leaves the device before the end. Several processes share verdicts and
+    random numbers come from the hashes of states. A level reads five sizes of lists back to the host, one more with
+    a clearance table; nothing else leaves the device before the end. Several processes share verdicts and
     clustering and repeat the rest, which is cheap, each for itself (docs/decisions/0012): for one seed the levels are
     the same whatever the number of processes.
     """
@@ -345,18 +345,15 @@ class DeviceBeam:
             labels, distance = k_means(states, len(order), words[order[mine]], width, shards=self.shards)
             order = self._deal(order, labels, distance, stable.score)
         else:
-            order = order[torch.argsort(-stable.score[order], stable=True)]
-        order = order[:width]
-        return rows[order[torch.argsort(-stable.score[order], stable=True)]]
+            order = self._best_first(order, stable.score)
+        return rows[self._best_first(order[:width], stable.score)]
 
     def _deal(
         self, order: torch.Tensor, labels: torch.Tensor, distance: torch.Tensor, score: torch.Tensor
     ) -> torch.Tensor:
         """The best of each cluster, then the next of each, and so on; best scored, then nearest to the centre."""
         torch = import_torch()
-        by = torch.argsort(distance, stable=True)
-        if self._guide is not None:
-            by = by[torch.argsort(-score[order[by]], stable=True)]
+        by = self._best_first(torch.argsort(distance, stable=True), score[order])
         by = by[torch.argsort(labels[by], stable=True)]
         ordered = labels[by]
         place = torch.arange(len(by), device=self.device)
@@ -364,6 +361,12 @@ class DeviceBeam:
         begins[1:] = ordered[1:] != ordered[:-1]
         rank = place - torch.cummax(torch.where(begins, place, 0), dim=0).values
         return order[by[torch.argsort(rank, stable=True)]]
+
+    def _best_first(self, order: torch.Tensor, score: torch.Tensor) -> torch.Tensor:
+        """An order with the best scored moved to the front; without a guide all scores are the same."""
+        if self._guide is None:
+            return order
+        return order[import_torch().argsort(-score[order], stable=True)]
 
     def _chunks(self, count: int) -> list[slice]:
         """Rows whose states fit into a bounded piece of memory."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
 
 _EXACT = 2**24
 """Whole numbers up to this are exact in float32."""
+_FINEST = 64
+"""Centres are rounded to this share of a unit, or coarser where there are very many dimensions."""
 _ROUNDS = 16
 """Rounds in which the seeds are drawn."""
 _CHUNK = {"cpu": 1 << 21, "cuda": 1 << 29}
@@ -59,60 +62,60 @@ def k_means(
     x = points.float()
     dimensions = x.shape[1]
     # Largest power of two for which a squared norm of a scaled centre stays exact.
-    scale = max(2 ** int(np.log2(np.sqrt(_EXACT / (4 * max(dimensions, 1))))), 1)
-    scale = min(scale, 64)
-    squared = (x * x).sum(dim=1) * (scale * scale)
-    centers = _seeds(x, squared / (scale * scale), words, clusters, shards) * scale
-    for step in range(iterations + 1):
-        labels, gap = _nearest(x, centers, scale)
-        if step == iterations:
-            break
-        # One row a cluster: the sum of its points, and their number.
+    scale = min(max(2 ** int(np.log2(np.sqrt(_EXACT / (4 * max(dimensions, 1))))), 1), _FINEST)
+    squared = (x * x).sum(dim=1)
+    centers = _seeds(x, squared, words, clusters, shards) * scale
+    # One row a point: its values, and a one to count it.
+    rows = torch.cat([points, torch.ones_like(points[:, :1])], dim=1).int()
+    for _ in range(iterations):
+        labels = _nearest(x, centers, scale)
         sums = torch.zeros((clusters, dimensions + 1), dtype=torch.int32, device=x.device)
-        ones = torch.ones((len(x), 1), dtype=torch.int32, device=x.device)
-        sums.index_add_(0, labels, torch.cat([points.int(), ones], dim=1))
-        shards.add(sums)
+        shards.add(sums.index_add_(0, labels, rows))
         size = sums[:, -1:]
-        mean = torch.div(2 * scale * sums[:, :-1] + size, 2 * size.clamp(min=1), rounding_mode="floor")
-        centers = torch.where(size > 0, mean.float(), centers)
-    distance = (gap + squared).clamp(min=0).long()
+        mean = (sums[:, :-1].double() * scale / size).round_().float()
+        centers = torch.where(size > 0, mean, centers)
+    labels = _nearest(x, centers, scale)
+    own = centers[labels]
+    distance = ((own - scale * x) ** 2).sum(dim=1).long()
     both = shards.gather_blocks(torch.stack([labels, distance], dim=1), count)
     return both[:, 0], both[:, 1]
 
 
-def _nearest(x: torch.Tensor, centers: torch.Tensor, scale: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Nearest centre of each point, and its squared distance less that of the point from the origin."""
+def _products(x: torch.Tensor, centers: torch.Tensor, scale: int) -> Iterator[torch.Tensor]:
+    """Squared distances from scaled centres less the points' own squares, in chunks of shape (rows, centers)."""
     torch = import_torch()
     norm = (centers * centers).sum(dim=1)
-    labels = torch.empty(len(x), dtype=torch.int64, device=x.device)
-    gap = torch.empty(len(x), dtype=torch.float32, device=x.device)
     rows = max(_CHUNK[x.device.type] // max(len(centers), 1), 1)
     for begin in range(0, len(x), rows):
-        chunk = slice(begin, begin + rows)
-        distance = torch.addmm(norm, x[chunk], centers.T, alpha=-2.0 * scale)
-        labels[chunk] = distance.argmin(dim=1)
-        gap[chunk] = distance.gather(1, labels[chunk, None])[:, 0]
-    return labels, gap
+        yield torch.addmm(norm, x[begin : begin + rows], centers.T, alpha=-2.0 * scale)
+
+
+def _nearest(x: torch.Tensor, centers: torch.Tensor, scale: int) -> torch.Tensor:
+    """Nearest scaled centre of each point, the first of several; shape (points,)."""
+    labels = [gaps.argmin(dim=1) for gaps in _products(x, centers, scale)]
+    return labels[0] if len(labels) == 1 else import_torch().cat([*labels, x.new_empty(0).long()])
 
 
 def _seeds(x: torch.Tensor, squared: torch.Tensor, words: torch.Tensor, clusters: int, shards: Shards) -> torch.Tensor:
     """Points to begin with, drawn in rounds, shape (clusters, dimensions)."""
     torch = import_torch()
-    chosen = x.new_empty((0, x.shape[1]))
-    weight = torch.ones(len(x), dtype=torch.float64, device=x.device)
     rounds = min(_ROUNDS, clusters)
+    # All rounds' random numbers at once, by keys that differ from round to round: small kernels cost their launch.
+    turns = torch.arange(rounds, device=x.device)[:, None] * 0x1E3779B97F4A7C15
+    noise = uniform(mix(words[None] + turns, 0))
+    chosen = []
+    weight = torch.ones(len(x), dtype=torch.float64, device=x.device)
     for turn, wanted in enumerate(np.diff(np.linspace(0, clusters, rounds + 1).astype(int)).tolist()):
-        key = weight / uniform(mix(words, turn))
-        # Each process offers its best; those of all are the best of these.
-        offered = min(wanted, len(x))
-        best, row = torch.topk(key, offered)
-        offer = x.new_full((wanted,), -1.0, dtype=torch.float64)
-        states = x.new_zeros((wanted, x.shape[1]))
-        offer[:offered], states[:offered] = best, x[row]
-        offer, states = shards.gather(offer), shards.gather(states)
-        fresh = states[torch.sort(offer, descending=True, stable=True).indices[:wanted]]
-        chosen = torch.cat([chosen, fresh])
-        _, gap = _nearest(x, fresh, 1)
-        nearest = (gap + squared).double()
-        weight = nearest if turn == 0 else torch.minimum(weight, nearest)
-    return chosen
+        best, row = torch.topk(weight / noise[turn], min(wanted, len(x)))
+        fresh = x[row]
+        if shards.size > 1:
+            # Each process offers its best; the best of all are the best of these.
+            offer = torch.full((wanted, x.shape[1] + 1), -1.0, dtype=torch.float64, device=x.device)
+            offer[: len(row), :1], offer[: len(row), 1:] = best[:, None], fresh
+            offer = shards.gather(offer)
+            fresh = offer[torch.sort(offer[:, 0], descending=True, stable=True).indices[:wanted], 1:].float()
+        chosen.append(fresh)
+        gaps = [gaps.amin(dim=1) for gaps in _products(x, fresh, 1)]
+        nearest = (torch.cat([*gaps, squared[:0]]) + squared).double()
+        weight = torch.minimum(weight, nearest) if turn else nearest
+    return torch.cat(chosen)

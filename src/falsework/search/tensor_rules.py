@@ -48,6 +48,7 @@ class TensorRules:
         self._part = import_torch().arange(task.part_count, device=device)
         self._postponed = put(np.asarray(task.postponed, dtype=np.int64), device)
         self._missing = put(np.asarray(task.missing, dtype=np.int64), device)
+        self._values = put(np.array([INSTALLED, HELD] if backward else [HELD, REMOVED], dtype=np.uint8), device)
         self._ways = _Ways(task, device)
 
     def origin(self) -> torch.Tensor:
@@ -93,10 +94,7 @@ class TensorRules:
 
     def moved_value(self, actions: torch.Tensor) -> torch.Tensor:
         """Value that each move gives its part, `uint8`, shape (batch,)."""
-        torch = import_torch()
-        holds = actions < self.part_count
-        values = (HELD, REMOVED) if self.direction is Direction.DISASSEMBLY else (INSTALLED, HELD)
-        return torch.where(holds, *(torch.tensor(v, dtype=torch.uint8, device=self.device) for v in values))
+        return import_torch().where(actions < self.part_count, *self._values)
 
     def follow(self, states: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
         """States after one move each. Shapes (batch, parts), (batch,)."""
