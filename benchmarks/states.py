@@ -1,0 +1,68 @@
+"""States that benchmarks of stability judge: those that a beam search asks about."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from falsework.assembly import Assembly
+from falsework.assembly.state import States
+from falsework.search import BeamSearch, BeamSettings, Task
+from falsework.stability import Stability, Verdicts
+
+REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")
+
+
+class Recorder:
+    """Passes questions on to an oracle and writes them down."""
+
+    def __init__(self, oracle: Stability) -> None:
+        self.oracle = oracle
+        self.states: list[States] = []
+        self.parents: list[States] = []
+
+    def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
+        """As `Stability.judge`."""
+        assert parents is not None
+        self.states.append(states.copy())
+        self.parents.append(parents.copy())
+        return self.oracle.judge(states, parents=parents)
+
+
+def asked_states(
+    assembly: Assembly, count: int, *, width: int = 64, robots: int = 2, seed: int = 0
+) -> tuple[States, States]:
+    """A random sample of the different states that a beam search of a whole structure asks about.
+
+    Args:
+        assembly: the structure.
+        count: states wanted; fewer come back where the search asks about fewer.
+        width: states kept at a level of the search.
+        robots: parts that may be held at once.
+        seed: of the search and of the sample.
+
+    Returns:
+        States and, for each, the stable state that it comes from; both of shape (count, parts).
+    """
+    recorder = Recorder(Stability(assembly))
+    task = Task.create(assembly.boundary, robots)
+    BeamSearch(task, recorder, BeamSettings(width=width, seed=seed)).run()
+    states, parents = np.concatenate(recorder.states), np.concatenate(recorder.parents)
+    _, first = np.unique(states, axis=0, return_index=True)
+    chosen = np.random.default_rng(seed).permutation(first)[:count]
+    return states[chosen], parents[chosen]
+
+
+def find(name: str) -> str:
+    """Path of a real structure where there is one of that name, else the name."""
+    named = os.environ.get("FALSEWORK_DATA")
+    data = Path(named) if named else Path(__file__).resolve().parents[2] / "shared"
+    path = data / "assemblies" / name
+    return str(path) if path.is_dir() else name
+
+
+def real_structures() -> tuple[str, ...]:
+    """Names of the real structures that this machine has."""
+    return tuple(name for name in REAL if find(name) != name)
