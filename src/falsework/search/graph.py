@@ -101,6 +101,10 @@ class StateGraph:
         """States to which a way from the start runs inside the graph, shape (states,)."""
         return self._spread(self.task.start, self.source, self.target, downwards=False)
 
+    def unseen(self, states: States) -> Mask:
+        """States of this graph that are not among `states`, such as those to test a policy on. Shape (states,)."""
+        return StateIndex(np.unique(states, axis=0)).find(self.states) < 0
+
     def valid_actions(self) -> Mask:
         """Actions that stay inside the graph, shape (states, 2 parts)."""
         mask = np.zeros((len(self.states), 2 * self.task.part_count), dtype=bool)
@@ -176,15 +180,18 @@ class StateGraph:
         if set(header) != _KEYS:
             odd = ", ".join(sorted(set(header) ^ _KEYS))
             raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent header entries {odd}")
-        task = Task.create(
-            arrays["boundary"],
-            header["robots"],
-            start=arrays["start_state"],
-            target=arrays["target_state"],
-            fixed=header["fixed"],
-            missing=header["missing"],
-            identity=header["identity"],
-        ).postpone(header["postponed"])
+        try:
+            task = Task.create(
+                arrays["boundary"],
+                header["robots"],
+                start=arrays["start_state"],
+                target=arrays["target_state"],
+                fixed=header["fixed"],
+                missing=header["missing"],
+                identity=header["identity"],
+            ).postpone(header["postponed"])
+        except TypeError as error:
+            raise InputError(f"{path} is damaged ({error}); build the graph again") from None
         graph = cls(
             arrays["states"],
             arrays["source"],

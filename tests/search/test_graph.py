@@ -1,0 +1,145 @@
+"""The state graph: all edges, exact counts, and files that can be trusted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework.errors import InputError
+from falsework.search import BeamSearch, BeamSettings, ExhaustiveSearch, StateGraph, Task
+from falsework.search.archive import read_archive, write_archive
+from falsework.search.graph import FORMAT
+
+
+@pytest.fixture
+def graph(rules: Any) -> StateGraph:
+    oracle, _ = rules.random(4, 8)
+    search = BeamSearch(Task.create(rules.ground(8), 2, identity="abc"), oracle, BeamSettings(width=12))
+    search.run()
+    return StateGraph.build(search.task, search.states(), name="eight")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_holds_every_edge_between_its_states_and_no_other(rules: Any, seed: int) -> None:
+    oracle, clearance = rules.random(seed, 7)
+    task = Task.create(rules.ground(7), 1 + seed % 3, clearance=clearance if seed % 2 else None)
+    enumeration = rules.enumeration(task, oracle)
+    everything = sorted(enumeration.reachable())
+    rng = np.random.default_rng(seed)
+    chosen = [everything[row] for row in rng.permutation(len(everything))[: max(2, len(everything) // 2)]]
+    graph = StateGraph.build(task, np.array(chosen + chosen[:3], dtype=np.uint8))
+    assert sorted(map(tuple, graph.states.tolist())) == sorted(set(chosen))
+    states = [tuple(state) for state in graph.states.tolist()]
+    edges = {
+        (states[a], int(action), states[b])
+        for a, action, b in zip(graph.source, graph.action, graph.target, strict=True)
+    }
+    expected = {
+        (state, action, after) for state in chosen for action, after in enumeration.moves(state) if after in set(chosen)
+    }
+    assert edges == expected
+    assert len(graph.source) == len(edges)
+    mask = graph.valid_actions()
+    assert mask.sum() == len(edges)
+    assert (np.diff(graph.level) >= 0).all()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_counts_and_reachability(rules: Any, seed: int) -> None:
+    oracle, _ = rules.random(seed, 6)
+    task = Task.create(rules.ground(6), 2)
+    graph = ExhaustiveSearch(task, oracle).run().graph
+    counts = graph.routes_to_target()
+    for row, state in enumerate(graph.states):
+        rest = Task.create(rules.ground(6), 2, start=state)
+        assert counts[row] == rules.enumeration(rest, oracle).count()
+    assert np.array_equal(graph.solvable, counts > 0)
+    assert graph.reachable.all()
+
+
+def test_random_routes_are_routes(graph: StateGraph) -> None:
+    if not graph.count_routes():
+        pytest.fail("the graph of this test must hold a plan")
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        route = graph.sample_route(rng)
+        assert route is not None
+        assert (graph.index.find(route.states) >= 0).all()
+        assert np.array_equal(route.states[0], graph.task.start)
+        assert np.array_equal(route.states[-1], graph.task.target)
+
+
+def test_unseen_states(graph: StateGraph) -> None:
+    half = graph.states[::2]
+    unseen = graph.unseen(half)
+    assert np.array_equal(unseen, np.arange(len(graph)) % 2 == 1)
+
+
+def test_comes_back_from_disk(graph: StateGraph, tmp_path: Path) -> None:
+    path = tmp_path / "graph.npz"
+    graph.save(path)
+    loaded = StateGraph.load(path)
+    for name in ("states", "source", "action", "target"):
+        assert np.array_equal(getattr(loaded, name), getattr(graph, name))
+    assert loaded.task.describe() == graph.task.describe()
+    assert (loaded.name, loaded.removable_only_if_clear) == ("eight", False)
+    assert loaded.count_routes() == graph.count_routes()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["graph.npz"]
+    with np.load(path, allow_pickle=False) as data:  # nothing in it needs pickle
+        assert all(data[name].dtype != object for name in data.files)
+
+
+def damaged(name: str, change: Any) -> Any:
+    return pytest.param(name, change, id=name)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda h, a: h.update(format="falsework.graph/2"), "has format 'falsework.graph/2'"),
+        (lambda h, a: h.update(extra=1), "unexpected or absent header entries extra"),
+        (lambda h, a: h.pop("robots"), "robots"),
+        (lambda h, a: a.update(more=np.zeros(1)), "unexpected or absent entries more"),
+        (lambda h, a: a.pop("action"), "action"),
+        (lambda h, a: a.update(states=a["states"][:, :-1]), "states are not 0, 1, 2 for 8 parts"),
+        (lambda h, a: a.update(states=a["states"][::-1]), "out of order"),
+        (lambda h, a: a["target"].__setitem__(0, 10**6), "edges point outside"),
+        (lambda h, a: a["source"].__setitem__(0, -1), "edges point outside"),
+        (lambda h, a: a.update(action=a["action"][:-1]), "different lengths"),
+        (lambda h, a: a["action"].__setitem__(0, (a["action"][0] + 1) % 8), "an edge"),
+        (lambda h, a: a["target"].__setitem__(0, 0), "an edge is no legal action"),
+        (lambda h, a: h.update(robots=1), "break the rules"),
+        (lambda h, a: h.update(robots="two"), "damaged"),
+        (lambda h, a: h.update(fixed=[99]), "does not exist"),
+    ],
+)
+def test_rejects_what_it_does_not_know(graph: StateGraph, tmp_path: Path, change: Any, message: str) -> None:
+    path = tmp_path / "graph.npz"
+    graph.save(path)
+    header, arrays = read_archive(path, FORMAT)
+    change(header, arrays)
+    form = header.pop("format")
+    write_archive(path, form, header, arrays)
+    with pytest.raises(InputError, match=message) as caught:
+        StateGraph.load(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_rejects_pickles_and_fragments(graph: StateGraph, tmp_path: Path) -> None:
+    path = tmp_path / "graph.npz"
+    graph.save(path)
+    data = path.read_bytes()
+    for keep in range(0, len(data), max(len(data) // 20, 1)):
+        path.write_bytes(data[:keep])
+        with pytest.raises(InputError, match="damaged or not"):
+            StateGraph.load(path)
+    np.savez(path, header=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(InputError, match="damaged or not"):
+        StateGraph.load(path)
+    with pytest.raises(InputError, match="there is no file"):
+        StateGraph.load(tmp_path / "other.npz")
+    with pytest.raises(InputError, match="cannot write"):
+        graph.save(tmp_path / "no" / "graph.npz")
