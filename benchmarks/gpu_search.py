@@ -153,6 +153,7 @@ def measure(case: str, options: Options, shards: Shards, device: torch.device) -
         graph = StateGraph.build(task, states)
         row["graph_edges"], row["graph_solvable"] = len(graph.source), int(graph.solvable.sum())
     if shards.first and int(width) <= options.host:
+        BeamSearch(task, Stability(assembly), BeamSettings(width=4)).run()  # compiles
         host = BeamSearch(task, Stability(assembly), BeamSettings(width=int(width)))
         begin = time.perf_counter()
         found = host.run()

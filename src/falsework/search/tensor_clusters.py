@@ -17,7 +17,7 @@ _EXACT = 2**24
 """Whole numbers up to this are exact in float32."""
 _FINEST = 64
 """Centres are rounded to this share of a unit, or coarser where there are very many dimensions."""
-_ROUNDS = 16
+_ROUNDS = 8
 """Rounds in which the seeds are drawn."""
 _CHUNK = {"cpu": 1 << 21, "cuda": 1 << 29}
 """Distances worked out at once."""
@@ -30,7 +30,7 @@ def k_means(
     clusters: int,
     *,
     shards: Shards = Shards(),
-    iterations: int = 10,
+    iterations: int = 5,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Lloyd's algorithm on whole numbers, from seeds drawn in rounds.
 
@@ -40,7 +40,7 @@ def k_means(
 
     The seeds are those of k-means++ with a round of draws in place of each single one: points are drawn with
     probability about proportional to the squared distance from the seeds of earlier rounds (priority sampling:
-    the largest ratios of weight to a uniform random number), so 16 products of matrices do what one dependent step a
+    the largest ratios of weight to a uniform random number), so eight products of matrices do what one dependent step a
     cluster did.
 
     Args:
@@ -92,8 +92,7 @@ def _products(x: torch.Tensor, centers: torch.Tensor, scale: int) -> Iterator[to
 
 def _nearest(x: torch.Tensor, centers: torch.Tensor, scale: int) -> torch.Tensor:
     """Nearest scaled centre of each point, the first of several; shape (points,)."""
-    labels = [gaps.argmin(dim=1) for gaps in _products(x, centers, scale)]
-    return labels[0] if len(labels) == 1 else import_torch().cat([*labels, x.new_empty(0).long()])
+    return _join([gaps.argmin(dim=1) for gaps in _products(x, centers, scale)], x.new_empty(0).long())
 
 
 def _seeds(x: torch.Tensor, squared: torch.Tensor, words: torch.Tensor, clusters: int, shards: Shards) -> torch.Tensor:
@@ -115,7 +114,11 @@ def _seeds(x: torch.Tensor, squared: torch.Tensor, words: torch.Tensor, clusters
             offer = shards.gather(offer)
             fresh = offer[torch.sort(offer[:, 0], descending=True, stable=True).indices[:wanted], 1:].float()
         chosen.append(fresh)
-        gaps = [gaps.amin(dim=1) for gaps in _products(x, fresh, 1)]
-        nearest = (torch.cat([*gaps, squared[:0]]) + squared).double()
+        nearest = _join([gaps.amin(dim=1) for gaps in _products(x, fresh, 1)], squared[:0]).add_(squared).double()
         weight = torch.minimum(weight, nearest) if turn else nearest
     return torch.cat(chosen)
+
+
+def _join(chunks: list[torch.Tensor], empty: torch.Tensor) -> torch.Tensor:
+    """The chunks one after the other; without a copy if there is only one."""
+    return chunks[0] if len(chunks) == 1 else import_torch().cat([*chunks, empty])
