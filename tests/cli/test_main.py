@@ -151,6 +151,24 @@ def test_records_are_for_machines_only(monkeypatch: pytest.MonkeyPatch, capsys: 
     assert capsys.readouterr() == ('{"answer": 42}\n', "that took long\n")
 
 
+def test_logs_get_a_line_of_progress_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = iter(range(0, 1000, 10))
+    monkeypatch.setattr("falsework.cli.output.time.monotonic", lambda: float(next(clock)))
+
+    def work(output: Any) -> Exit:
+        with output.bar("counting") as show:
+            for done in range(1, 9):
+                show(done, 8, f"{done} of 8")
+        return Exit.DONE
+
+    assert run_with(monkeypatch, work) == 0
+    out, error = capsys.readouterr()
+    assert out == ""
+    assert error.splitlines() == ["counting: 3 of 8", "counting: 6 of 8"]
+
+
 def test_a_reader_that_leaves_is_no_error() -> None:
     command = f"{sys.executable} -m falsework plan --help | head -c 1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,9 @@ if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
     from falsework.search.result import SearchProgress
+
+LOG_EVERY = 30.0
+"""Seconds between two lines of progress where the error stream is no terminal."""
 
 
 class Output:
@@ -37,7 +41,7 @@ class Output:
 
     @contextmanager
     def bar(self, title: str) -> Iterator[Callable[[int, int, str], None]]:
-        """Show progress on the error stream, if that is a terminal; nothing of it stays there.
+        """Show progress on the error stream: a bar that leaves nothing behind, or a line now and then in a log.
 
         Yields:
             Takes what is done, what there is to do, and words for the present state.
@@ -45,10 +49,24 @@ class Output:
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         console = self._console(error=True)
+        if not console.is_terminal:
+            yield self._log(title)
+            return
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[now]}"), TimeElapsedColumn())
-        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        with Progress(*columns, console=console, transient=True) as progress:
             task = progress.add_task(title, total=None, now="")
-            yield lambda done, total, now="": progress.update(task, total=total, completed=done, now=now)
+            yield lambda done, total, now: progress.update(task, total=total, completed=done, now=now)
+
+    def _log(self, title: str) -> Callable[[int, int, str], None]:
+        last = time.monotonic()
+
+        def report(done: int, total: int, now: str) -> None:
+            nonlocal last
+            if time.monotonic() - last >= LOG_EVERY:
+                last = time.monotonic()
+                self.note(f"{title}: {now}")
+
+        return report
 
     @contextmanager
     def search_progress(self) -> Iterator[Callable[[SearchProgress], None]]:
