@@ -56,8 +56,7 @@ def as_states(states: ArrayLike, boundary: Mask) -> States:
     if bad.any():
         row, part = np.argwhere(bad)[0]
         raise StateError(
-            f"state {row} has value {array[row, part]} at part {part}; "
-            "use 0 (removed), 1 (installed) or 2 (held)"
+            f"state {row} has value {array[row, part]} at part {part}; use 0 (removed), 1 (installed) or 2 (held)"
         )
     loose = boundary[None] & (array != HELD)
     if loose.any():
