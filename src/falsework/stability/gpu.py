@@ -246,8 +246,8 @@ class GpuSolver:
         stages: list[_Stage] = []
         for share in (1.0,) if few else self.settings.gpu.admm_shares:
             threads = min(driver.most_threads, -(-int(share * needed) // 32) * 32)
-            shared = _aligned(layout.admm_bytes(share))
-            if shared <= self._shared_limit:
+            shared = min(_aligned(layout.admm_bytes(share)), self._shared_limit)
+            if shared >= layout.index_bytes():
                 blocks = driver.blocks("admm_shared", threads, shared)
                 stages = [stage for stage in stages if stage.threads < threads]
                 stages.append(_Stage("admm_shared", threads, shared, blocks, None, shared))
@@ -257,13 +257,15 @@ class GpuSolver:
         return stages
 
     def _interior_stages(self) -> list[_Stage]:
-        """The interior point method, on chip as far as it goes."""
-        driver, threads = self.driver, self.driver.most_threads
-        largest = _aligned(self.layout.interior_bytes())
+        """The interior point method, on chip as far as it goes: few states take it, so that one launch is best."""
+        driver, layout, threads = self.driver, self.layout, self.driver.most_threads
+        largest = _aligned(layout.interior_bytes())
         shared = min(largest, self._shared_limit)
-        blocks = driver.blocks("interior_shared", threads, shared)
-        stages = [_Stage("interior_shared", threads, shared, blocks, None, shared)]
-        if shared < largest:
+        stages = []
+        if shared >= layout.index_bytes():
+            blocks = driver.blocks("interior_shared", threads, shared)
+            stages.append(_Stage("interior_shared", threads, shared, blocks, None, shared))
+        if not stages or shared < largest:
             stages.append(self._scratch_stage("interior_scratch", threads, largest))
         return stages
 

@@ -126,6 +126,8 @@ class CudaDriver:
 
     def address(self, array: Any) -> int:
         """Where a device array lies."""
+        if array.device != self.device or not array.is_contiguous():
+            raise InputError(f"an array on {array.device} cannot be used; give a contiguous one on {self.device}")
         return array.data_ptr()
 
     def blocks(self, kernel: str, threads: int, shared: int) -> int:

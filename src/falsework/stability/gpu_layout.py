@@ -135,6 +135,10 @@ class Layout:
         """Memory for multipliers, slacks, local matrices and wrenches of all groups."""
         return self.groups * (self.group_size * 16 + 21 + 12) * 8
 
+    def index_bytes(self) -> int:
+        """Memory for the indices of the largest state; a launch must have it before it can turn a state away."""
+        return self._index_bytes(1.0)
+
     def _counts(self, share: float) -> tuple[int, int, int]:
         """Nodes, groups and blocks of the inverse factor: parts have fewer ancestors in a smaller state."""
         n, groups = (-int(-share * self.sizes[name] // 1) for name in ("positions", "groups"))
