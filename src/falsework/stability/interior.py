@@ -324,20 +324,21 @@ def run_interior(structure, work, pairs, options):
         return verdict, residual, 0
     _start(structure, work, pairs, octagon, mu, r)
     residual = np.nan
+    predict, correct = points == 0, points > 0  # not literals, for each of which numba would compile anew
     for iteration in range(1, options.interior_steps + 1):
         work.weight_steps[:points] = 0.0
         work.slack_steps[:points] = 0.0
         gap = _complementarity(work, points, size, 0.0)
-        _assemble(structure, work, pairs, octagon, mu, r, 0.0, True)
+        _assemble(structure, work, pairs, octagon, mu, r, 0.0, correct)
         if not factor(structure.elimination, work.free, work.diagonal, work.lower, work.filled):
             break
         solve(structure.elimination, work.free, work.diagonal, work.lower, work.filled, step)
-        reach = min(1.0, _steps(structure, work, pairs, octagon, mu, r, step, 0.0, False))
+        reach = min(1.0, _steps(structure, work, pairs, octagon, mu, r, step, 0.0, predict))
         centring = max(_complementarity(work, points, size, reach) / gap, 0.0) ** 3
         target = centring * gap / (8.0 if octagon else 1.0)
         if not octagon:
             work.weight_steps[:points] = 0.0  # the second-order term of the quadratic cone is left out
-        _assemble(structure, work, pairs, octagon, mu, r, target, False)
+        _assemble(structure, work, pairs, octagon, mu, r, target, predict)
         solve(structure.elimination, work.free, work.diagonal, work.lower, work.filled, step)
         reach = min(1.0, _BACK_OFF * _steps(structure, work, pairs, octagon, mu, r, step, target, octagon))
         for j in range(len(work.free)):

@@ -61,6 +61,7 @@ def solve_near(structure, state, parent, rings, options, work, forces, velocity,
     """Judge a state, first near where it differs from `parent`; the rest as in `solve_state`."""
     near = np.empty_like(state)
     no_forces = np.zeros((0, 3))
+    cold = len(no_forces) > 0  # not a literal, for which numba would compile the solver anew
     spent, taken = 0, 0
     for ring in rings:
         kept, free = hold_far_parts(structure, state, parent, ring, near)
@@ -68,7 +69,7 @@ def solve_near(structure, state, parent, rings, options, work, forces, velocity,
             break
         if kept == 0:
             continue
-        verdict, residual, iterations, steps = solve_state(structure, near, options, work, no_forces, velocity, False)
+        verdict, residual, iterations, steps = solve_state(structure, near, options, work, no_forces, velocity, cold)
         spent += iterations
         taken += steps
         if verdict == UNSTABLE:
