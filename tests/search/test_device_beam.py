@@ -14,11 +14,11 @@ from falsework.errors import InputError
 from falsework.geometry.bits import pack
 from falsework.geometry.clearance import ClearanceTable
 from falsework.search import BeamSearch, BeamSettings, Direction, Outcome, Route, StateGraph, Task
-from falsework.search.clustering import k_means as k_means_of_arrays
+from falsework.search.clustering import k_means
 from falsework.search.device_beam import DeviceBeam
 from falsework.search.hashing import StateHash
 from falsework.search.shards import Shards
-from falsework.search.tensor_clusters import k_means
+from falsework.search.tensor_clusters import find_centers
 from falsework.search.tensor_judge import HostOracle
 from falsework.search.tensor_rules import TensorRules
 from falsework.search.tensors import choose_device, mix, put, uniform
@@ -251,8 +251,8 @@ def test_clusters_are_as_tight_as_those_of_k_means_plus_plus(dimensions: int) ->
     states = np.where(rng.random((1500, dimensions)) < 0.8, kinds[rng.integers(40, size=1500)], 1).astype(np.uint8)
     states = np.unique(states, axis=0)
     words = put(rng.integers(0, 2**63, len(states)), CPU)
-    labels, distance = k_means(put(states, CPU), len(states), words, 40)
-    _, expected = k_means_of_arrays(states, 40, np.random.default_rng(1))
+    labels, distance = find_centers(put(states, CPU), words, 40).assign(put(states, CPU))
+    _, expected = k_means(states, 40, np.random.default_rng(1))
     centers = np.array([states[labels.numpy() == k].mean(axis=0) for k in np.unique(labels)])
     gap = ((states[:, None, :].astype(np.float32) - centers[None]) ** 2).sum(axis=2)
     assert gap.min(axis=1).mean() < 1.15 * expected.mean()

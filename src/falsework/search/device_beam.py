@@ -15,7 +15,7 @@ from falsework.search.beam import BeamSettings, Level
 from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
 from falsework.search.shards import Shards
 from falsework.search.task import Direction, Task
-from falsework.search.tensor_clusters import k_means
+from falsework.search.tensor_clusters import find_centers
 from falsework.search.tensor_judge import TensorJudge, TensorOracle
 from falsework.search.tensor_rules import TensorRules
 from falsework.search.tensors import import_torch, mix
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 _REPORTED = 64
 """States handed back as deepest and as rejected, at most."""
+_SAMPLE = 4
+"""Candidates a cluster that the centres are found from; all are assigned to clusters afterwards."""
 _CHUNK_BYTES = 1 << 28
 """States written down at once where they are only looked at, in bytes."""
 
@@ -57,7 +59,7 @@ class _Candidates:
     def __len__(self) -> int:
         return len(self.parent)
 
-    def take(self, rows: torch.Tensor) -> _Candidates:
+    def take(self, rows: torch.Tensor | slice) -> _Candidates:
         """Some of the candidates."""
         return _Candidates(*(getattr(self, name)[rows] for name in ("parent", "action", "hashes", "score", "free")))
 
@@ -161,8 +163,7 @@ class DeviceBeam:
         asked = (~stable).nonzero()[:, 0]
         if len(asked):
             mine = candidates.take(asked[self.shards.interleaved()])
-            states = self._rules.follow(level.states[mine.parent], mine.action)
-            verdicts = self._judge.verdicts(states, level.states[mine.parent], len(asked))
+            verdicts = self._judge.verdicts(self._written(level, mine), level.states[mine.parent], len(asked))
             stable[asked] = verdicts == 1
             self._refused += torch.stack([(verdicts != 1).sum(), (verdicts == 0).sum()])
         rows = stable.nonzero()[:, 0]
@@ -172,12 +173,12 @@ class DeviceBeam:
         self._dead = len(rows) == 0
         if self._dead:
             some = candidates.take(asked[:_REPORTED])
-            self._rejected = self._rules.follow(level.states[some.parent], some.action).cpu().numpy()
+            self._rejected = self._written(level, some).cpu().numpy()
             return False
         kept = candidates.take(self._choose(level, candidates.take(rows), rows))
         self._levels.append(
             _TensorLevel(
-                self._rules.follow(level.states[kept.parent], kept.action),
+                self._written(level, kept),
                 kept.parent,
                 kept.action,
                 kept.score,
@@ -287,8 +288,7 @@ class DeviceBeam:
             return candidates
         alive = torch.ones(len(candidates), dtype=torch.bool, device=self.device)
         for rows in self._chunks(len(candidates)):
-            states = rules.follow(level.states[candidates.parent[rows]], candidates.action[rows])
-            alive[rows] = ~rules.dead_ends(states)
+            alive[rows] = ~rules.dead_ends(self._written(level, candidates.take(rows)))
         return candidates.take(alive.nonzero()[:, 0])
 
     def _merge(
@@ -339,10 +339,11 @@ class DeviceBeam:
             room = max(self.settings.pool // self.task.part_count, 2 * width)
             # Candidates are in random order now, so the first ones are a fair sample.
             order = order[:room]
+            sample = order[: _SAMPLE * width]
+            centers = find_centers(self._written(level, stable.take(sample)), words[sample], width)
             mine, _ = self.shards.block(len(order))
-            block = stable.take(order[mine])
-            states = self._rules.follow(level.states[block.parent], block.action)
-            labels, distance = k_means(states, len(order), words[order[mine]], width, shards=self.shards)
+            joined = torch.stack(centers.assign(self._written(level, stable.take(order[mine]))), dim=1)
+            labels, distance = self.shards.gather_blocks(joined, len(order)).unbind(dim=1)
             order = self._deal(order, labels, distance, stable.score)
         else:
             order = self._best_first(order, stable.score)
@@ -361,6 +362,10 @@ class DeviceBeam:
         begins[1:] = ordered[1:] != ordered[:-1]
         rank = place - torch.cummax(torch.where(begins, place, 0), dim=0).values
         return order[by[torch.argsort(rank, stable=True)]]
+
+    def _written(self, level: _TensorLevel, candidates: _Candidates) -> torch.Tensor:
+        """Candidates written down as states, shape (candidates, parts)."""
+        return self._rules.follow(level.states[candidates.parent], candidates.action)
 
     def _best_first(self, order: torch.Tensor, score: torch.Tensor) -> torch.Tensor:
         """An order with the best scored moved to the front; without a guide all scores are the same."""
