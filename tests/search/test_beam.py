@@ -190,7 +190,7 @@ def test_a_guide_decides(rules: Any) -> None:
     result = BeamSearch(task, rules.blocks(6), settings, guide=guide).run()
     assert (result.routes[0].actions[1::2] - 6).tolist() == [3, 5, 1, 4, 2]
     with pytest.raises(InputError, match=r"shape \(1, 6\); expected \(1, 12\)"):
-        BeamSearch(task, rules.blocks(6), settings, guide=lambda *_: np.zeros((1, 6))).run()
+        BeamSearch(task, rules.blocks(6), settings, guide=lambda states, actions, direction: np.zeros((1, 6))).run()
 
 
 def test_support_guide_prefers_neighbours(small_arch: Assembly) -> None:
