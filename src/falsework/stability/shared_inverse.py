@@ -6,7 +6,7 @@ equations 2 to 6 and 13). Only bounds and the linear term differ, so one inverse
 
     min 1/2 |W (J x + g - s)|^2    with  0 <= x <= U c,  |s| <= U (1 - p),  0 <= mu x_n - sum x_t
 
-where `c` says which contact points act, `p` which parts can move, `W W = M^-1` and `U` bounds forces. The state
+where `c` says which contact points act, `p` which parts can move, `W^T W = M^-1`, and `U` bounds forces. The state
 counts as stable once the accelerations that its clipped forces leave are within the tolerance, and as
 unstable if that has not happened by the last iteration. Neither is a proof.
 """
@@ -35,6 +35,8 @@ Unsolved = Literal["unstable", "undecided"]
 Precision = Literal["float64", "float32"]
 
 TANGENTS = 8
+VARIABLES = 1 + TANGENTS
+"""Variables of a contact point: one normal, eight tangential."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ class SharedInverse:
     def _prepare(self) -> None:
         problem, method = self.problem, self.method
         angle = np.arange(TANGENTS) * 2 * np.pi / TANGENTS
-        spread = np.zeros((3, 1 + TANGENTS))  # nine variables to a force
+        spread = np.zeros((3, VARIABLES))  # nine variables to a force
         spread[0, 0], spread[1, 1:], spread[2, 1:] = 1.0, np.cos(angle), np.sin(angle)
         wrenches = wrench_matrix(problem, np.ones(problem.parts, bool), np.ones(problem.points, bool))
         # Boundary parts never move; the paper's code gives them unit mass, and so their rows unit weight.
@@ -170,7 +172,7 @@ class SharedInverse:
         torch, method, problem, bound = self._torch, self.method, self.problem, self.method.force_bound
         verdicts = Verdicts.blank(len(states), points=problem.points, parts=problem.parts)
         free = self._tensor(np.repeat(problem.free(states), 6, axis=1).T)
-        active = self._tensor(np.repeat(problem.active(states), 1 + TANGENTS, axis=1).T)
+        active = self._tensor(np.repeat(problem.active(states), VARIABLES, axis=1).T)
         pull = torch.sparse.mm(self._program_back, free * self._whitened_gravity[:, None])
         cost = self._join(self._spread.T, pull, 1.0)
         high = bound * torch.cat([active, 1 - free])
@@ -184,7 +186,7 @@ class SharedInverse:
             steps = min(method.check_every, method.iterations + method.check_every - done)
             x, z, y, z_row, y_row = self._iterate(steps, cost, low, high, x, z, y, z_row, y_row)
             forces = torch.clamp(x, low, high)[: len(active)]
-            local = torch.matmul(self._spread, forces.view(problem.points, 1 + TANGENTS, -1))
+            local = torch.matmul(self._spread, forces.view(problem.points, VARIABLES, -1))
             wrenches = torch.sparse.mm(self._wrenches, local.view(3 * problem.points, -1)) + self._gravity[:, None]
             residual = (torch.sparse.mm(self._inverse_mass, wrenches) * free).abs().amax(dim=0)
             solved = residual <= self.settings.tolerance
@@ -217,11 +219,11 @@ class SharedInverse:
         for _ in range(steps):
             right = sigma * x - cost + r * z - y
             row = r * z_row - y_row
-            on_points = right[: 9 * points].view(points, 9, -1)
+            on_points = right[: VARIABLES * points].view(points, VARIABLES, -1)
             on_points[:, 0] += mu * row
             on_points[:, 1:] -= row[:, None]
             ahead = self._solve(right)
-            ahead_points = ahead[: 9 * points].view(points, 9, -1)
+            ahead_points = ahead[: VARIABLES * points].view(points, VARIABLES, -1)
             ahead_row = mu * ahead_points[:, 0] - ahead_points[:, 1:].sum(dim=1)
             x = alpha * ahead + (1 - alpha) * x
             mixed, mixed_row = alpha * ahead + (1 - alpha) * z, alpha * ahead_row + (1 - alpha) * z_row
@@ -235,21 +237,21 @@ class SharedInverse:
         if self.method.inverse == "dense":
             return self._inverse @ right
         points = self.problem.points
-        on_points = right[: 9 * points].view(points, 9, -1)
+        on_points = right[: VARIABLES * points].view(points, VARIABLES, -1)
         near = torch.cat(
-            [torch.matmul(self._across, on_points).view(3 * points, -1), right[9 * points :] / self._first]
+            [torch.matmul(self._across, on_points).view(3 * points, -1), right[VARIABLES * points :] / self._first]
         )
         back = torch.sparse.mm(self._program_back, self._inverse @ torch.sparse.mm(self._program, near))
         ahead = self._join(-self._across.T, back, -1 / self._first)
-        ahead[: 9 * points].view(points, 9, -1).add_(torch.matmul(self._block, on_points))
-        ahead[9 * points :].add_(right[9 * points :], alpha=1 / self._first)
+        ahead[: VARIABLES * points].view(points, VARIABLES, -1).add_(torch.matmul(self._block, on_points))
+        ahead[VARIABLES * points :].add_(right[VARIABLES * points :], alpha=1 / self._first)
         return ahead
 
     def _join(self, turn: Any, local: Any, factor: float) -> Any:
         """Variables out of three numbers a contact point, times `turn`, and the slack wrenches, times `factor`."""
         points = self.problem.points
         on_points = self._torch.matmul(turn, local[: 3 * points].view(points, 3, -1))
-        return self._torch.cat([on_points.view(9 * points, -1), factor * local[3 * points :]])
+        return self._torch.cat([on_points.view(VARIABLES * points, -1), factor * local[3 * points :]])
 
     @property
     def _unsolved(self) -> Verdict:
