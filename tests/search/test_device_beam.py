@@ -16,6 +16,7 @@ from falsework.geometry.clearance import ClearanceTable
 from falsework.search import BeamSearch, BeamSettings, Direction, Outcome, Route, StateGraph, Task
 from falsework.search.clustering import k_means
 from falsework.search.device_beam import DeviceBeam
+from falsework.search.devices import beam_search
 from falsework.search.hashing import StateHash
 from falsework.search.shards import Shards
 from falsework.search.tensor_clusters import find_centers
@@ -233,6 +234,18 @@ def test_settings_and_devices_that_do_not_exist_are_refused(rules: Any) -> None:
     with pytest.raises(InputError, match="unknown device"):
         choose_device("abacus")
     assert choose_device("cpu") == CPU
+
+
+def test_the_device_decides_which_beam_runs(arch_oracle: Stability, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a GPU the same call runs on the processor, and asking for one says so."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    task = Task.create(arch_oracle.assembly.boundary, 2)
+    for device in ("cpu", "auto"):
+        with beam_search(task, arch_oracle, BeamSettings(width=4), device) as (search, first):
+            assert isinstance(search, BeamSearch)
+            assert first
+    with pytest.raises(InputError, match="0 CUDA devices"), beam_search(task, arch_oracle, device="cuda"):
+        pass
 
 
 def test_random_words_are_uniform_and_depend_on_the_salt() -> None:

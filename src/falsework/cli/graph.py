@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
@@ -30,11 +30,13 @@ class MakeGraph(Command):
     """File to write, a NumPy archive."""
     task: TaskOptions
     search: SearchOptions
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
 
     def run(self, output: Output) -> Exit:
         """Search, connect, save."""
         from falsework.cli.failure import explain
-        from falsework.search.beam import BeamSearch
+        from falsework.search.devices import beam_search
         from falsework.search.graph import StateGraph
         from falsework.stability import Stability
 
@@ -44,9 +46,14 @@ class MakeGraph(Command):
         oracle = Stability(assembly)
         if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
-        search = BeamSearch(task, oracle, self.search.settings())
-        with output.search_progress() as report:
-            result = search.run(progress=report)
+        with beam_search(task, oracle, self.search.settings(), self.device) as (search, first):
+            if not first:
+                search.run()
+                return Exit.DONE
+            with output.search_progress() as report:
+                result = search.run(progress=report)
+        for note in result.notes:
+            output.note(note)
         graph = StateGraph.build(task, search.states(), name=assembly.name)
         graph.save(self.out)
         output.record(

@@ -209,9 +209,9 @@ class DeviceBeam:
                     progress(self._report(self._seconds + time.perf_counter() - begun))
         except KeyboardInterrupt:
             interrupted = True
-        result = self.result(interrupted=interrupted)
+        self.states()  # brings the levels to the host, which waits for the device and belongs to the time
         self._seconds += time.perf_counter() - begun
-        return result
+        return self.result(interrupted=interrupted)
 
     def route(self) -> Route:
         """The best scored way from start to target, in disassembly order; only once `found`."""

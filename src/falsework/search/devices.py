@@ -1,0 +1,52 @@
+"""Which beam search runs where: arrays on the processor, or tensors on a GPU and in several processes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+from falsework.search.beam import BeamSearch, BeamSettings
+from falsework.search.device_beam import DeviceBeam
+from falsework.search.shards import joined
+from falsework.search.task import Task
+from falsework.search.tensor_judge import oracle_on
+from falsework.search.tensors import import_torch
+
+if TYPE_CHECKING:
+    from falsework.stability.oracle import Stability
+
+
+@contextmanager
+def beam_search(
+    task: Task, oracle: Stability, settings: BeamSettings = BeamSettings(), device: str = "auto"
+) -> Iterator[tuple[BeamSearch | DeviceBeam, bool]]:
+    """A beam search on the device asked for, shared with the other processes if `torchrun` started several.
+
+    Args:
+        task: rules between start and target.
+        oracle: decides stability, or lends its problem to the solver of the GPU.
+        settings: width, direction and how states are chosen.
+        device: `cpu`; `cuda`; or `auto`, a GPU if this machine has one that can be used, else the processor.
+
+    Yields:
+        The search, and whether this process is the one that reports and writes files.
+
+    Raises:
+        DependencyError: a GPU or several processes were asked for, and the packages for that are not installed.
+        InputError: no such device.
+    """
+    together = int(os.environ.get("WORLD_SIZE", "1")) > 1
+    if not together and (device == "cpu" or (device == "auto" and not _gpu_is_usable())):
+        yield BeamSearch(task, oracle, settings), True
+        return
+    with joined(device) as (shards, where):
+        yield DeviceBeam(task, oracle_on(oracle, where), settings, device=where, shards=shards), shards.first
+
+
+def _gpu_is_usable() -> bool:
+    if find_spec("torch") is None or find_spec("cuda") is None or find_spec("cuda.bindings") is None:
+        return False
+    return import_torch().cuda.is_available()
