@@ -160,6 +160,27 @@ def test_parents_may_be_anything(arch: Assembly, states: NDArray, expected: NDAr
         np.testing.assert_array_equal(stability.judge(states, parents=parents).verdict, expected)
 
 
+@pytest.mark.parametrize("structure", ["vault", "wall:bricks=8,courses=8"])
+def test_a_proof_found_near_a_change_proves_the_whole(structure: str) -> None:
+    """What falls near the change falls in the whole state, and the same velocity proves it to the checker."""
+    assembly = library.build(structure)
+    settings = StabilitySettings()
+    stability = Stability(assembly, settings)
+    parent = complete_state(assembly.boundary)
+    states = children(assembly, parent)[::2]
+    parents = np.ascontiguousarray(np.broadcast_to(parent, states.shape))
+    assert stability._cpu is not None
+    near = stability._cpu.check(states, parents=parents)
+    whole = stability._cpu.check(states)
+    np.testing.assert_array_equal(near.verdict, whole.verdict)
+    assert near.unstable.any()
+    assert accept(assembly, states, near, settings.claim).all()
+    assert near.velocity is not None
+    assert whole.velocity is not None
+    moving = [np.abs(velocity[near.unstable]).any(axis=2).sum() for velocity in (near.velocity, whole.velocity)]
+    assert moving[0] < moving[1], "most parts are still in the velocities that were found near the change"
+
+
 def test_threads_change_nothing(arch: Assembly, states: NDArray) -> None:
     one, two, again = (
         Stability(arch, StabilitySettings(cpu=CpuSettings(threads=threads))).check(states) for threads in (1, 2, 2)
@@ -285,11 +306,28 @@ def test_bad_settings_are_named(name: str, value: float) -> None:
         StabilitySettings(**{name: value})  # type: ignore[arg-type]
 
 
-def test_unknown_choices_are_named(arch: Assembly) -> None:
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("rho", 0.0),
+        ("rho", np.nan),
+        ("relaxation", 2.0),
+        ("iterations", -1),
+        ("check_every", 0),
+        ("interior_steps", -1),
+        ("threads", 0),
+    ],
+)
+def test_bad_numbers_for_the_solver_are_named(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=name):
+        CpuSettings(**{name: value})  # type: ignore[arg-type]
+
+
+def test_unknown_choices_are_named() -> None:
     with pytest.raises(InputError, match="cpu, exact"):
         StabilitySettings(solver="magic")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="octagon or quadratic"):
-        Stability(arch, StabilitySettings(cone="pyramid"))  # type: ignore[arg-type]
+        StabilitySettings(cone="pyramid")  # type: ignore[arg-type]
 
 
 def test_words_for_motions() -> None:

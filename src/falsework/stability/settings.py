@@ -31,6 +31,16 @@ class CpuSettings:
     threads: int | None = None
     """Worker threads; all cores by default."""
 
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.rho) and self.rho > 0):
+            raise InputError(f"rho is {self.rho}; give a positive number")
+        if not 0 < self.relaxation < 2:
+            raise InputError(f"relaxation is {self.relaxation}; give a number between 0 and 2")
+        for name, least in (("iterations", 0), ("check_every", 1), ("interior_steps", 0), ("threads", 1)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise InputError(f"{name} is {value}; give a whole number from {least} up")
+
 
 @dataclass(frozen=True)
 class GpuSettings:
@@ -75,6 +85,8 @@ class StabilitySettings:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"{name} is {value}; give a positive number")
+        if self.cone not in get_args(Cone):
+            raise InputError(f"unknown friction cone {self.cone!r}; choose {' or '.join(get_args(Cone))}")
         if self.solver not in get_args(SolverName):
             raise InputError(f"unknown solver {self.solver!r}; choose {', '.join(get_args(SolverName))}")
 
