@@ -56,7 +56,7 @@ def test_an_arch_needs_two_robots(falsework: Run, tmp_path: Path) -> None:
     assert finished.code == 1
     assert finished.error.count("\n") == 1
     assert "no plan exists" in finished.error  # proven, not merely not found
-    assert "step 1 of 10" in finished.error
+    assert " of 10; there" in finished.error  # how far it came
     assert "voussoir-" in finished.error
     assert list(tmp_path.iterdir()) == []
     machine = falsework("plan", "arch:blocks=5", "--robots", 1, "--out", tmp_path / "plan.json", "--json")
