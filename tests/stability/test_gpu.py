@@ -194,6 +194,10 @@ def test_the_batch_is_halved_when_memory_runs_out(scenes: Any) -> None:
         small = on_host(assembly, memory=20 * each).check(states)
     np.testing.assert_array_equal(small.verdict, expected.verdict)
     np.testing.assert_array_equal(small.forces, expected.forces)
+    each = build_problem(assembly).points * 12
+    with pytest.warns(MemoryWarning, match="16 at a time"):
+        verdict, _ = on_host(assembly, memory=20 * each).check_tensor(states)
+    np.testing.assert_array_equal(verdict, expected.verdict)
 
 
 @needs_compiler

@@ -103,11 +103,11 @@ class GpuSolver:
         verdicts = Verdicts.blank(
             batch, points=problem.points if certificates else None, parts=problem.parts if certificates else None
         )
-        first = 0
-        while first < batch:
-            rows = slice(first, first + self._chunk_size(batch - first, certificates or guess is not None))
-            if self._try_rows(states, rows, certificates, guess, verdicts):
-                first = rows.stop
+        self._in_chunks(
+            batch,
+            certificates or guess is not None,
+            lambda rows: self._check_rows(states, rows, certificates, guess, verdicts),
+        )
         verdicts.proof[:] = proof_of(verdicts.verdict)
         verdicts.decided_by[:] = np.where(verdicts.verdict != 0, Solver.GPU, Solver.NONE)
         return verdicts
@@ -125,49 +125,57 @@ class GpuSolver:
         verdict = self.driver.zeros((batch,), np.int8)
         residual = self.driver.empty((batch,), np.float64)
         iterations = self.driver.zeros((batch,), np.int32)
-        first = 0
-        while first < batch:
-            rows = slice(first, min(batch, first + self._chunk_size(batch - first, False)))
-            self._run(states[rows], None, verdict[rows], residual[rows], iterations[rows], None, None)
-            first = rows.stop
+        self._in_chunks(
+            batch,
+            False,
+            lambda rows: self._run(states[rows], None, verdict[rows], residual[rows], iterations[rows], None, None),
+        )
         return verdict, residual
 
-    def _try_rows(
+    def _in_chunks(self, batch: int, certificates: bool, work: Callable[[slice], None]) -> None:
+        """Do work on runs of rows that fit into the memory of the device, halving them where they do not."""
+        first = 0
+        while first < batch:
+            rows = slice(first, first + self._chunk_size(batch - first, certificates))
+            try:
+                work(rows)
+            except RuntimeError as error:
+                count = rows.stop - rows.start
+                if "out of memory" not in str(error).lower() or count < 2:
+                    raise
+                self._chunk = count // 2
+                warnings.warn(
+                    f"the GPU ran out of memory on {count} states; going on with {self._chunk} at a time",
+                    MemoryWarning,
+                    stacklevel=3,
+                )
+            else:
+                first = rows.stop
+
+    def _check_rows(
         self, states: States, rows: slice, certificates: bool, guess: NDArray | None, verdicts: Verdicts
-    ) -> bool:
-        """Judge some rows of a batch; False, with a smaller chunk for the next try, where memory ran out."""
+    ) -> None:
+        """Judge some rows of a batch that lives on the host."""
         part = states[rows]
         problem, driver = self.problem, self.driver
-        try:
-            verdict = driver.zeros((len(part),), np.int8)
-            residual = driver.empty((len(part),), np.float64)
-            iterations = driver.zeros((len(part),), np.int32)
-            start = None if guess is None else driver.put(guess[rows])
-            wanted = certificates or guess is not None
-            forces = driver.empty((len(part), problem.points, 3), np.float64) if wanted else None
-            velocity = driver.empty((len(part), problem.parts, 6), np.float64) if certificates else None
-            self._run(driver.put(part), start, verdict, residual, iterations, forces, velocity)
-            verdicts.verdict[rows] = driver.get(verdict)
-            verdicts.residual[rows] = driver.get(residual)
-            verdicts.iterations[rows] = driver.get(iterations)
-            found = None if forces is None else driver.get(forces)
-            if guess is not None and found is not None:
-                guess[rows] = found
-            if verdicts.forces is not None and found is not None:
-                verdicts.forces[rows] = found
-            if verdicts.velocity is not None and velocity is not None:
-                verdicts.velocity[rows] = driver.get(velocity)
-        except RuntimeError as error:
-            if "out of memory" not in str(error).lower() or len(part) < 2:
-                raise
-            self._chunk = len(part) // 2
-            warnings.warn(
-                f"the GPU ran out of memory on {len(part)} states; going on with {self._chunk} at a time",
-                MemoryWarning,
-                stacklevel=3,
-            )
-            return False
-        return True
+        verdict = driver.zeros((len(part),), np.int8)
+        residual = driver.empty((len(part),), np.float64)
+        iterations = driver.zeros((len(part),), np.int32)
+        start = None if guess is None else driver.put(guess[rows])
+        wanted = certificates or guess is not None
+        forces = driver.empty((len(part), problem.points, 3), np.float64) if wanted else None
+        velocity = driver.empty((len(part), problem.parts, 6), np.float64) if certificates else None
+        self._run(driver.put(part), start, verdict, residual, iterations, forces, velocity)
+        verdicts.verdict[rows] = driver.get(verdict)
+        verdicts.residual[rows] = driver.get(residual)
+        verdicts.iterations[rows] = driver.get(iterations)
+        found = None if forces is None else driver.get(forces)
+        if guess is not None and found is not None:
+            guess[rows] = found
+        if verdicts.forces is not None and found is not None:
+            verdicts.forces[rows] = found
+        if verdicts.velocity is not None and velocity is not None:
+            verdicts.velocity[rows] = driver.get(velocity)
 
     def _chunk_size(self, left: int, certificates: bool) -> int:
         each = self.problem.points * (12 + 24 * certificates) + self.problem.parts * 48 * certificates
