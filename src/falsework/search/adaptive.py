@@ -45,6 +45,7 @@ class AdaptiveSettings:
             diversity="none",
             ahead=max(_AHEAD, _AHEAD_SHARE * width),
             commit=width == 1,
+            retries=0,
             seed=self.seed,
         )
 

@@ -25,6 +25,10 @@ FORMAT = "falsework.beam/1"
 
 Diversity = Literal["k-means", "none"]
 
+_BACK = 8
+"""Levels that a beam goes back when it is tried again ..."""
+_FARTHER = 4
+"""... and this many times more each further time."""
 _REPORTED = 64
 """States handed back as deepest and as rejected, at most."""
 
@@ -45,6 +49,8 @@ class BeamSettings:
     many more that need no verdict, so that the next level has a choice. Narrow beams then go far with few verdicts."""
     commit: bool = False
     """With `ahead`: drop states that keep more robots busy than the `width` states found stable."""
+    retries: int = 3
+    """Times that a beam which died goes back some levels to choose again with other random numbers."""
     seed: int = 0
     """Same seed, same machine, same result."""
     pool: int = 8_000_000
@@ -55,6 +61,8 @@ class BeamSettings:
             raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
         if self.ahead < 0:
             raise InputError(f"a beam cannot keep {self.ahead} states ahead; give 0 or more")
+        if self.retries < 0:
+            raise InputError(f"a beam cannot be tried again {self.retries} times; give 0 or more")
         if self.pool < 1:
             raise InputError("the pool of a beam search must hold at least one number")
 
@@ -96,8 +104,11 @@ class BeamSearch:
         self._guide = guide
         self._hash = StateHash.for_parts(task.part_count)
         self._candidates = 0
+        self._farthest = 0
+        self._deepest = np.empty((0, task.part_count), dtype=np.uint8)
         self._rejected = np.empty((0, task.part_count), dtype=np.uint8)
         self._dead = False
+        self._retried = 0
         self._before = SearchCounters()
         self._undecided = 0
         self._seconds = 0.0
@@ -149,15 +160,18 @@ class BeamSearch:
             if scores.shape != mask.shape:
                 raise InputError(f"the guide returned scores of shape {scores.shape}; expected {mask.shape}")
             score = score + scores[frontier.parent, frontier.action]
-        rng = np.random.default_rng((settings.seed, len(self.levels)))
+        rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
         selector = Selector(frontier, score, settings.diversity == "k-means", settings.pool, rng)
         if settings.ahead > 0:
             choice = selector.most_promising(self._judge, settings.width, settings.ahead, commit=settings.commit)
         else:
             choice = selector.all_judged(self._judge, settings.width)
         self._candidates += len(frontier)
-        self._rejected = frontier.states(choice.rejected[:_REPORTED])
         self._dead = len(choice.kept) == 0
+        if self._dead and len(self.levels) > self._farthest:
+            self._farthest = len(self.levels)
+            self._deepest = level.states[:_REPORTED]
+            self._rejected = frontier.states(choice.rejected[:_REPORTED])
         self._whole = [*self._whole[: len(self.levels) - 1], choice.exhaustive]
         if self._dead:
             return False
@@ -195,13 +209,21 @@ class BeamSearch:
                 if stop is not None and stop():
                     interrupted = True
                     break
-                self.step()
+                if not self.step():
+                    self._retry()
                 if progress is not None:
                     progress(self._report(time.perf_counter() - begun))
         except KeyboardInterrupt:
             interrupted = True
         self._seconds += time.perf_counter() - begun
         return self.result(interrupted=interrupted)
+
+    def _retry(self) -> None:
+        """Go back and choose again, unless nothing was left out or it was tried often enough."""
+        if self.exhaustive or self.found or self._retried >= self.settings.retries:
+            return
+        self._retried += 1
+        self.rewind(max(len(self.levels) - 1 - _BACK * _FARTHER ** (self._retried - 1), 0), self.settings)
 
     def route(self) -> Route:
         """The best scored way from start to target, in disassembly order; only once `found`."""
@@ -246,10 +268,13 @@ class BeamSearch:
             "undecided": self._judge.undecided + self._undecided,
             "whole": self._whole,
             "dead": self._dead,
+            "retried": self._retried,
+            "farthest": self._farthest,
         }
         arrays: dict[str, NDArray[Any]] = {
             "states": self.states(),
             "sizes": np.array([len(level.states) for level in self.levels], dtype=np.int64),
+            "deepest": self._deepest,
             "rejected": self._rejected,
         }
         for name in ("parent", "action", "score"):
@@ -285,7 +310,8 @@ class BeamSearch:
         search._before = SearchCounters(**header["counters"])
         search._seconds, search._undecided = float(header["seconds"]), int(header["undecided"])
         search._dead, search._whole = bool(header["dead"]), [bool(flag) for flag in header["whole"]]
-        search._rejected = arrays["rejected"]
+        search._deepest, search._rejected = arrays["deepest"], arrays["rejected"]
+        search._farthest, search._retried = int(header["farthest"]), int(header["retried"])
         return search
 
     def _report(self, seconds: float) -> SearchProgress:
@@ -310,15 +336,16 @@ class BeamSearch:
                 limit = f"{undecided} states could be proved neither stable nor unstable"
             else:
                 outcome = Outcome.PROVED_IMPOSSIBLE
-        deepest = self.levels[-1].states if self.levels else self._rejected[:0]
+        # A beam that was taken back may be less far now than where it died before.
+        farther_now = len(self.levels) > self._farthest
         return SearchResult(
             outcome=outcome,
             routes=(self.route(),) if self.found else (),
             direction=self.settings.direction,
             steps=self.task.steps,
-            reached=max(len(self.levels) - 1, 0),
-            deepest=deepest[:_REPORTED],
-            rejected=self._rejected if self._dead else self._rejected[:0],
+            reached=max(len(self.levels), self._farthest, 1) - 1,
+            deepest=self.levels[-1].states[:_REPORTED] if farther_now else self._deepest,
+            rejected=self._rejected[:0] if farther_now else self._rejected,
             counters=self.counters,
             seconds=self._seconds,
             interrupted=interrupted,

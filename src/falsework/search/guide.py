@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class Guide(Protocol):
     """Scores actions: the higher, the sooner a search takes them. Any callable will do, a trained policy too."""
 
-    def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.floating]:
+    def __call__(self, states: States, actions: Mask, direction: Direction, /) -> NDArray[np.floating]:
         """Score the actions of some states; a search adds the scores up along its way.
 
         Args:

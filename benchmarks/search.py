@@ -1,0 +1,230 @@
+"""Time searches from nothing, and compare the sizes of state graphs with the paper's: one JSON object a line.
+
+    python benchmarks/search.py plan
+    python benchmarks/search.py graph --structures bottle-12 --widths 64 128
+    python benchmarks/search.py plan --structures vault:parts=1000 --robots 2
+    python benchmarks/search.py alternatives --count 5
+    python benchmarks/search.py methods
+
+`plan`: `seconds` runs from the meshes on disk to the plan with its proofs, `search_seconds` is the search alone;
+compiling is done before, on a small arch. `graph`: `states` and `unseen` stand beside the paper's Table 3, whose second
+number counts the states of the wider search that the narrower one did not find. `alternatives`: distances between
+plans. `methods`: the planner, the paper's beam from both ends, and depth-first search on the same structures.
+Without `--structures`: the real structures where they are found (FALSEWORK_DATA, else the folder `shared` beside the
+repository).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+
+from falsework.assembly import load_structure
+from falsework.search import (
+    BeamSearch,
+    BeamSettings,
+    DepthFirstSearch,
+    DepthFirstSettings,
+    Direction,
+    PlannerSettings,
+    SearchProgress,
+    StateGraph,
+    find_plans,
+    task_of,
+)
+from falsework.stability import Stability
+
+REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")
+TARGET = {"vault-62": 30.0, "dome-72": 90.0}
+"""Seconds asked for, from nothing to a plan with two robots on two cores."""
+TABLE_3 = {"bottle-12": (1077, 1159), "dome-37": (4540, 8430), "vault-62": (4781, 10229)}
+"""The paper's states: found by a search of width 64; found by one of width 128 and not by the first."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to run."""
+
+    what: tyro.conf.Positional[Literal["plan", "graph", "alternatives", "methods"]]
+    """Benchmark."""
+    structures: tuple[str, ...] = ()
+    """Built-in names, paths, or names of real structures; empty for all that the benchmark is about."""
+    robots: int = 2
+    """Parts held at once."""
+    widths: tuple[int, int] = (64, 128)
+    """Widths of the graphs."""
+    count: int = 5
+    """Alternative plans."""
+    seed: int = 0
+    """Of the searches."""
+    quiet: bool = False
+    """No progress of long searches on standard error."""
+
+
+def data_folder() -> Path:
+    """Folder with the real structures."""
+    named = os.environ.get("FALSEWORK_DATA")
+    return (Path(named) if named else Path(__file__).resolve().parents[2] / "shared") / "assemblies"
+
+
+def structures(options: Options, names: tuple[str, ...]) -> list[str]:
+    """What to run on: what was asked for, else those of `names` that this machine has."""
+    chosen = options.structures or tuple(name for name in names if (data_folder() / name).is_dir())
+    return [str(data_folder() / name) if (data_folder() / name).is_dir() else name for name in chosen]
+
+
+def warm_up() -> None:
+    """Have everything compiled."""
+    find_plans(load_structure("arch:blocks=5"), settings=PlannerSettings(alternatives=2))
+
+
+def report(benchmark: str, structure: str, **values: Any) -> None:
+    """Print one line."""
+    record = {"benchmark": f"search {benchmark}", "structure": Path(structure).name, **values}
+    record |= {"cores": os.cpu_count(), "machine": platform.machine(), "python": platform.python_version()}
+    print(json.dumps(record), flush=True)
+
+
+def progress(options: Options) -> Any:
+    """A line on standard error now and then."""
+    last = time.perf_counter()
+
+    def show(event: SearchProgress) -> None:
+        nonlocal last
+        if not options.quiet and time.perf_counter() - last > 10:
+            last = time.perf_counter()
+            where = f"{event.direction.value} level {event.level} of {event.levels}, width {event.width}"
+            os.write(2, f"{event.seconds:7.0f} s  {where}, {event.asked} verdicts\n".encode())
+
+    return show
+
+
+def plan(options: Options) -> None:
+    """From meshes to a plan."""
+    for structure in structures(options, REAL):
+        begin = time.perf_counter()
+        assembly = load_structure(structure)
+        task = task_of(assembly, options.robots)
+        settings = PlannerSettings(seed=options.seed)
+        planning = find_plans(assembly, task, settings=settings, progress=progress(options))
+        seconds = time.perf_counter() - begin
+        result = planning.result
+        report(
+            "plan",
+            structure,
+            parts=assembly.part_count,
+            robots=options.robots,
+            outcome=result.outcome.value,
+            steps=result.steps,
+            reached=result.reached,
+            verdicts=result.counters.asked,
+            search_seconds=round(result.seconds, 3),
+            seconds=round(seconds, 3),
+            target_seconds=TARGET.get(Path(structure).name),
+            proofs_accepted=planning.found and planning.plans[0].validate_proofs(assembly).good,
+        )
+
+
+def graph(options: Options) -> None:
+    """State graphs of two widths from the empty structure."""
+    for structure in structures(options, tuple(TABLE_3)):
+        assembly = load_structure(structure)
+        task, found = task_of(assembly, options.robots), []
+        for width in options.widths:
+            begin = time.perf_counter()
+            # A new oracle each time: nothing is remembered from the other width.
+            search = BeamSearch(task, Stability(assembly), BeamSettings(width=width, seed=options.seed))
+            result = search.run(progress=progress(options))
+            found.append(StateGraph.build(task, search.states(), name=assembly.name))
+            name, paper = Path(structure).name, None
+            compared = len(found[-1]) if len(found) == 1 else int(found[1].unseen(found[0].states).sum())
+            if options.widths == (64, 128) and options.robots == 2 and name in TABLE_3:
+                paper = TABLE_3[name][len(found) - 1]
+            report(
+                "graph",
+                structure,
+                width=width,
+                robots=options.robots,
+                found=result.found,
+                states=len(found[-1]),
+                unseen=None if len(found) == 1 else compared,
+                actions=len(found[-1].source),
+                paper=paper,
+                difference=None if paper is None else round(compared / paper - 1, 4),
+                verdicts=result.counters.asked,
+                seconds=round(time.perf_counter() - begin, 3),
+            )
+
+
+def alternatives(options: Options) -> None:
+    """Plans as different as they can be."""
+    for structure in structures(options, ("bottle-12", "vault-62")):
+        assembly = load_structure(structure)
+        task = task_of(assembly, options.robots)
+        begin = time.perf_counter()
+        settings = PlannerSettings(alternatives=options.count, seed=options.seed)
+        planning = find_plans(assembly, task, settings=settings, progress=progress(options))
+        seconds, chosen = time.perf_counter() - begin, planning.alternatives
+        others = ~np.eye(len(chosen.routes), dtype=bool)
+        report(
+            "alternatives",
+            structure,
+            wanted=options.count,
+            found=len(chosen.routes),
+            least_distance=round(chosen.least_distance, 4),
+            mean_order_distance=round(float(chosen.order_distance[others].mean()), 4) if others.any() else None,
+            mean_state_distance=round(float(chosen.state_distance[others].mean()), 4) if others.any() else None,
+            verdicts=planning.result.counters.asked,
+            seconds=round(seconds, 3),
+        )
+
+
+def methods(options: Options) -> None:
+    """The planner beside the paper's beam and depth-first search."""
+    for structure in structures(options, REAL):
+        assembly = load_structure(structure)
+        task = task_of(assembly, options.robots)
+        runs: dict[str, Any] = {
+            "planner": lambda oracle, assembly=assembly, task=task: find_plans(assembly, task, oracle=oracle).result
+        }
+        for direction in Direction:
+            beam = BeamSettings(width=options.widths[0], direction=direction, seed=options.seed)
+            runs[f"beam {beam.width} {direction.value}"] = lambda oracle, task=task, beam=beam: BeamSearch(
+                task, oracle, beam
+            ).run()
+            deep = DepthFirstSettings(direction, seed=options.seed, state_limit=20_000)
+            runs[f"depth-first {direction.value}"] = lambda oracle, task=task, deep=deep: DepthFirstSearch(
+                task, oracle, deep
+            ).run(stop=deadline(60))
+        for name, run in runs.items():
+            result = run(Stability(assembly))
+            report(
+                "methods",
+                structure,
+                method=name,
+                outcome=result.outcome.value,
+                reached=result.reached,
+                steps=result.steps,
+                verdicts=result.counters.asked,
+                seconds=round(result.seconds, 3),
+            )
+
+
+def deadline(seconds: float) -> Any:
+    """True once the time is over."""
+    end = time.perf_counter() + seconds
+    return lambda: time.perf_counter() > end
+
+
+if __name__ == "__main__":
+    chosen = tyro.cli(Options, description=__doc__)
+    warm_up()
+    {"plan": plan, "graph": graph, "alternatives": alternatives, "methods": methods}[chosen.what](chosen)

@@ -1,0 +1,328 @@
+"""Plans: what they say, what they are read from, and that bad ones are caught."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+from falsework.assembly import Assembly, load_structure
+from falsework.errors import InputError, PlanError
+from falsework.search import Direction, Plan, Task, find_plans, plan_schema
+from falsework.stability import Stability
+
+
+@pytest.fixture(scope="module")
+def plan(small_arch: Assembly, arch_oracle: Stability) -> Plan:
+    planning = find_plans(small_arch, oracle=arch_oracle)
+    assert planning.found
+    return planning.plans[0]
+
+
+@pytest.fixture
+def data(plan: Plan, tmp_path: Path) -> dict[str, Any]:
+    plan.save(tmp_path / "plan.json", proofs=True)
+    return json.loads((tmp_path / "plan.json").read_text())
+
+
+def same(a: Plan, b: Plan) -> bool:
+    arrays = ("states", "actions", "verdicts", "proofs", "boundary", "forces")
+    values = ("name", "identity", "part_names", "friction", "robots", "claim", "direction", "fixed", "missing")
+    return (
+        all(np.array_equal(getattr(a, name), getattr(b, name)) for name in arrays)
+        and all(getattr(a, name) == getattr(b, name) for name in values)
+        and np.allclose(a.residuals, b.residuals, rtol=1e-5)
+        and a.removable_only_if_clear == b.removable_only_if_clear
+    )
+
+
+def test_every_state_is_proven_by_the_exact_solver(plan: Plan, small_arch: Assembly) -> None:
+    report = plan.validate(small_arch)
+    assert report.good
+    assert report.checked == report.states == len(plan) + 1 == 2 * 7 + 1
+    assert report.residual <= 1e-3
+    assert report.bad_step is None
+
+
+def test_every_state_is_proven_by_its_forces(plan: Plan, small_arch: Assembly) -> None:
+    report = plan.validate_proofs(small_arch)
+    assert report.good
+    assert report.residual == pytest.approx(plan.residuals.max())
+
+
+def test_the_reverse_of_the_reverse(plan: Plan, small_arch: Assembly) -> None:
+    back = plan.reverse()
+    assert back.direction is Direction.ASSEMBLY
+    assert np.array_equal(back.states, plan.states[::-1])
+    assert same(back.reverse(), plan)
+    assert back.validate(small_arch).good
+    assert back.validate_proofs(small_arch).good
+    assert np.array_equal(back.route.states, plan.states)
+    words = [back.describe(step).split()[0] for step in range(len(back))]
+    assert words[0] == "insert"
+    assert words.count("insert") == words.count("release") == 7
+    assert plan.describe(0).startswith("hold ")
+
+
+@pytest.mark.parametrize("assembly_order", [False, True])
+def test_comes_back_from_disk(plan: Plan, tmp_path: Path, assembly_order: bool) -> None:
+    ordered = plan.reverse() if assembly_order else plan
+    path = tmp_path / "plan.json"
+    ordered.save(path, proofs=True)
+    assert same(Plan.load(path), ordered)
+    ordered.save(path)
+    assert Plan.load(path).forces is None
+    assert same(replace(Plan.load(path), forces=ordered.forces), ordered)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["plan.json"]
+
+
+@pytest.mark.parametrize("assembly_order", [False, True])
+def test_files_follow_the_published_schema(plan: Plan, tmp_path: Path, assembly_order: bool) -> None:
+    schema = plan_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    path = tmp_path / "plan.json"
+    (plan.reverse() if assembly_order else plan).save(path, proofs=assembly_order)
+    jsonschema.validate(json.loads(path.read_text()), schema)
+
+
+def edit(*keys: Any, to: Any) -> Callable[[dict[str, Any]], None]:
+    def change(data: dict[str, Any]) -> None:
+        inner: Any = data
+        for key in keys[:-1]:
+            inner = inner[key]
+        if to is ...:
+            del inner[keys[-1]]
+        else:
+            inner[keys[-1]] = to
+
+    return change
+
+
+WRONG_BY_SCHEMA = [
+    (edit("format", to="falsework.plan/2"), "format is 'falsework.plan/2'"),
+    (edit("format", to=...), 'no "format"'),
+    (edit("surprise", to=1), "unknown entry 'surprise'"),
+    (edit("steps", 2, "surprise", to=1), "step 3 has an unknown entry 'surprise'"),
+    (edit("rules", "surprise", to=1), "rules has an unknown entry"),
+    (edit("robots", to=...), "lacks 'robots'"),
+    (edit("robots", to=0), "robots is 0"),
+    (edit("robots", to=2.5), "robots is 2.5"),
+    (edit("robots", to=True), "robots is True"),
+    (edit("direction", to="sideways"), "direction is 'sideways'"),
+    (edit("structure", "parts", to=[]), "structure.parts"),
+    (edit("structure", "friction", to=-0.1), "structure.friction is -0.1"),
+    (edit("structure", "name", to=7), "structure.name"),
+    (edit("structure", to=[]), "structure is no object"),
+    (edit("rules", "fixed", to=[1.5]), "rules.fixed"),
+    (edit("rules", "fixed", to=[1, 1]), "rules.fixed names a part twice"),
+    (edit("rules", "removable_only_if_clear", to="no"), "removable_only_if_clear"),
+    (edit("stability", "cone", to="pyramid"), "stability.cone is 'pyramid'"),
+    (edit("stability", "gravity", to=0), "zero where a positive number"),
+    (edit("steps", to={}), "steps is no list"),
+    (edit("steps", 0, "do", to="insert"), "no action of disassembly"),
+    (edit("steps", 0, "do", to="juggle"), "no action of disassembly"),
+    (edit("steps", 0, "part", to=-1), "step 1: part is -1"),
+    (edit("steps", 0, "verdict", to="unstable"), "verdict 'unstable'"),
+    (edit("steps", 0, "proof", to="none"), "proof 'none'"),
+    (edit("steps", 0, "residual", to=-1), "residual is -1"),
+    (edit("steps", 0, "residual", to="small"), "residual is 'small'"),
+    (edit("start", "state", 1, to=3), "start.state"),
+    (edit("end", 1, to="0"), "end is no list of 0, 1, 2"),
+    (edit("needs", to=[{"part": 1}]), "needs"),
+    (edit("forces", "zlib_base64", to=3), "cannot be unpacked"),
+]
+WRONG_BY_CONTENT = [
+    (edit("structure", "boundary", to=[99]), "structure.boundary"),
+    (edit("structure", "parts", to=["a", "b"]), "structure.boundary"),
+    (edit("steps", 0, "part", to=99), "step 1 names part 99"),
+    (edit("steps", 1, "part", to=0), "cannot remove part"),
+    (edit("steps", 0, to=...), "cannot remove part"),
+    (edit("steps", -1, to=...), "do not lead to its end"),
+    (edit("robots", to=1), "needs 2 robots"),
+    (edit("end", to=[2, 1]), "end has 2 values for 9 parts"),
+    (edit("start", "residual", to=0.5), "above the tolerance"),
+    (edit("needs", to=[{"part": 1, "after_steps": 1, "after_parts": 1}]), "needs do not agree"),
+    (edit("forces", "points", to=5), "does not hold 5 forces"),
+    (edit("forces", "zlib_base64", to="eJwDAAAAAAE="), "does not hold"),
+    (edit("forces", "zlib_base64", to="rubbish!"), "cannot be unpacked"),
+    (edit("rules", "fixed", to=[3]), "which is fixed"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), [*WRONG_BY_SCHEMA, *WRONG_BY_CONTENT])
+def test_reads_strictly(data: dict[str, Any], tmp_path: Path, change: Any, message: str) -> None:
+    change(data)
+    path = tmp_path / "bad.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(PlanError) as caught:
+        Plan.load(path)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("change", "message"), WRONG_BY_SCHEMA)
+def test_the_schema_is_as_strict(data: dict[str, Any], change: Any, message: str) -> None:
+    change(data)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(data, plan_schema())
+
+
+def test_fragments_are_rejected(plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    plan.save(path)
+    text = path.read_bytes()
+    for keep in range(0, len(text.rstrip()), 97):
+        path.write_bytes(text[:keep])
+        with pytest.raises(PlanError, match="truncated"):
+            Plan.load(path)
+    for other in (b"[]", b"3", b'"falsework.plan/1"', b"{}"):
+        path.write_bytes(other)
+        with pytest.raises(PlanError, match="not a valid plan"):
+            Plan.load(path)
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(PlanError, match="cannot be read"):
+        Plan.load(path)
+    with pytest.raises(PlanError, match="there is no plan file"):
+        Plan.load(tmp_path / "none.json")
+
+
+def test_a_plan_is_for_one_structure(plan: Plan, small_arch: Assembly) -> None:
+    with pytest.raises(PlanError, match="for another structure: its hash"):
+        plan.validate(small_arch.replace(friction=0.3))
+    with pytest.raises(PlanError, match="with 9 parts"):
+        plan.validate(load_structure("arch:blocks=5"))
+
+
+def test_the_first_unstable_state_is_found(plan: Plan, small_arch: Assembly) -> None:
+    """Holding is left out of a plan for one robot's worth of steps: the arch falls, and the report says when."""
+    states = plan.states.copy()
+    step = int(np.flatnonzero(plan.actions >= len(plan.boundary))[0])  # the first removal
+    # Claim a plan that begins after it with no robot holding anything: legal states, but nothing keeps them up.
+    loose = states[step + 1].copy()
+    loose[(loose == 2) & ~plan.boundary] = 1
+    hold = int(np.flatnonzero(loose == 1)[0])
+    after = loose.copy()
+    after[hold] = 2
+    fallen = replace(
+        plan,
+        states=np.array([states[0], loose, after]),
+        actions=np.array([hold, hold]),
+        forces=None,
+    )
+    # The states do not follow from the actions, which is found without any solver.
+    assert "do not lead through" in fallen.validate(small_arch).reason
+    begins = replace(fallen, states=np.array([loose, after]), actions=np.array([hold]))
+    report = begins.validate(small_arch)
+    assert not report.good
+    assert report.checked == 0
+    assert report.bad_step == -1
+    assert "unstable at the beginning" in report.reason
+    assert report.verdict is not None
+    assert report.verdict.unstable[0]
+    assert report.verdict.velocity is not None
+    assert np.abs(report.verdict.velocity).max() > 0
+
+
+def test_a_removal_without_support_is_found_where_it_happens(small_arch: Assembly, plan: Plan) -> None:
+    """Hold one block of the complete arch and take it out: legal, and unstable at the second step."""
+    block = int(np.flatnonzero(~plan.boundary)[3])
+    parts = len(plan.boundary)
+    states = np.repeat(plan.states[:1], 3, axis=0)
+    states[1:, block] = [2, 0]
+    bad = replace(plan, states=states, actions=np.array([block, parts + block]), forces=None)
+    report = bad.validate(small_arch)
+    assert report.checked == 2
+    assert report.bad_step == 1
+    assert f"after step 2 (remove {plan.part_names[block]})" in report.reason
+
+
+def test_broken_rules_are_found(plan: Plan, small_arch: Assembly) -> None:
+    one = replace(plan, robots=1)
+    assert "all 1 robots are holding" in one.validate(small_arch).reason
+    fixed = replace(plan, fixed=(int(plan.actions[0]),))
+    assert "touches a fixed part" in fixed.validate(small_arch).reason
+    parts = len(plan.boundary)
+    early = replace(plan, actions=np.array([parts + 3, *plan.actions[1:]]))
+    assert "against the rules: the part is installed" in early.validate(small_arch).reason
+
+
+def test_wrong_forces_are_found(plan: Plan, small_arch: Assembly) -> None:
+    assert plan.forces is not None
+    half = replace(plan, forces=0.5 * plan.forces)
+    report = half.validate_proofs(small_arch)
+    assert not report.good
+    assert report.checked == 0
+    with pytest.raises(PlanError, match="carries no contact forces"):
+        replace(plan, forces=None).validate_proofs(small_arch)
+    with pytest.raises(PlanError, match="forces of shape"):
+        replace(plan, forces=plan.forces[:, 1:]).validate_proofs(small_arch)
+    with pytest.raises(PlanError, match="carries no contact forces"):
+        replace(plan, forces=None).save("plan.json", proofs=True)
+
+
+def test_ways_out_are_checked(small_arch: Assembly, arch_oracle: Stability) -> None:
+    """A plan that claims straight ways out is checked for them; one made with that rule passes."""
+    task = Task.create(small_arch.boundary, 2, clearance=small_arch.clearance, identity=small_arch.identity)
+    planning = find_plans(small_arch, task, oracle=arch_oracle)
+    assert planning.found
+    clear = planning.plans[0]
+    assert clear.removable_only_if_clear
+    assert clear.validate(small_arch).good
+    assert clear.reverse().validate(small_arch).good
+
+    class Shut:
+        """Lets nothing out of the complete structure."""
+
+        def can_leave(self, states: Any) -> Any:
+            return np.repeat((states == 0).any(axis=1)[:, None], states.shape[1], axis=1)
+
+    shut = small_arch.replace()
+    shut.__dict__["clearance"] = Shut()
+    report = clear.validate(shut)
+    first = int(np.flatnonzero(clear.actions >= len(clear.boundary))[0])
+    assert "finds no straight way past" in report.reason
+    assert report.bad_step == first
+    back = clear.reverse().validate(shut)
+    assert back.bad_step == len(clear) - 1 - first
+
+
+def test_says_when_missing_parts_are_needed(plan: Plan) -> None:
+    """The part that is taken out first goes in last."""
+    first = int(plan.removed_parts[0])
+    last = int(plan.removed_parts[-1])
+    (late,) = replace(plan, missing=(first,)).needs
+    assert late.part == first
+    assert late.after_parts == 6
+    early, _ = replace(plan, missing=(last, first)).reverse().needs
+    assert early.part == last
+    assert (early.after_steps, early.after_parts) == (0, 0)
+
+
+def test_nothing_half_written_is_left(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "plan.json"
+    plan.save(path)
+    before = path.read_bytes()
+
+    def fail(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("os.replace", fail)
+    with pytest.raises(KeyboardInterrupt):
+        plan.reverse().save(path)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["plan.json"]
+    assert path.read_bytes() == before
+    with pytest.raises(InputError, match="cannot write"):
+        plan.save(tmp_path / "no" / "plan.json")
+
+
+def test_only_stable_routes_become_plans(plan: Plan, small_arch: Assembly, rules: Any) -> None:
+    verdicts = rules.verdicts(np.arange(len(plan.states)) != 4)
+    task = Task.create(small_arch.boundary, 2)
+    with pytest.raises(PlanError, match="state 4 of the plan is not proven stable"):
+        Plan.of(plan.route, small_arch, task, verdicts)

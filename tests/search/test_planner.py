@@ -1,0 +1,249 @@
+"""The planner and `find_plans`: the right plan, found again after an interruption, and honest where there is none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework.assembly import Assembly, load_structure
+from falsework.errors import InputError
+from falsework.search import (
+    Direction,
+    Outcome,
+    Planner,
+    PlannerSettings,
+    SearchProgress,
+    SupportGuide,
+    Task,
+    find_plans,
+    task_of,
+)
+from falsework.search.planner import insertion_steps
+from falsework.stability import Stability
+
+
+def insertions(route: tuple[tuple[int, ...], ...], parts: tuple[int, ...]) -> tuple[int, ...]:
+    """Steps of assembly before each of `parts` goes in, ascending."""
+    assembly = route[::-1]
+    return tuple(sorted(next(k for k, state in enumerate(assembly) if state[part]) - 1 for part in parts))
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_missing_parts_come_as_late_as_they_can(rules: Any, seed: int) -> None:
+    """On small structures the bisection finds the lexicographic maximum over all plans."""
+    oracle, _ = rules.random(seed, 6)
+    missing = (2, 4)
+    task = Task.create(rules.ground(6), 1 + seed % 2, missing=missing)
+    routes = rules.enumeration(Task.create(rules.ground(6), 1 + seed % 2), oracle).routes()
+    planner = Planner(task, oracle)
+    result = planner.run()
+    if not routes:
+        assert result.outcome is Outcome.PROVED_IMPOSSIBLE
+        return
+    best = max(insertions(route, missing) for route in routes)
+    assert result.found
+    found = tuple(map(tuple, result.routes[0].states.tolist()))
+    assert found in set(routes)
+    assert insertions(found, missing) == insertion_steps(result.routes[0], task) == planner.postponed == best
+
+
+def test_a_missing_part_of_a_tower_is_needed_in_its_place(rules: Any) -> None:
+    """The fourth floor can wait until three floors stand, and no longer."""
+    task = Task.create(rules.ground(9), 1, missing=[4])
+    planner = Planner(task, rules.tower(9))
+    assert planner.run().found
+    assert planner.postponed == (2 * 3,)
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("alternatives", [1, 3])
+def test_resuming_changes_nothing(rules: Any, tmp_path: Path, seed: int, alternatives: int) -> None:
+    oracle, _ = rules.random(seed, 8)
+    task = Task.create(rules.ground(8), 2, missing=[3, 5])
+    settings = PlannerSettings(alternatives=alternatives, seed=seed)
+    whole = Planner(task, oracle, settings)
+    expected = whole.run()
+    planner = Planner(task, oracle, settings)
+    path = tmp_path / "planner.npz"
+    while True:
+        calls = iter(range(7))
+        result = planner.run(stop=lambda calls=calls: next(calls, None) is None)
+        if not result.interrupted:
+            break
+        planner.save(path)
+        planner = Planner.load(path, task, oracle, settings)
+    assert result.outcome is expected.outcome
+    assert result.counters == expected.counters
+    assert len(result.routes) == len(expected.routes)
+    for mine, theirs in zip(result.routes, expected.routes, strict=True):
+        assert np.array_equal(mine.states, theirs.states)
+    assert np.array_equal(planner.states, whole.states)
+
+
+def test_a_checkpoint_of_another_search_is_refused(rules: Any, tmp_path: Path) -> None:
+    task = Task.create(rules.ground(8), 2)
+    planner = Planner(task, rules.blocks(8))
+    calls = iter(range(3))
+    planner.run(stop=lambda: next(calls, None) is None)
+    path = tmp_path / "planner.npz"
+    planner.save(path)
+    with pytest.raises(InputError, match="another structure, task or settings"):
+        Planner.load(path, Task.create(rules.ground(8), 1), rules.blocks(8))
+    with pytest.raises(InputError, match="another structure, task or settings"):
+        Planner.load(path, task, rules.blocks(8), PlannerSettings(seed=1))
+    path.write_bytes(path.read_bytes()[:-10])
+    with pytest.raises(InputError, match="damaged or not"):
+        Planner.load(path, task, rules.blocks(8))
+
+
+def test_interrupted_after_the_plan_keeps_the_plan(rules: Any) -> None:
+    task = Task.create(rules.ground(7), 2)
+    planner = Planner(task, rules.blocks(7), PlannerSettings(alternatives=4))
+    result = planner.run(stop=lambda: bool(planner.routes))
+    assert result.found
+    assert result.interrupted
+    assert "gathering alternatives" in result.notes[0]
+    assert len(result.routes) == 1
+
+
+def test_an_interruption_from_the_keyboard(rules: Any) -> None:
+    def press(event: SearchProgress) -> None:
+        if event.level == 5:
+            raise KeyboardInterrupt
+
+    planner = Planner(Task.create(rules.ground(7), 2), rules.blocks(7))
+    result = planner.run(progress=press)
+    assert result.interrupted
+    assert result.outcome is Outcome.NOT_FOUND
+    assert result.reached >= 4
+    assert planner.run().found
+
+
+@pytest.mark.parametrize("end", ["start", "target"])
+def test_an_unstable_end_is_a_proof(rules: Any, end: str) -> None:
+    """A tower with a gap, held nowhere: no plan begins or ends there."""
+    gap = [2, 1, 0, 1, 0]
+    ends = {"start": None, "target": None} | {end: gap}
+    task = Task.create(rules.ground(5), 2, start=ends["start"], target=ends["target"])
+    result = Planner(task, rules.tower(5)).run()
+    assert result.outcome is Outcome.PROVED_IMPOSSIBLE
+    assert result.notes == (f"the {end} state is unstable",)
+    assert result.rejected.tolist() == [gap]
+
+
+def test_says_how_far_it_came(rules: Any) -> None:
+    """The wide arch of rules cannot be closed by one robot: proved at once, from the end that shows it first."""
+    result = Planner(Task.create(rules.ground(9), 1), rules.arch(9)).run()
+    assert result.outcome is Outcome.PROVED_IMPOSSIBLE
+    assert result.reached == 1
+    assert result.steps == 16
+    assert len(result.rejected) > 0
+
+
+def test_no_plan_found_is_not_no_plan(rules: Any) -> None:
+    """With width one and no choice ahead of a hard place the planner gives up, and says that it did."""
+    oracle = rules.blocks(200)
+    # Everything needs part 199, which the guide tries last; 64 candidates ahead do not reach it.
+    oracle.supports[1:] = [[frozenset({199})] if part != 199 else [frozenset()] for part in range(1, 200)]
+
+    def guide(states: Any, actions: Any, direction: Direction) -> Any:
+        return np.tile(-np.arange(200.0), 2)[None].repeat(len(states), axis=0)
+
+    task = Task.create(rules.ground(200), 1)
+    settings = PlannerSettings(width=1, directions=(Direction.ASSEMBLY,))
+    result = Planner(task, oracle, settings, guide=guide).run()
+    assert result.outcome is Outcome.NOT_FOUND
+    assert "wider ones may come through" in result.limit
+    wider = PlannerSettings(width=64, directions=(Direction.ASSEMBLY,))
+    assert Planner(task, oracle, wider, guide=guide).run().found
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [({"width": 0}, "width 0"), ({"directions": ()}, "no direction"), ({"alternatives": 0}, "0 alternatives")],
+)
+def test_bad_settings(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        PlannerSettings(**settings)
+
+
+def test_plans_of_a_real_arch(small_arch: Assembly, arch_oracle: Stability) -> None:
+    planning = find_plans(small_arch, oracle=arch_oracle, settings=PlannerSettings(alternatives=3))
+    assert planning.found
+    assert len(planning.plans) == 3
+    assert len({plan.states.tobytes() for plan in planning.plans}) == 3
+    for plan, route in zip(planning.plans, planning.alternatives.routes, strict=True):
+        assert np.array_equal(plan.states, route.states)
+        assert plan.validate(small_arch).good
+        assert plan.validate_proofs(small_arch).good
+    # A plan and its mirror image differ much; three plans cannot all be opposites.
+    assert planning.alternatives.least_distance > 0.4
+
+
+def test_one_robot_cannot_take_an_arch_apart(small_arch: Assembly, arch_oracle: Stability) -> None:
+    planning = find_plans(small_arch, task_of(small_arch, robots=1), oracle=arch_oracle)
+    assert not planning.found
+    assert planning.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    assert planning.plans == ()
+    verdicts = arch_oracle.check(planning.result.rejected)
+    assert verdicts.unstable.all()
+    assert verdicts.velocity is not None
+
+
+def test_half_a_job(small_arch: Assembly, arch_oracle: Stability) -> None:
+    """From the middle of a plan to near its end, and with a part that must stay."""
+    plan = find_plans(small_arch, oracle=arch_oracle).plans[0]
+    middle = Task.create(
+        small_arch.boundary, 2, start=plan.states[4], target=plan.states[10], identity=small_arch.identity
+    )
+    found = find_plans(small_arch, middle, oracle=arch_oracle)
+    assert len(found.plans[0]) == 6
+    assert found.plans[0].validate(small_arch).good
+    last = int(plan.removed_parts[-1])
+    stays = Task.create(small_arch.boundary, 2, fixed=[last], identity=small_arch.identity)
+    kept = find_plans(small_arch, stays, oracle=arch_oracle)
+    assert last not in kept.plans[0].actions % small_arch.part_count
+    assert kept.plans[0].parts_left == 1
+
+
+def test_a_checkpoint_is_resumed_and_removed(small_arch: Assembly, arch_oracle: Stability, tmp_path: Path) -> None:
+    path = tmp_path / "search.npz"
+    calls = iter(range(4))
+    halted = find_plans(small_arch, oracle=arch_oracle, checkpoint=path, stop=lambda: next(calls, None) is None)
+    assert halted.result.interrupted
+    assert not halted.found
+    assert path.exists()
+    levels: list[int] = []
+    found = find_plans(
+        small_arch, oracle=arch_oracle, checkpoint=path, progress=lambda event: levels.append(event.level)
+    )
+    assert found.found
+    assert levels[0] == 5
+    assert not path.exists()
+
+
+def test_same_seed_same_plan(small_arch: Assembly) -> None:
+    plans = [find_plans(small_arch, settings=PlannerSettings(seed=seed)).plans[0] for seed in (0, 0)]
+    assert np.array_equal(plans[0].states, plans[1].states)
+
+
+def test_another_guide(small_arch: Assembly, arch_oracle: Stability) -> None:
+    """The mirror image of the support guide's preferences still leads to a plan, but another one."""
+    support = SupportGuide(small_arch)
+    found = find_plans(
+        small_arch, oracle=arch_oracle, guide=lambda states, actions, way: -support(states, actions, way)
+    )
+    usual = find_plans(small_arch, oracle=arch_oracle)
+    assert found.plans[0].validate(small_arch).good
+    assert not np.array_equal(found.plans[0].actions, usual.plans[0].actions)
+
+
+@pytest.mark.parametrize("name", ["bottle", "polycube", "wall", "corbel", "dome", "catenary", "vault"])
+def test_built_in_structures_have_plans(name: str) -> None:
+    assembly = load_structure(name)
+    planning = find_plans(assembly)
+    assert planning.found
+    assert planning.plans[0].validate_proofs(assembly).good
