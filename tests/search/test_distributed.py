@@ -59,6 +59,14 @@ def test_two_processes_find_the_same_levels_as_one(tmp_path: Path) -> None:
             assert np.array_equal(share[name], expected), f"{name} differs"
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no GPU")
+def test_a_gpu_finds_the_same_levels_as_the_processor() -> None:
+    search_all = runpy.run_path(str(SCRIPT))["search_all"]
+    alone, on_device = search_all("cpu", Shards()), search_all("cuda", Shards())
+    for name, expected in alone.items():
+        assert np.array_equal(on_device[name], expected), f"{name} differs"
+
+
 def test_without_torchrun_there_is_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("RANK", raising=False)
     with joined("cpu") as (shards, device):

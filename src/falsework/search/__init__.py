@@ -6,6 +6,8 @@ from falsework.search.beam import BeamSearch as BeamSearch
 from falsework.search.beam import BeamSettings as BeamSettings
 from falsework.search.depth_first import DepthFirstSearch as DepthFirstSearch
 from falsework.search.depth_first import DepthFirstSettings as DepthFirstSettings
+from falsework.search.device_beam import DeviceBeam as DeviceBeam
+from falsework.search.devices import beam_search as beam_search
 from falsework.search.exhaustive import Census as Census
 from falsework.search.exhaustive import ExhaustiveSearch as ExhaustiveSearch
 from falsework.search.find import Planning as Planning
