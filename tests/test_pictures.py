@@ -1,0 +1,70 @@
+"""The renderer behind the pictures in the documentation."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib", reason="pictures need matplotlib; pip install 'falsework[picture]'")
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "docs" / "pictures"))
+
+from render import Camera, Solid, render
+from sheet import robots_of
+
+BOX = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+FACES = np.array([triangle for a, b, c, d in QUADS for triangle in ((a, b, c), (a, c, d))])
+RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.1, 0.9)
+BOUNDS = np.array([[-4.0, -8.0, -2.0], [4.0, 8.0, 2.0]])
+
+
+@pytest.mark.parametrize("red_in_front", [True, False])
+@pytest.mark.parametrize("red_first", [True, False])
+def test_what_is_nearer_hides_what_is_farther(red_in_front: bool, red_first: bool) -> None:
+    """Seen along +y, whatever the order in which the boxes are drawn."""
+    red = Solid(BOX + [0, -5.0 if red_in_front else 5.0, 0], FACES, RED)
+    blue = Solid(BOX + [0, 5.0 if red_in_front else -5.0, 0], FACES, BLUE)
+    camera = Camera(azimuth=0.0, elevation=1.0, width=81, height=61)
+    image = render([red, blue] if red_first else [blue, red], camera, BOUNDS, floor=False)
+    assert image.shape == (61, 81, 3)
+    middle = image[30, 40]
+    assert (middle[0] > middle[2]) == red_in_front
+    assert (image[0, 0] == 1.0).all()  # nothing there
+
+
+def test_size_in_pixels_is_size_in_metres_times_scale() -> None:
+    camera = Camera(azimuth=0.0, elevation=0.001, width=161, height=121)
+    image = render([Solid(BOX, FACES, RED)], camera, BOUNDS, floor=False)
+    scale, _ = camera.fit(BOUNDS)
+    covered = (image < 0.99).any(axis=2)
+    assert covered.any(axis=0).sum() == pytest.approx(2 * scale, abs=2)
+    assert covered.any(axis=-1).sum() == pytest.approx(2 * scale, abs=2)
+    corner = camera.project(np.array([1.0, 0.0, 1.0]), BOUNDS)
+    assert corner[0] == pytest.approx(np.flatnonzero(covered.any(axis=0))[-1] + 1, abs=2)
+
+
+def test_a_box_casts_a_shadow_on_the_floor() -> None:
+    camera = Camera(azimuth=-40.0, elevation=50.0, width=121, height=91)
+    lit = render([Solid(BOX * 0.001 + [0, 0, -1.9], FACES, RED)], camera, BOUNDS)
+    shaded = render([Solid(BOX + [0, 0, 0.5], FACES, RED)], camera, BOUNDS)
+    grey = (np.ptp(shaded, axis=2) < 1e-9) & (shaded[..., 0] < 0.95) & (shaded[..., 0] > 0.7)
+    assert grey.sum() > 50
+    assert (lit[grey] > 0.99).mean() > 0.9  # where the shadow falls there is light without the box
+
+
+def test_a_robot_keeps_its_part() -> None:
+    boundary = np.array([True, False, False, False])
+    states = np.array(
+        [[2, 1, 1, 1], [2, 2, 1, 1], [2, 2, 2, 1], [2, 0, 2, 1], [2, 0, 2, 2], [2, 0, 0, 2]], dtype=np.uint8
+    )
+    robots = robots_of(states, boundary)
+    assert (robots[:, 0] == -1).all()
+    assert robots[1:3, 1].tolist() == [0, 0]
+    assert robots[2:5, 2].tolist() == [1, 1, 1]
+    assert robots[4:, 3].tolist() == [0, 0]  # the robot that was free
+    for row in robots:
+        held = row[row >= 0]
+        assert len(set(held)) == len(held)
