@@ -111,7 +111,11 @@ def refuse_unstable(assembly: Assembly, oracle: Stability, task: Task, output: O
         moving = (
             motions(assembly, verdicts.velocity[0]) if verdicts.unstable[0] and verdicts.velocity is not None else []
         )
-        text = f"no plan exists: the {subject} is {'unstable' if verdicts.unstable[0] else 'not proven stable'}"
+        text = (
+            f"no plan exists: the {subject} is unstable"
+            if verdicts.unstable[0]
+            else f"no plan was found: the {subject} could be proven neither stable nor unstable"
+        )
         output.record({"plan": None, "outcome": text, "moving": [motion.record(assembly) for motion in moving]})
         output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")
         return True
