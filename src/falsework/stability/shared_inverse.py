@@ -264,5 +264,5 @@ class SharedInverse:
     def _sparse(self, matrix: Any) -> Any:
         entries = sp.coo_matrix(matrix)
         index = np.vstack([entries.row, entries.col])
-        values = self._tensor(entries.data)
-        return self._torch.sparse_coo_tensor(index, values, entries.shape, check_invariants=True).coalesce()
+        with self._torch.sparse.check_sparse_tensor_invariants(True):
+            return self._torch.sparse_coo_tensor(index, self._tensor(entries.data), entries.shape).coalesce()
