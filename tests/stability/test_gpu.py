@@ -18,7 +18,7 @@ import pytest
 from falsework.assembly import library, load_structure
 from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
-from falsework.stability import Solver, StabilitySettings, Verdict, accept, build_problem
+from falsework.stability import Solver, Stability, StabilitySettings, Verdict, accept, build_problem, oracle
 from falsework.stability.cpu import CpuSolver
 from falsework.stability.gpu import GpuSolver, MemoryWarning
 from falsework.stability.gpu_driver import KERNELS, CudaDriver, compile_kernel, kernel_source
@@ -259,3 +259,41 @@ def test_compiles_for_a_gpu(kernel: str, tmp_path: Path, monkeypatch: pytest.Mon
         pytest.skip(f"NVRTC is not there: {error}")
     assert kernel.encode() in code
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [code]
+
+
+@needs_compiler
+def test_oracle_sends_large_batches_to_the_gpu_and_small_ones_to_the_processor(monkeypatch):
+    assembly = library.build("arch:blocks=7")
+    monkeypatch.setattr(
+        oracle, "GpuSolver", lambda problem, settings: GpuSolver(problem, settings, make_driver=HostDriver)
+    )
+    rng = np.random.default_rng(3)
+    states = rng.integers(0, 3, (60, assembly.part_count)).astype(np.uint8)
+    states[:, assembly.boundary] = 2
+    states = np.unique(states, axis=0)
+    auto = Stability(assembly, StabilitySettings(solver="auto"))
+    expected = Stability(assembly).check(states)
+    np.testing.assert_array_equal(auto.judge(states).verdict, expected.verdict)
+    assert auto.counters.gpu == len(states)
+    fresh = Stability(assembly, StabilitySettings(solver="auto"))
+    np.testing.assert_array_equal(fresh.judge(states[:2]).verdict, expected.verdict[:2])
+    assert (fresh.counters.gpu, fresh.counters.cpu) == (0, 2)
+    np.testing.assert_array_equal(fresh.check(states).verdict, expected.verdict)
+    parents = np.where(assembly.boundary, 2, 1).astype(np.uint8)[None].repeat(len(states), axis=0)
+    only = Stability(assembly, StabilitySettings(solver="gpu"))
+    np.testing.assert_array_equal(only.stable(states, parents=parents), expected.stable)
+    assert only.counters.cpu == 0
+
+
+def test_oracle_without_a_gpu_says_so_or_takes_the_processor(monkeypatch):
+    def missing(problem, settings):
+        raise DependencyError("no torch here; pip install 'falsework[gpu]'")
+
+    monkeypatch.setattr(oracle, "GpuSolver", missing)
+    assembly = library.build("arch:blocks=5")
+    state = np.where(assembly.boundary, 2, 1).astype(np.uint8)[None].repeat(9, axis=0)
+    auto = Stability(assembly, StabilitySettings(solver="auto"))
+    assert auto.stable(state).all()
+    assert auto.counters.gpu == 0
+    with pytest.raises(DependencyError, match=r"falsework\[gpu\]"):
+        Stability(assembly, StabilitySettings(solver="gpu"))

@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states
+from falsework.errors import InputError
 from falsework.stability.cache import VerdictCache
 from falsework.stability.certificate import accept
 from falsework.stability.cpu import CpuSolver
 from falsework.stability.exact import ExactSolver
+from falsework.stability.gpu import GpuSolver
 from falsework.stability.gurobi import GurobiSolver
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
@@ -24,6 +26,8 @@ _GUESSES = 128 * 1024 * 1024
 """Bytes kept of contact forces to start children from."""
 _BATCH = 32 * 1024 * 1024
 """Bytes of contact forces in work at once."""
+_WORTH_A_GPU = 8
+"""States from which `auto` takes the GPU: a launch costs what the processor needs for a few states."""
 _ROUNDING = 1e-6
 """Ratio of turning to moving, in rad/m or m/rad, below which a motion is rounding."""
 
@@ -40,6 +44,8 @@ class Counters:
     """Answered because a proof of another state holds for this one."""
     cpu: int = 0
     """Decided by the solver on the processor."""
+    gpu: int = 0
+    """Decided by the solver on the GPU."""
     exact: int = 0
     """Decided by the exact solver."""
     undecided: int = 0
@@ -68,7 +74,8 @@ class Stability:
         exact = GurobiSolver if settings.solver == "gurobi" else ExactSolver
         self.exact = exact(assembly, settings, self.problem)
         self.counters = Counters()
-        self._cpu = CpuSolver(self.problem, settings) if settings.solver == "cpu" else None
+        self._cpu = CpuSolver(self.problem, settings) if settings.solver in ("auto", "cpu") else None
+        self._gpu = self._make_gpu()
         self._cache = VerdictCache()
         self._forces: OrderedDict[bytes, NDArray[np.float32]] = OrderedDict()
         self._forces_limit = _GUESSES // max(self.problem.points * 12, 1)
@@ -88,10 +95,11 @@ class Stability:
         batch = as_states(states, self.assembly.boundary)
         self.counters.asked += len(batch)
         unique, back = _unique(batch)
-        if self._cpu is None:
+        solver = self._choose(len(unique))
+        if solver is None:
             verdicts = self.exact.check(unique)
         else:
-            verdicts = self._cpu.check(unique, certificates=True)
+            verdicts = solver.check(unique, certificates=True)
             accepted = accept(self.assembly, unique, verdicts, self.settings.claim)
             self.counters.rejected += int((~accepted & (verdicts.verdict != Verdict.UNDECIDED)).sum())
             rest = np.flatnonzero(~accepted)
@@ -146,8 +154,26 @@ class Stability:
         """Which states are proven stable; arguments as for `judge`. Shape (batch,)."""
         return self.judge(states, parents=parents).stable
 
+    def _make_gpu(self) -> GpuSolver | None:
+        """The solver on the GPU if the settings ask for it; with `auto`, only where there is one."""
+        if self.settings.solver not in ("auto", "gpu"):
+            return None
+        try:
+            return GpuSolver(self.problem, self.settings)
+        except InputError:  # no torch, no bindings or no device
+            if self.settings.solver == "gpu":
+                raise
+            return None
+
+    def _choose(self, count: int) -> CpuSolver | GpuSolver | None:
+        """Who judges a batch of this size; None for the exact solver."""
+        if self._gpu is not None and (self._cpu is None or count >= _WORTH_A_GPU):
+            return self._gpu
+        return self._cpu
+
     def _solve(self, states: States, parents: States | None) -> Verdicts:
-        if self._cpu is None:
+        solver = self._choose(len(states))
+        if solver is None:
             return self.exact.check(states).without_certificates()
         verdicts = Verdicts.blank(len(states))
         # Look the parents up first: what the children leave behind may push them out.
@@ -155,14 +181,18 @@ class Stability:
         size = max(_BATCH // max(self.problem.points * 24, 1), 16)
         for first in range(0, len(states), size):
             rows = np.arange(first, min(first + size, len(states)))
-            guess, near = None, None
+            guess = None
             if parents is not None:
-                near, guess = parents[rows], np.zeros((len(rows), self.problem.points, 3))
+                guess = np.zeros((len(rows), self.problem.points, 3))
                 for row, forces in zip(range(len(rows)), known[first : first + size], strict=True):
                     if forces is not None:
                         guess[row] = forces
                         self.counters.warm += 1
-            solved = self._cpu.check(states[rows], certificates=False, parents=near, guess=guess)
+            if isinstance(solver, CpuSolver):
+                near = None if parents is None else parents[rows]
+                solved = solver.check(states[rows], certificates=False, parents=near, guess=guess)
+            else:
+                solved = solver.check(states[rows], certificates=False, guess=guess)
             if guess is not None:
                 self._remember(states[rows][solved.stable], guess[solved.stable])
             verdicts.put(rows, solved)
@@ -186,6 +216,7 @@ class Stability:
 
     def _count(self, verdicts: Verdicts) -> None:
         self.counters.cpu += int((verdicts.decided_by == Solver.CPU).sum())
+        self.counters.gpu += int((verdicts.decided_by == Solver.GPU).sum())
         self.counters.exact += int(np.isin(verdicts.decided_by, (Solver.EXACT, Solver.GUROBI)).sum())
         self.counters.undecided += int(verdicts.undecided.sum())
 

@@ -11,7 +11,7 @@ from falsework.errors import InputError
 from falsework.stability.certificate import Claim
 from falsework.stability.problem import FORCE_BOUND, TOLERANCE, Cone
 
-SolverName = Literal["cpu", "exact", "gurobi"]
+SolverName = Literal["auto", "cpu", "gpu", "exact", "gurobi"]
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,8 @@ class StabilitySettings:
     force_bound: float = FORCE_BOUND
     """Bound on the sum of all normal forces, in weights of the structure."""
     solver: SolverName = "cpu"
-    """Who is asked first; what it leaves undecided goes to the exact solver."""
+    """Who is asked first; what it leaves undecided goes to the exact solver. `auto` takes the GPU, where there is
+    one, for batches that it judges faster than the processor."""
     cpu: CpuSettings = CpuSettings()
     gpu: GpuSettings = GpuSettings()
 

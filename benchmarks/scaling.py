@@ -1,0 +1,101 @@
+"""Cost against the number of parts on the built-in vault: one JSON object a size, then one with the fits.
+
+    python benchmarks/scaling.py
+    python benchmarks/scaling.py --parts 60 125 250 500 1000 --out scaling.json
+
+For every size, on the complete structure: seconds for the contacts, for the problem (wrench maps, order of
+elimination), for one full verdict with its certificate accepted by the checker, and the peak memory of the
+process. Each size runs in a process of its own, so that memory is that size's alone. `exponent` is the slope of
+a straight line through the logarithms: 1 is linear in the number of parts.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from falsework.assembly import load_structure
+from falsework.assembly.state import complete_state
+from falsework.geometry import find_contacts
+from falsework.stability import Stability
+
+MEASURED = ("contacts_s", "problem_s", "verdict_s", "memory_gib")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to measure."""
+
+    parts: tuple[int, ...] = (60, 125, 250, 500, 1000)
+    """Sizes to ask the vault for."""
+    repeats: int = 3
+    """Runs of each; the best counts."""
+    out: Path | None = None
+    """Also write all objects to this file, as a JSON list; the picture in the documentation is drawn from it."""
+    alone: bool = False
+    """Measure the first size in this process and print its object only."""
+
+
+def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
+    """Best times of one size."""
+    best = dict.fromkeys(MEASURED[:3], np.inf)
+    assembly = load_structure(f"vault:parts={parts}")
+    state = complete_state(assembly.boundary)
+    Stability(assembly).check(state)  # compiles
+    residual = np.nan
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        find_contacts(assembly.meshes)
+        contacts = time.perf_counter()
+        oracle = Stability(assembly)
+        problem = time.perf_counter()
+        verdict = oracle.check(state)
+        done = time.perf_counter()
+        if not verdict.stable[0]:
+            raise SystemExit(f"vault:parts={parts} is not proven stable")
+        residual = float(verdict.residual[0])
+        for name, seconds in zip(MEASURED, (contacts - begun, problem - contacts, done - problem), strict=False):
+            best[name] = min(best[name], seconds)
+    return {
+        "benchmark": "scaling",
+        "parts": assembly.part_count,
+        "contact_points": len(assembly.contacts.points),
+        **{name: round(seconds, 4) for name, seconds in best.items()},
+        "memory_gib": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 3),
+        "residual": residual,
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+    }
+
+
+def main(options: Options) -> None:
+    """Run the benchmark."""
+    if options.alone:
+        print(json.dumps(measure(options.parts[0], options.repeats)), flush=True)
+        return
+    results = []
+    for parts in options.parts:
+        command = [sys.executable, __file__, "--alone", "--parts", str(parts), "--repeats", str(options.repeats)]
+        line = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip().splitlines()[-1]
+        results.append(json.loads(line))
+        print(line, flush=True)
+    if len(results) > 1:
+        sizes = np.log([result["parts"] for result in results])
+        fit = {name: float(np.polyfit(sizes, np.log([r[name] for r in results]), 1)[0]) for name in MEASURED}
+        results.append({"benchmark": "scaling", "exponent": {name: round(value, 2) for name, value in fit.items()}})
+        print(json.dumps(results[-1]), flush=True)
+    if options.out is not None:
+        options.out.write_text(json.dumps(results, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))

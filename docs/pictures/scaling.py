@@ -1,0 +1,34 @@
+"""Cost against the number of parts, from what `benchmarks/scaling.py --out` wrote."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from palette import INK, ROBOTS
+
+DATA = Path(__file__).with_name("scaling.json")
+SERIES = {"contacts_s": "contacts", "problem_s": "problem", "verdict_s": "one verdict with proof"}
+
+
+def cost_against_parts(path: Path) -> None:
+    """Draw seconds over parts on logarithmic axes with fitted lines."""
+    *sizes, fit = json.loads(DATA.read_text())
+    parts = np.array([size["parts"] for size in sizes], dtype=float)
+    figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
+    for (name, label), colour in zip(SERIES.items(), ROBOTS, strict=False):
+        seconds = np.array([size[name] for size in sizes])
+        exponent = fit["exponent"][name]
+        level = np.exp(np.mean(np.log(seconds) - exponent * np.log(parts)))
+        axes.loglog(parts, level * parts**exponent, color=colour, linewidth=1)
+        axes.loglog(parts, seconds, "o", color=colour, label=f"{label}: parts$^{{{exponent:.2f}}}$")
+    axes.set_xticks(parts, [f"{int(value)}" for value in parts], minor=False)
+    axes.minorticks_off()
+    axes.set_xlabel("parts of the built-in vault", color=INK)
+    axes.set_ylabel(f"seconds, {sizes[0]['machine']}", color=INK)
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
