@@ -70,7 +70,13 @@ class MakePlan(Command):
             return Exit.NO
         with output.search_progress() as report:
             planning = find_plans(
-                assembly, task, oracle=oracle, settings=settings, progress=report, checkpoint=checkpoint
+                assembly,
+                task,
+                oracle=oracle,
+                settings=settings,
+                progress=report,
+                checkpoint=checkpoint,
+                forces=self.proofs,
             )
         result = planning.result
         if result.interrupted:

@@ -14,6 +14,7 @@ from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
 from falsework.search.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.archive import read_archive, write_archive
+from falsework.search.beam import BeamSearch
 from falsework.search.guide import Guide, NoveltyGuide
 from falsework.search.judge import Oracle
 from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
@@ -137,14 +138,14 @@ class Planner:
 
         def report(event: SearchProgress) -> None:
             if progress is not None:
-                asked = event.asked + self._counters.asked
-                progress(replace(event, asked=asked, seconds=self._seconds + time.perf_counter() - begun))
+                seconds = self._seconds + time.perf_counter() - begun
+                progress(replace(event, asked=self._all_counters().asked, seconds=seconds))
 
-        unstable = self._unstable_end()
-        if unstable is not None:
-            return unstable
         interrupted = False
         try:
+            unstable = self._unstable_end()
+            if unstable is not None:
+                return unstable
             while not self.done and not interrupted:
                 interrupted = self._advance(report, stop)
         except KeyboardInterrupt:
@@ -240,8 +241,7 @@ class Planner:
 
     def _drop_beams(self) -> None:
         """Forget the beams of an attempt that is over, but not the work that they did."""
-        for beam in self._beams.values():
-            self._counters += beam.search.counters
+        self._counters = self._all_counters()
         self._beams = {}
         self._attempt = 0
 
@@ -331,10 +331,11 @@ class Planner:
             notes=(f"the {name} state is {'unstable' if proved else 'undecided'}",),
         )
 
+    def _all_counters(self) -> SearchCounters:
+        return sum((beam.search.counters for beam in self._beams.values()), self._counters)
+
     def _result(self, interrupted: bool) -> SearchResult:
-        counters = self._counters
-        for beam in self._beams.values():
-            counters += beam.search.counters
+        counters = self._all_counters()
         if self.routes:
             notes = ()
             if interrupted:
@@ -357,7 +358,8 @@ class Planner:
         for beam in self._beams.values():
             running = beam.search.result(interrupted=True)
             best = running if best is None or running.reached > best.reached else best
-        assert best is not None
+        if best is None:  # interrupted before the first search began
+            best = BeamSearch(self.task, self._oracle).result(interrupted=True)
         return replace(best, counters=counters, seconds=self._seconds, interrupted=interrupted)
 
 
