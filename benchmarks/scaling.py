@@ -48,7 +48,7 @@ class Options:
 
 def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
     """Best times of one size."""
-    best = dict.fromkeys(MEASURED[:3], np.inf)
+    best: dict[str, float] = dict.fromkeys(MEASURED[:3], np.inf)
     assembly = load_structure(f"vault:parts={parts}")
     state = complete_state(assembly.boundary)
     Stability(assembly).check(state)  # compiles
