@@ -39,7 +39,7 @@ $(VENV)/.torch: $(BIN)/python
 	@if command -v nvidia-smi >/dev/null 2>&1 && nvidia-smi >/dev/null 2>&1; then \
 		echo "installing torch for the NVIDIA GPU"; $(PIP) torch; \
 	else \
-		echo "installing torch for the CPU"; $(PIP) torch==$(TORCH_VERSION) --extra-index-url $(TORCH_CPU_INDEX); \
+		echo "installing torch for the CPU"; $(PIP) --retries 1 torch==$(TORCH_VERSION) --extra-index-url $(TORCH_CPU_INDEX); \
 	fi
 	@touch $@
 

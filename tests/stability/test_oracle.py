@@ -20,10 +20,8 @@ from falsework.stability import (
     Solver,
     Stability,
     StabilitySettings,
-    Verdict,
     Verdicts,
     accept,
-    describe_motion,
 )
 
 
@@ -328,31 +326,3 @@ def test_unknown_choices_are_named() -> None:
         StabilitySettings(solver="magic")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="octagon or quadratic"):
         StabilitySettings(cone="pyramid")  # type: ignore[arg-type]
-
-
-def test_words_for_motions() -> None:
-    velocity = np.zeros((6, 6))
-    velocity[0, 2] = -1.0
-    velocity[1, :3] = 0.8, 0.0, -0.05
-    velocity[2, 4] = -2.0
-    velocity[3, :3] = 0.0, -0.5, -0.5
-    velocity[4, 2] = 0.9
-    velocity[5] = 1e-3
-    words = dict(describe_motion(velocity))
-    assert words == {
-        0: "falls",
-        1: "slides towards +x",
-        2: "tips about -y",
-        3: "falls and slides towards -y",
-        4: "rises",
-    }
-    assert describe_motion(np.zeros((3, 6))) == []
-    assert describe_motion(velocity)[0][0] in (0, 2), "the fastest comes first"
-
-
-def test_words_for_a_real_fall(scenes: Any) -> None:
-    tower = scenes.tower(3)
-    verdicts = Stability(tower).check([1, 0, 1, 2])
-    assert verdicts.verdict[0] == Verdict.UNSTABLE
-    assert verdicts.velocity is not None
-    assert describe_motion(verdicts.velocity[0]) == [(2, "falls")]

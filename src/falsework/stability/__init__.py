@@ -6,7 +6,6 @@ from falsework.stability.exact import ExactSolver as ExactSolver
 from falsework.stability.gurobi import GurobiSolver as GurobiSolver
 from falsework.stability.oracle import Counters as Counters
 from falsework.stability.oracle import Stability as Stability
-from falsework.stability.oracle import describe_motion as describe_motion
 from falsework.stability.problem import Problem as Problem
 from falsework.stability.problem import build_problem as build_problem
 from falsework.stability.settings import CpuSettings as CpuSettings

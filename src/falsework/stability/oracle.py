@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import OrderedDict
 from dataclasses import asdict, dataclass
 
@@ -28,8 +27,6 @@ _BATCH = 32 * 1024 * 1024
 """Bytes of contact forces in work at once."""
 _WORTH_A_GPU = 8
 """States from which `auto` takes the GPU: a launch costs what the processor needs for a few states."""
-_ROUNDING = 1e-6
-"""Ratio of turning to moving, in rad/m or m/rad, below which a motion is rounding."""
 
 
 @dataclass
@@ -219,50 +216,6 @@ class Stability:
         self.counters.gpu += int((verdicts.decided_by == Solver.GPU).sum())
         self.counters.exact += int(np.isin(verdicts.decided_by, (Solver.EXACT, Solver.GUROBI)).sum())
         self.counters.undecided += int(verdicts.undecided.sum())
-
-
-def describe_motion(velocity: NDArray[np.float64], *, share: float = 0.05) -> list[tuple[int, str]]:
-    """The parts that move most in an unstable state, and how, in plain words.
-
-    Args:
-        velocity: virtual velocity of one state, shape (parts, 6).
-        share: parts slower than this share of the fastest are left out.
-
-    Returns:
-        Part and words such as `falls and tips about +x`, fastest first.
-    """
-    speed = np.linalg.norm(velocity[:, :3], axis=1)
-    turn = np.linalg.norm(velocity[:, 3:], axis=1)
-    top, spin = max(speed.max(initial=0.0), 1e-300), max(turn.max(initial=0.0), 1e-300)
-    # Parts are a tenth of a millimetre to a kilometre large: a turn far below what that allows is rounding.
-    moves = (speed > share * top) & (speed > _ROUNDING * spin)
-    turns = (turn > share * spin) & (turn > _ROUNDING * top)
-    moving = np.flatnonzero(moves | turns)
-    moving = moving[np.argsort(-np.maximum(speed[moving] / top, turn[moving] / spin), kind="stable")]
-    return [(int(part), _words(velocity[part], moves[part], turns[part])) for part in moving]
-
-
-def _words(velocity: NDArray[np.float64], moves: bool, turns: bool) -> str:
-    words = []
-    if moves:
-        x, y, z = velocity[:3]
-        side = math.hypot(x, y)
-        vertical = "falls" if z < 0 else "rises"
-        horizontal = f"slides towards {_axis(np.array([x, y, 0.0]))}"
-        if side < 0.3 * abs(z):
-            words.append(vertical)
-        elif abs(z) < 0.3 * side:
-            words.append(horizontal)
-        else:
-            words.append(f"{vertical} and {horizontal}")
-    if turns:
-        words.append(f"tips about {_axis(velocity[3:])}")
-    return " and ".join(words)
-
-
-def _axis(direction: NDArray[np.float64]) -> str:
-    axis = int(np.argmax(np.abs(direction)))
-    return f"{'+' if direction[axis] >= 0 else '-'}{'xyz'[axis]}"
 
 
 def _unique_rows(states: States) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -13,7 +13,7 @@ template <class T>
 DEVICE void project(const Cone<T>& cone, T& n, T& x, T& y) {
 #if QUADRATIC
   T t = sqrt(x * x + y * y);
-  if (t <= cone.mu * n) return;
+  if (n >= T(0) && t <= cone.mu * n) return;
   T s = (n + cone.mu * t) * cone.edge_scale;
   if (!(s > T(0))) {
     n = x = y = T(0);
@@ -26,7 +26,7 @@ DEVICE void project(const Cone<T>& cone, T& n, T& x, T& y) {
   T ax = fabs(x), ay = fabs(y);
   T u = fmax(ax, ay), v = fmin(ax, ay);
   T p = u * c + v * s, q = v * c - u * s;  // along the normal of the facet, and along the facet
-  if (p <= cone.facet * n) return;
+  if (n >= T(0) && p <= cone.facet * n) return;
   T t = (n + cone.facet * p) * cone.facet_scale;
   T reach = cone.edge * t;
   if (!(t > T(0) && fabs(q) <= reach)) {
