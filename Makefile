@@ -70,7 +70,7 @@ lint: $(VENV)/.lint
 	$(BIN)/ruff format --check .
 
 # pyright sees the packages that the code imports, the optional ones among them.
-types: $(VENV)/.lint $(VENV)/.test
+types: $(VENV)/.lint $(VENV)/.test $(VENV)/.docs
 	$(BIN)/pyright
 
 docs: $(VENV)/.docs
