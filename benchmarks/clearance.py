@@ -11,7 +11,6 @@ beside the repository), then the built-in dome and vault. `ways` is what the tab
 from __future__ import annotations
 
 import json
-import os
 import platform
 import time
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import tyro
+from states import find, one_core, real_structures
 
 from falsework.assembly import load_structure
 from falsework.geometry import clearance_table
@@ -39,19 +39,6 @@ class Options:
     """Directions to try for each part."""
 
 
-def real_structures(names: tuple[str, ...]) -> list[str]:
-    """Paths of the real structures that this machine has."""
-    named = os.environ.get("FALSEWORK_DATA")
-    data = Path(named) if named else Path(__file__).resolve().parents[2] / "shared"
-    return [str(data / "assemblies" / name) for name in names if (data / "assemblies" / name).is_dir()]
-
-
-def one_core() -> None:
-    """Keep this process on one core, where the system can."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-
-
 def main(options: Options) -> None:
     """Run the benchmark."""
     one_core()
@@ -60,7 +47,7 @@ def main(options: Options) -> None:
         np.ones((1, warm_up.part_count), dtype=np.uint8)
     )
     for structure in options.structures or (*real_structures(REAL), *BUILT_IN):
-        assembly = load_structure(structure)
+        assembly = load_structure(find(structure))
         _, overlap = assembly.contact_settings.lengths(assembly.meshes)
         begin, cpu = time.perf_counter(), time.process_time()
         table = clearance_table(assembly.meshes, assembly.contacts, options.directions, tolerance=overlap)

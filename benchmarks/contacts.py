@@ -11,7 +11,6 @@ repository), then the built-in vault of 1,000 parts. `seconds` is the best of th
 from __future__ import annotations
 
 import json
-import os
 import platform
 import resource
 import time
@@ -19,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
+from states import find, one_core, real_structures
 
 from falsework.assembly import load_structure
 from falsework.geometry import find_contacts
@@ -39,24 +39,11 @@ class Options:
     """Runs of each; the best counts."""
 
 
-def real_structures(names: tuple[str, ...]) -> list[str]:
-    """Paths of the real structures that this machine has."""
-    named = os.environ.get("FALSEWORK_DATA")
-    data = Path(named) if named else Path(__file__).resolve().parents[2] / "shared"
-    return [str(data / "assemblies" / name) for name in names if (data / "assemblies" / name).is_dir()]
-
-
-def one_core() -> None:
-    """Keep this process on one core, where the system can."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-
-
 def main(options: Options) -> None:
     """Run the benchmark."""
     one_core()
     for structure in options.structures or (*real_structures(REAL), LARGE):
-        assembly = load_structure(structure)
+        assembly = load_structure(find(structure))
         seconds = []
         for _ in range(options.repeats):
             begin = time.perf_counter()

@@ -22,12 +22,12 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 import tyro
+from states import find
 
 from falsework.assembly import Assembly, load_structure
 from falsework.search import BeamSearch, BeamSettings, StateGraph, Task
@@ -58,14 +58,6 @@ class Options:
     """Run each search a second time to time its phases."""
     graph: bool = False
     """Build the state graph too, and count the states from which it leads to the goal."""
-
-
-def find(name: str) -> str:
-    """Path of a real structure where there is one of that name, else the name."""
-    named = os.environ.get("FALSEWORK_DATA")
-    data = Path(named) if named else Path(__file__).resolve().parents[2] / "shared"
-    path = data / "assemblies" / name
-    return str(path) if path.is_dir() else name
 
 
 def wait(device: torch.device) -> None:

@@ -55,6 +55,12 @@ def asked_states(
     return states[chosen], parents[chosen]
 
 
+def one_core() -> None:
+    """Keep this process on one core, where the system can."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+
 def find(name: str) -> str:
     """Path of a real structure where there is one of that name, else the name."""
     named = os.environ.get("FALSEWORK_DATA")
@@ -63,6 +69,6 @@ def find(name: str) -> str:
     return str(path) if path.is_dir() else name
 
 
-def real_structures() -> tuple[str, ...]:
-    """Names of the real structures that this machine has."""
-    return tuple(name for name in REAL if find(name) != name)
+def real_structures(names: tuple[str, ...] = REAL) -> tuple[str, ...]:
+    """Those of the named real structures that this machine has."""
+    return tuple(name for name in names if find(name) != name)

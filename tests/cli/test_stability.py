@@ -137,3 +137,23 @@ def test_export_writes_what_was_built(falsework: Run, tmp_path: Path) -> None:
 def test_real_structures_stand(falsework: Run, shared_assembly: Callable[[str], Path]) -> None:
     for name in ("bottle-12", "dome-37", "vault-62"):
         assert falsework("stability", shared_assembly(name)).code == 0
+
+
+@pytest.mark.parametrize("solver", ["cpu", "exact"])
+def test_solvers_agree_on_an_arch(falsework: Run, solver: str) -> None:
+    assert falsework("stability", "arch", "--solver", solver).code == 0
+    assert falsework("stability", "arch:thickness=0.05", "--solver", solver).code == 1
+
+
+def test_a_gpu_that_is_not_there_gets_one_line(falsework: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    from falsework.errors import DependencyError
+    from falsework.stability import oracle
+
+    def missing(*_: Any) -> None:
+        raise DependencyError("no GPU here")
+
+    monkeypatch.setattr(oracle, "GpuSolver", missing)
+    result = falsework("stability", "arch", "--solver", "gpu")
+    assert result.code == 2
+    assert "no GPU here" in result.error
+    assert falsework("stability", "arch", "--solver", "auto").code == 0

@@ -48,6 +48,8 @@ class MakePlan(Command):
     """Same seed, same machine, same result."""
     cone: Literal["octagon", "quadratic"] = "octagon"
     """Friction cone: eight-sided as in the paper, or round."""
+    solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
+    """Who judges; `auto` takes a GPU where there is one and it is faster."""
     assembly_order: bool = False
     """Write the plan in the order of assembly: insert and release instead of hold and remove."""
     proofs: bool = False
@@ -65,7 +67,7 @@ class MakePlan(Command):
         settings, checkpoint = self._settings(), self._checkpoint()
         assembly = self.structure.load()
         task = self.task.task(assembly)
-        oracle = Stability(assembly, StabilitySettings(cone=self.cone))
+        oracle = Stability(assembly, StabilitySettings(cone=self.cone, solver=self.solver))
         if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
         with output.search_progress() as report:

@@ -32,6 +32,8 @@ class CheckStability(Command):
     """JSON list of states, or a .npy array; the complete structure if not given."""
     cone: Literal["octagon", "quadratic"] = "octagon"
     """Friction cone: eight-sided as in the paper, or round."""
+    solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
+    """Who judges; `auto` takes a GPU where there is one and it is faster."""
 
     def run(self, output: Output) -> Exit:
         """Judge the states and say how the unstable ones fail."""
@@ -45,7 +47,7 @@ class CheckStability(Command):
         assembly = self.structure.load()
         wanted = complete_state(assembly.boundary) if self.states is None else read_states(self.states)
         states = as_states(wanted, assembly.boundary)
-        verdicts = Stability(assembly, StabilitySettings(cone=self.cone)).check(states)
+        verdicts = Stability(assembly, StabilitySettings(cone=self.cone, solver=self.solver)).check(states)
         for index in range(len(states)):
             verdict, proof = Verdict(verdicts.verdict[index]), Proof(verdicts.proof[index])
             residual = float(verdicts.residual[index])
