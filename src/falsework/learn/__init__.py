@@ -1,0 +1,1 @@
+"""Policies that propose the next action from any state: data, networks, training, evaluation, replanning."""
