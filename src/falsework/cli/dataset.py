@@ -1,0 +1,97 @@
+"""`falsework dataset`: states to train a policy on and states to test it on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from tyro.conf import arg
+
+from falsework.cli.command import UNSET, Command, Exit, StructureOptions
+from falsework.cli.planning import refuse_unstable, writable
+
+if TYPE_CHECKING:
+    from falsework.cli.output import Output
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeDataset(Command):
+    """Search for solvable states: a training set, and a test set that shares no state with it.
+
+    Both come from searches that begin at the empty structure, so that all their states can be taken apart. The training
+    set is that of a narrow search, the test set what a wider one finds beyond it. Exit code 1 if no search reached the
+    complete structure; the states are saved all the same.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = ("falsework dataset bottle --robots 2 --out data.npz",)
+
+    structure: StructureOptions
+    out: Annotated[Path, arg(metavar="FILE")] = Path("data.npz")
+    """File to write, a NumPy archive."""
+    robots: int = 2
+    """Parts that can be held at a time."""
+    fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
+    """Parts that are neither held nor removed, such as 7."""
+    removable_only_if_clear: bool = False
+    """Remove a part only if it has a straight way out."""
+    train_width: int = 64
+    """Width of the search for the training set."""
+    test_width: int = 128
+    """Width of the search for the test set."""
+    widths: tuple[int, ...] = ()
+    """Widths of further searches to learn from; what is in the test set is left out."""
+    seed: int = 0
+    """Same seed, same states, on every device."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
+
+    def run(self, output: Output) -> Exit:
+        """Search, compare, save."""
+        from falsework.cli.arguments import parse_parts
+        from falsework.learn.door import check_torch
+        from falsework.search.shards import joined
+        from falsework.stability import Stability
+
+        check_torch()
+        from falsework.learn.data import DataSettings, build_dataset, task_for
+
+        writable(self.out)
+        settings = DataSettings(self.train_width, self.test_width, self.widths, self.seed)
+        assembly = self.structure.load()
+        fixed = () if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names)
+        task = task_for(assembly, self.robots, self.removable_only_if_clear, fixed)
+        if refuse_unstable(assembly, Stability(assembly), task, output):
+            return Exit.NO
+        with joined(self.device) as (shards, device), output.bar("searching") as show:
+            dataset = build_dataset(
+                assembly,
+                task,
+                settings,
+                device=str(device),
+                shards=shards,
+                report=lambda text: show(0, 0, text),
+            )
+            first = shards.first
+        if not first:
+            return Exit.DONE
+        dataset.save(self.out)
+        output.record(
+            {
+                "out": str(self.out),
+                "structure": assembly.name,
+                "robots": task.robots,
+                "train": len(dataset.train),
+                "test": len(dataset.test),
+                "more": len(dataset.more),
+                "levels": dataset.levels(),
+                "complete": dataset.complete,
+                "seconds": dataset.seconds,
+            }
+        )
+        more = f" and {len(dataset.more)} more" if len(dataset.more) else ""
+        output.say(f"{self.out}: {len(dataset.train)} states to train on{more}, {len(dataset.test)} to test on")
+        if not dataset.complete:
+            output.note("falsework: not every search reached the complete structure; wider ones may")
+            return Exit.NO
+        return Exit.DONE

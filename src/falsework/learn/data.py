@@ -1,0 +1,232 @@
+"""Data sets: states of beam searches to learn from, and others to test on (paper, sections 5.1 and 7.2)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import Mask, States
+from falsework.errors import InputError
+from falsework.search.archive import read_archive, write_archive
+from falsework.search.beam import BeamSettings
+from falsework.search.device_beam import DeviceBeam
+from falsework.search.hashing import StateIndex
+from falsework.search.shards import Shards
+from falsework.search.task import Direction, Task
+from falsework.search.tensor_judge import TensorOracle, oracle_on
+from falsework.search.tensors import choose_device
+
+if TYPE_CHECKING:
+    import torch
+
+FORMAT = "falsework.dataset/1"
+
+_ARRAYS = frozenset({"train", "test", "more", "boundary"})
+_KEYS = {"format", "name", "identity", "robots", "removable_only_if_clear", "fixed", "train_width", "test_width"}
+
+Report = Callable[[str], None]
+"""Told in words what is going on."""
+
+
+@dataclass(frozen=True)
+class DataSettings:
+    """Which searches make a data set."""
+
+    train_width: int = 64
+    """Width of the search whose states are the paper's training set."""
+    test_width: int = 128
+    """Width of the search whose states, those of the first search left out, are the test set."""
+    widths: tuple[int, ...] = ()
+    """Widths of further searches to learn from; what is in the test set is left out."""
+    seed: int = 0
+    """Of the first search; every further one, the test search included, adds one."""
+
+    def __post_init__(self) -> None:
+        for width in (self.train_width, self.test_width, *self.widths):
+            if width < 1:
+                raise InputError(f"a search of width {width} finds nothing; give at least 1")
+        if self.seed < 0:
+            raise InputError(f"a seed is not negative; {self.seed} was given")
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Solvable states of one task: all of them were found by searches that began at the empty structure."""
+
+    train: States
+    """The paper's training set, shape (count, parts)."""
+    test: States
+    """States of a wider search that are not in `train`; never to be learned from, shape (count, parts)."""
+    more: States
+    """States of further searches that are in neither, shape (count, parts)."""
+    task: Task
+    name: str = ""
+    """Name of the structure."""
+    settings: DataSettings = DataSettings()
+    complete: bool = True
+    """Whether every search reached the complete structure."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """What each search took."""
+
+    def levels(self) -> dict[str, list[int]]:
+        """States of each set at each number of steps from the start, from the complete structure on."""
+        count = self.task.steps + 1
+        return {
+            name: np.bincount(self.task.steps_done(states), minlength=count).tolist()
+            for name, states in (("train", self.train), ("test", self.test), ("more", self.more))
+        }
+
+    def save(self, path: Path | str) -> None:
+        """Write the data set as a versioned `.npz`."""
+        header = {
+            "name": self.name,
+            "identity": self.task.identity,
+            "robots": self.task.robots,
+            "removable_only_if_clear": self.task.clearance is not None,
+            "fixed": list(self.task.fixed),
+            "train_width": self.settings.train_width,
+            "test_width": self.settings.test_width,
+        }
+        arrays = {"train": self.train, "test": self.test, "more": self.more, "boundary": self.task.boundary}
+        write_archive(path, FORMAT, header, arrays)
+
+    @classmethod
+    def load(cls, path: Path | str, assembly: Assembly) -> Dataset:
+        """Read a data set that `save` wrote.
+
+        Raises:
+            InputError: no such file, a damaged one, one of another version, or one of another structure.
+        """
+        header, arrays = read_archive(path, FORMAT, _ARRAYS)
+        if set(header) != _KEYS:
+            odd = ", ".join(sorted(set(header) ^ _KEYS))
+            raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent header entries {odd}")
+        if header["identity"] != assembly.identity:
+            raise InputError(f"{path} is a data set of {header['name']}, not of {assembly.name}; make one for it")
+        task = task_for(assembly, header["robots"], header["removable_only_if_clear"], header["fixed"])
+        for name in ("train", "test", "more"):
+            states = arrays[name]
+            if states.ndim != 2 or states.shape[1] != task.part_count or states.dtype != np.uint8 or (states > 2).any():
+                raise InputError(f"{path} is damaged ({name} holds no states of {task.part_count} parts); make it anew")
+        settings = DataSettings(header["train_width"], header["test_width"])
+        return cls(arrays["train"], arrays["test"], arrays["more"], task, header["name"], settings)
+
+
+def task_for(assembly: Assembly, robots: int = 2, clearance: bool = False, fixed: Any = ()) -> Task:
+    """The task of taking a whole structure apart, as data sets and policies are about it.
+
+    Args:
+        assembly: the structure.
+        robots: parts held at a time.
+        clearance: parts are removed only if they have a free way out.
+        fixed: parts that are never touched.
+
+    Raises:
+        InputError: fewer than one robot, or parts that do not exist.
+    """
+    table = assembly.clearance if clearance else None
+    return Task.create(assembly.boundary, robots, fixed=tuple(fixed), clearance=table, identity=assembly.identity)
+
+
+def search_states(
+    task: Task,
+    oracle: TensorOracle,
+    width: int,
+    seed: int,
+    *,
+    device: torch.device | str = "cpu",
+    shards: Shards = Shards(),
+    direction: Direction = Direction.ASSEMBLY,
+    report: Report | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> tuple[States, bool]:
+    """States of one beam search, and whether it reached its other end.
+
+    In the direction of assembly each of them is solvable, since the search came to it from the empty structure.
+
+    Args:
+        task: the task.
+        oracle: verdicts on tensors.
+        width: states kept a level.
+        seed: of the search.
+        device: where to search; the states are the same on each.
+        shards: processes that search together.
+        direction: end to begin at.
+        report: told how far the search is.
+        stop: asked before every level.
+
+    Returns:
+        Shape (count, parts), and a truth value.
+    """
+    search = DeviceBeam(task, oracle, BeamSettings(width, direction, seed=seed), device=device, shards=shards)
+
+    def show(now: Any) -> None:
+        if report is not None:
+            report(f"search of width {width}: step {now.level} of {now.levels}")
+
+    result = search.run(progress=show, stop=stop)
+    if result.interrupted and stop is None:
+        raise KeyboardInterrupt
+    return search.states(), result.found
+
+
+def build_dataset(
+    assembly: Assembly,
+    task: Task,
+    settings: DataSettings = DataSettings(),
+    *,
+    oracle: TensorOracle | None = None,
+    device: str = "auto",
+    shards: Shards = Shards(),
+    report: Report | None = None,
+) -> Dataset:
+    """Run the searches of the paper's protocol and, if asked for, wider ones.
+
+    Args:
+        assembly: the structure.
+        task: what is to be learned, as of `task_for`.
+        settings: widths and seed.
+        oracle: verdicts; made if not given.
+        device: `auto`, `cpu` or `cuda`.
+        shards: processes that search together.
+        report: told what is going on.
+
+    Raises:
+        DependencyError: torch is not installed.
+        InputError: no such device, or the empty structure has no way to the complete one.
+    """
+    from falsework.stability import Stability
+
+    where = choose_device(device)
+    asked = oracle_on(Stability(assembly), where) if oracle is None else oracle
+    seconds: dict[str, float] = {}
+    found: list[States] = []
+    complete = True
+    widths = (settings.train_width, settings.test_width, *settings.widths)
+    for number, width in enumerate(widths):
+        begin = time.perf_counter()
+        states, reached = search_states(
+            task, asked, width, settings.seed + number, device=where, shards=shards, report=report
+        )
+        complete &= reached
+        found.append(states)
+        seconds[f"width {width}, seed {settings.seed + number}"] = round(time.perf_counter() - begin, 3)
+    train = found[0]
+    test = found[1][_absent(found[1], train)]
+    more = np.concatenate([train[:0], *found[2:]])
+    if len(more):
+        more = np.unique(more, axis=0)
+        more = more[_absent(more, np.concatenate([train, test]))]
+        more = more[np.argsort(task.steps_done(more), kind="stable")]
+    return Dataset(train, test, more, task, assembly.name, settings, complete, seconds)
+
+
+def _absent(states: States, others: States) -> Mask:
+    """Which states are not among others. Shape (batch,)."""
+    return StateIndex(np.unique(others, axis=0)).find(states) < 0

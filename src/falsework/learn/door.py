@@ -1,0 +1,18 @@
+"""The door to this room: says in one line what is missing before modules that need it are imported."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from falsework.errors import DependencyError
+
+
+def check_torch() -> None:
+    """Look for the packages that learning cannot do without.
+
+    Raises:
+        DependencyError: one of them is not installed.
+    """
+    for name in ("torch", "safetensors"):
+        if find_spec(name) is None:
+            raise DependencyError(f"learning needs {name}; pip install 'falsework[learn]'")

@@ -1,0 +1,110 @@
+"""Data sets: nothing to test on is in what is learned from, and files are what they say."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
+
+from falsework.assembly import load_structure  # noqa: E402
+from falsework.cli.main import main  # noqa: E402
+from falsework.errors import InputError  # noqa: E402
+from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.search import StateGraph  # noqa: E402
+from falsework.stability import Stability  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def arch() -> Any:
+    return load_structure("arch:blocks=8")
+
+
+@pytest.fixture(scope="module")
+def data(arch: Any) -> Dataset:
+    return build_dataset(arch, task_for(arch, 2), DataSettings(6, 12, (24, 24)), device="cpu")
+
+
+def test_sets_share_nothing_and_all_their_states_come_apart(arch: Any, data: Dataset) -> None:
+    sets = (data.train, data.test, data.more)
+    everything = np.concatenate(sets)
+    assert min(len(states) for states in sets) > 10
+    assert len(np.unique(everything, axis=0)) == len(everything)
+    assert Stability(arch).stable(everything).all()
+    graph = StateGraph.build(data.task, everything)
+    assert graph.solvable.all()
+    assert sum(sum(counts) for counts in data.levels().values()) == len(everything)
+
+
+def test_the_test_set_is_what_a_wider_search_finds_beyond(arch: Any, data: Dataset) -> None:
+    alone = build_dataset(arch, data.task, DataSettings(12, 1, seed=1), device="cpu").train
+    beyond = {bytes(row) for row in alone} - {bytes(row) for row in data.train}
+    assert beyond == {bytes(row) for row in data.test}
+
+
+def test_same_seed_same_data(arch: Any, data: Dataset) -> None:
+    again = build_dataset(arch, data.task, data.settings, device="cpu")
+    other = build_dataset(arch, data.task, DataSettings(6, 12, seed=7), device="cpu")
+    assert np.array_equal(again.train, data.train)
+    assert np.array_equal(again.more, data.more)
+    assert not np.array_equal(other.train, data.train)
+
+
+def test_saved_and_loaded(arch: Any, data: Dataset, tmp_path: Path) -> None:
+    data.save(tmp_path / "data.npz")
+    again = Dataset.load(tmp_path / "data.npz", arch)
+    for name in ("train", "test", "more"):
+        assert np.array_equal(getattr(again, name), getattr(data, name))
+    assert again.task.describe() == data.task.describe()
+    with pytest.raises(InputError, match="of arch:blocks=8, not of arch:blocks=9"):
+        Dataset.load(tmp_path / "data.npz", load_structure("arch:blocks=9"))
+    with pytest.raises(InputError, match="there is no file"):
+        Dataset.load(tmp_path / "none.npz", arch)
+    (tmp_path / "bad.npz").write_bytes((tmp_path / "data.npz").read_bytes()[:200])
+    with pytest.raises(InputError, match="damaged"):
+        Dataset.load(tmp_path / "bad.npz", arch)
+
+
+@pytest.mark.parametrize("wrong", [{"train_width": 0}, {"widths": (64, 0)}, {"seed": -1}])
+def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"give at least 1|not negative"):
+        DataSettings(**wrong)
+
+
+def test_the_command_counts_states_by_level(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "data.npz"
+    words = ["dataset", "arch:blocks=6", "--train-width", "4", "--test-width", "8", "--device", "cpu"]
+    assert main([*words, "--out", str(out), "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["train"] == sum(record["levels"]["train"]) > 10
+    assert record["test"] == sum(record["levels"]["test"])
+    assert len(record["levels"]["train"]) == 13  # six blocks, two steps each, both ends counted
+    assert record["levels"]["train"][0] == record["levels"]["train"][-1] == 1
+    assert Dataset.load(out, load_structure("arch:blocks=6")).test.shape == (record["test"], 8)
+
+
+def test_the_command_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "data.npz")
+    assert main(["dataset", "arch:blocks=6", "--out", str(tmp_path / "nowhere" / "data.npz")]) == 2
+    assert "make it first" in capsys.readouterr().err
+    assert main(["dataset", "arch:blocks=6", "--robots", "0", "--out", out]) == 2
+    assert "give at least 1" in capsys.readouterr().err
+    # One robot cannot build an arch: the search from the empty structure never reaches the complete one.
+    assert main(["dataset", "arch:blocks=6", "--robots", "1", "--out", out, "--device", "cpu"]) == 1
+    assert "not every search reached the complete structure" in capsys.readouterr().err
+    if not torch.cuda.is_available():
+        assert main(["dataset", "arch:blocks=6", "--device", "cuda", "--out", out]) == 2
+        assert "CUDA devices were found" in capsys.readouterr().err
+
+
+def test_a_real_structure_has_as_many_states_as_in_the_paper(shared_assembly: Callable[[str], Path]) -> None:
+    """Table 3 of the paper: 1,077 and 1,159."""
+    assembly = load_structure(str(shared_assembly("bottle-12")))
+    data = build_dataset(assembly, task_for(assembly, 2), device="cpu")
+    assert 950 < len(data.train) < 1250
+    assert 950 < len(data.test) < 1350

@@ -1,0 +1,117 @@
+"""The set of solvable states against plain Python sets and the state graph."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
+
+from falsework.assembly import load_structure  # noqa: E402
+from falsework.learn.data import DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.rules import Rules  # noqa: E402
+from falsework.learn.solved import SolvedStates  # noqa: E402
+from falsework.search import StateGraph  # noqa: E402
+
+
+def rules_of(data: Any) -> Rules:
+    return Rules(data.task.boundary, data.task.robots)
+
+
+@pytest.fixture(scope="module")
+def data() -> Any:
+    assembly = load_structure("arch:blocks=7")
+    return build_dataset(assembly, task_for(assembly, 2), DataSettings(4, 8, (16,)), device="cpu")
+
+
+def keys(states: Any) -> set[bytes]:
+    return {bytes(row) for row in np.asarray(states)}
+
+
+def test_it_is_a_set(data: Any) -> None:
+    rows = np.random.default_rng(0).choice(data.train, 500)
+    solved = SolvedStates(rules_of(data))
+    assert len(solved) == 0
+    assert not solved.contains(torch.from_numpy(rows)).any()
+    for piece in np.array_split(rows, 5):
+        before = len(solved)
+        assert solved.add(torch.from_numpy(piece)) == len(solved) - before
+    assert keys(solved.states) == keys(rows)
+    assert len(solved) == len(keys(rows))
+    assert solved.contains(torch.from_numpy(rows)).all()
+    assert not solved.contains(torch.from_numpy(data.test)).any()
+    assert solved.add(torch.from_numpy(rows)) == 0
+
+
+def test_valid_actions_are_those_of_the_state_graph(data: Any) -> None:
+    """The graph finds successors by writing them down and comparing whole states."""
+    states = np.concatenate([data.train, data.test, data.more])
+    graph = StateGraph.build(data.task, states)
+    solved = SolvedStates(rules_of(data), torch.from_numpy(states))
+    valid = solved.valid_actions(torch.from_numpy(graph.states)).numpy()
+    assert np.array_equal(valid, graph.valid_actions())
+    assert valid.any(axis=1).sum() == len(states) - 1  # every state but the last leads on
+
+
+def test_test_states_are_never_stored(data: Any) -> None:
+    """Nor started from, whenever they are forbidden; but a way through one of them that was found is a way."""
+    everything = torch.from_numpy(np.concatenate([data.train, data.test, data.more]))
+    test = torch.from_numpy(data.test)
+    early, late = SolvedStates(rules_of(data)), SolvedStates(rules_of(data), everything)
+    early.forbid(test)
+    early.add(everything)
+    late.forbid(test)
+    for solved in (early, late):
+        assert keys(solved.states) == keys(data.train) | keys(data.more)
+        assert not solved.contains(test).any()
+        assert solved.is_forbidden(test).all()
+        assert solved.forbidden == len(data.test)
+        assert solved.add(test) == 0
+        assert solved.valid_actions(everything).equal(
+            SolvedStates(rules_of(data), everything).valid_actions(everything)
+        )
+    unaware = SolvedStates(rules_of(data))
+    unaware.forbid(test)
+    unaware.add(torch.from_numpy(data.train))
+    graph = StateGraph.build(data.task, data.train)
+    # What nobody found is not used: without the test states the valid actions are those among the training states.
+    assert np.array_equal(unaware.valid_actions(torch.from_numpy(graph.states)).numpy(), graph.valid_actions())
+
+
+def test_test_states_that_rollouts_meet_are_counted_once(data: Any) -> None:
+    solved = SolvedStates(rules_of(data), torch.from_numpy(data.train))
+    solved.meet(torch.from_numpy(data.test))
+    assert solved.met == 0  # nothing is forbidden yet
+    solved.forbid(torch.from_numpy(data.test))
+    solved.meet(torch.from_numpy(data.train))
+    assert solved.met == 0
+    for _ in range(2):
+        solved.meet(torch.from_numpy(np.concatenate([data.test[:5], data.train, data.test[:5]])))
+        assert solved.met == 5
+    assert solved.met_share == 5 / len(data.test)
+
+
+def test_saved_and_loaded_it_is_the_same(data: Any) -> None:
+    solved = SolvedStates(rules_of(data))
+    solved.forbid(torch.from_numpy(data.test))
+    solved.add(torch.from_numpy(np.concatenate([data.train, data.test])))
+    solved.meet(torch.from_numpy(data.test[:3]))
+    again = SolvedStates(rules_of(data))
+    again.load(solved.tensors())
+    assert again.states.equal(solved.states)
+    assert again.met == 3
+    probe = torch.from_numpy(np.concatenate([data.train, data.more]))
+    assert again.valid_actions(probe).equal(solved.valid_actions(probe))
+    assert again.add(torch.from_numpy(data.more)) == solved.add(torch.from_numpy(data.more)) > 0
+
+
+def test_sorted_states_do_not_depend_on_who_came_first(data: Any) -> None:
+    one, two = SolvedStates(rules_of(data)), SolvedStates(rules_of(data))
+    one.add(torch.from_numpy(data.train))
+    two.add(torch.from_numpy(data.train[::-1].copy()))
+    assert not one.states.equal(two.states)
+    one.sort()
+    two.sort()
+    assert one.states.equal(two.states)
