@@ -1,0 +1,80 @@
+"""Which network a policy is, and how large: read without torch."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal, get_args
+
+from falsework.errors import InputError
+
+Kind = Literal["parts", "graph", "mlp"]
+
+_DEFAULTS: dict[str, dict[str, int]] = {
+    "parts": {"layers": 4, "channels": 128, "heads": 8, "expansion": 2},
+    "graph": {"layers": 8, "channels": 16, "heads": 2, "expansion": 1},
+    "mlp": {"layers": 3, "channels": 64, "heads": 1, "expansion": 1},
+}
+"""What a size of 0 stands for. The sizes of `graph` and `mlp` are those of the paper (section 5.4)."""
+
+
+@dataclass(frozen=True)
+class PolicySettings:
+    """A kind of network and its sizes; a size of 0 is the default of the kind."""
+
+    kind: Kind = "parts"
+    """`parts`: attention between parts; `graph`: the paper's force-torque graph; `mlp`: the paper's baseline."""
+    two_states: bool = False
+    """Whether the policy is told a target state; without, it takes apart all there is."""
+    layers: int = 0
+    """0: parts 4, graph 8, mlp 3."""
+    channels: int = 0
+    """0: parts 128, graph 16, mlp 64."""
+    heads: int = 0
+    """Heads of attention, which share the channels; 0: parts 8, graph 2."""
+    expansion: int = 0
+    """Hidden channels of a feed-forward layer by channels, for `parts`; 0: 2."""
+    identity: bool = False
+    """Learn a vector for every part of this structure, for `parts`: no transfer to other structures."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(Kind):
+            raise InputError(f"unknown policy kind {self.kind!r}; choose {', '.join(get_args(Kind))}")
+        for name in ("layers", "channels", "heads", "expansion"):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < 0:
+                raise InputError(f"policy {name} is {value!r}; give a positive number, or 0 for the default")
+        sizes = self.resolved()
+        if self.kind != "mlp" and sizes.channels % sizes.heads:
+            raise InputError(
+                f"policy channels {sizes.channels} do not divide among {sizes.heads} heads; choose a multiple"
+            )
+        if self.identity and self.kind != "parts":
+            raise InputError(f"identity is for policies of kind parts, not {self.kind}; leave it out")
+
+    def resolved(self) -> PolicySettings:
+        """The same settings with every 0 replaced by the default of the kind."""
+        values = asdict(self)
+        for name, default in _DEFAULTS[self.kind].items():
+            values[name] = values[name] or default
+        made = object.__new__(PolicySettings)
+        for name, value in values.items():
+            object.__setattr__(made, name, value)
+        return made
+
+    @property
+    def transfers(self) -> bool:
+        """Whether the weights fit any structure."""
+        return self.kind != "mlp" and not self.identity
+
+    @staticmethod
+    def from_dict(values: dict[str, Any]) -> PolicySettings:
+        """Settings from what `dataclasses.asdict` wrote.
+
+        Raises:
+            InputError: a name that is no setting, or a value out of range.
+        """
+        known = {one.name for one in fields(PolicySettings)}
+        odd = sorted(set(values) - known)
+        if odd:
+            raise InputError(f"{odd[0]!r} is no setting of a policy; there are {', '.join(sorted(known))}")
+        return PolicySettings(**values)
