@@ -85,7 +85,7 @@ def find_plans(
             Path(checkpoint).unlink(missing_ok=True)
     if not result.found:
         return Planning(result, (), Alternatives.of([]))
-    chosen = _alternatives(planner, settings, assembly.name)
+    chosen = choose_plans(planner, settings, assembly.name)
     plans = tuple(plan_of(route, assembly, task, oracle, forces=forces) for route in chosen.routes)
     return Planning(result, plans, chosen)
 
@@ -116,7 +116,14 @@ def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, 
     return Plan.of(route, assembly, task, verdicts, oracle.settings.claim)
 
 
-def _alternatives(planner: Planner, settings: PlannerSettings, name: str) -> Alternatives:
+def choose_plans(planner: Planner, settings: PlannerSettings, name: str = "") -> Alternatives:
+    """Of all that a planner has found, as many plans as the settings ask for, as different as possible.
+
+    Args:
+        planner: with at least one route.
+        settings: how many, and the seed.
+        name: of the structure, for the state graph.
+    """
     if settings.alternatives == 1:
         return Alternatives.of(planner.routes)
     task = planner.task.postpone(planner.postponed)

@@ -124,6 +124,21 @@ class Planner:
         """Steps of assembly before the first, second, ... missing part goes in, by the plan found so far."""
         return insertion_steps(self.routes[0], self.task) if self.routes else self._trial
 
+    def begin_with(self, route: Route) -> None:
+        """Take a route that is known instead of looking for one; only later missing parts and alternatives are left.
+
+        Args:
+            route: way from start to target whose states are known to be stable.
+
+        Raises:
+            InputError: the planner has begun already, or the route is of another task.
+        """
+        ends = np.stack([self.task.start, self.task.target])
+        if self._stage != "plan" or self._beams or not np.array_equal(route.states[[0, -1]], ends):
+            raise InputError("a planner takes a route between its own start and target, and before it begins")
+        self.routes = [route]
+        self._next_trial(begin=True)
+
     def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
         """Search on until there is nothing left to do or somebody stops it.
 

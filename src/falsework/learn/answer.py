@@ -1,0 +1,102 @@
+"""What a replanner answers: proven plans or an honest no, who decided, and where the time went."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.search.plan import Plan
+from falsework.search.result import Outcome, SearchResult
+from falsework.search.task import Direction
+
+
+class Decider(StrEnum):
+    """Who found the first plan, or proved that there is none."""
+
+    NOBODY = "nobody"
+    """The question is open."""
+    RULES = "rules"
+    """The state is the target already, or one of the two does not stand."""
+    GREEDY = "policy greedy"
+    """The most probable actions of the policy."""
+    SAMPLED = "policy sampled"
+    """Actions drawn from the probabilities of the policy."""
+    GUIDED = "guided search"
+    """A beam search that the policy guides."""
+    SEARCH = "search"
+    """A beam search without a policy."""
+    EXHAUSTIVE = "exhaustive"
+    """A search through all states."""
+
+
+@dataclass(frozen=True, eq=False)
+class Replan:
+    """Answer to one request."""
+
+    plans: tuple[Plan, ...]
+    """Proven plans from the state to the target, in the direction that was asked for; the first is the best."""
+    outcome: Outcome
+    """Found; proved impossible; or not found, which says nothing about whether there is a plan."""
+    decided_by: Decider
+    direction: Direction
+    """Of the plans: assembly adds parts, disassembly takes them away."""
+    steps: int
+    """Actions between the state and the target."""
+    reached: int
+    """Actions of the longest stable way that was found, from the state on; `steps` if there is a plan."""
+    seconds: float
+    spent: Mapping[str, float] = field(default_factory=dict)
+    """Seconds by what they went into: policy, verdicts, proofs; the rest is search and bookkeeping."""
+    verdicts: int = 0
+    """States that the oracle was asked about."""
+    deadline_passed: bool = False
+    """Whether the deadline cut the work short: more time might give a plan, or a better one."""
+    reason: str = ""
+    """Why there is no plan, in words; empty if there is one."""
+    moving: tuple[int, ...] = ()
+    """Where there is no plan: parts that move in the states where the search broke off, the most frequent first."""
+    distance: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+    """How much the plans differ, between 0 and 1, shape (plans, plans)."""
+    confidences: tuple[NDArray[np.float32], ...] = ()
+    """For each plan what the policy thinks of every action of disassembly in every state of the plan: probabilities,
+    shape (steps + 1, 2 parts), illegal actions exactly zero. Only where they were asked for and there is a policy."""
+    search: SearchResult | None = None
+    """How the last search ended, if there was one."""
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a plan."""
+        return self.outcome is Outcome.FOUND
+
+    @property
+    def plan(self) -> Plan | None:
+        """The first plan, or None."""
+        return self.plans[0] if self.plans else None
+
+    def record(self) -> dict[str, Any]:
+        """As JSON, without the plans themselves."""
+        record: dict[str, Any] = {
+            "outcome": self.outcome.value,
+            "decided_by": self.decided_by.value,
+            "direction": self.direction.value,
+            "plans": len(self.plans),
+            "steps": self.steps,
+            "reached": self.reached,
+            "seconds": round(self.seconds, 6),
+            "spent": {name: round(seconds, 6) for name, seconds in self.spent.items()},
+            "verdicts": self.verdicts,
+            "deadline_passed": self.deadline_passed,
+        }
+        if self.plans:
+            record["actions"] = [self.plans[0].describe(step) for step in range(len(self.plans[0]))]
+            record["needs"] = [asdict(need) for need in self.plans[0].needs]
+            if len(self.plans) > 1:
+                record["distances"] = np.round(self.distance, 4).tolist()
+        else:
+            record |= {"reason": self.reason, "moving": list(self.moving)}
+        return record

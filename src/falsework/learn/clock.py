@@ -1,0 +1,122 @@
+"""Deadlines that are kept, and where the time goes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from falsework.assembly.state import States
+from falsework.search.judge import Oracle
+from falsework.stability.verdict import Verdicts
+
+_AT_ONCE = 16
+"""States judged between two looks at the clock, at first ..."""
+_LEAST, _MOST = 4, 8192
+_SLICE = 0.02
+"""... and then as many as take about so many seconds."""
+
+
+class TimeUp(KeyboardInterrupt):
+    """The clock has run out in the middle of a batch of verdicts.
+
+    Searches take it like an interruption from the keyboard: they stop where they are, in good order, and hand back
+    what they have.
+    """
+
+
+class Clock:
+    """Says when to stop, and keeps account of what the time went into."""
+
+    def __init__(self, deadline: float | None = None) -> None:
+        """Start counting; stop after `deadline` seconds, or never."""
+        self._begun = time.perf_counter()
+        self._deadline = deadline
+        self.reserve = 0.0
+        """Seconds before the deadline at which to stop searching, since a plan that is found must still be proved."""
+        self.spent: dict[str, float] = {}
+        """Seconds by what they went into."""
+
+    @property
+    def limited(self) -> bool:
+        """Whether there is a deadline."""
+        return self._deadline is not None
+
+    @property
+    def seconds(self) -> float:
+        """Since the beginning."""
+        return time.perf_counter() - self._begun
+
+    @property
+    def left(self) -> float:
+        """Seconds until the deadline, infinite without one."""
+        return np.inf if self._deadline is None else self._deadline - self.seconds
+
+    @property
+    def passed(self) -> bool:
+        """Whether to stop searching."""
+        return self.left <= self.reserve
+
+    @contextmanager
+    def spend(self, what: str) -> Iterator[None]:
+        """Put the seconds that a piece of work takes to the account of `what`."""
+        begun = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.add(what, time.perf_counter() - begun)
+
+    def add(self, what: str, seconds: float) -> None:
+        """Put seconds to the account of `what`."""
+        self.spent[what] = self.spent.get(what, 0.0) + seconds
+
+
+class TimedOracle:
+    """An oracle that looks at the clock between small batches; anything that searches can be stopped with it."""
+
+    def __init__(self, oracle: Oracle, clock: Clock) -> None:
+        """Ask `oracle` until `clock` has run out."""
+        self.asked = 0
+        """States asked about."""
+        self._oracle = oracle
+        self._clock = clock
+
+    def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
+        """As `falsework.search.judge.Oracle`.
+
+        Raises:
+            TimeUp: the clock has run out.
+        """
+        verdicts = Verdicts.blank(len(states))
+        pace = Pace(limited=self._clock.limited)
+        begin = 0
+        while begin < len(states):
+            if self._clock.passed:
+                raise TimeUp
+            rows = np.arange(begin, min(begin + pace.batch, len(states)))
+            with self._clock.spend("verdicts"), pace.measure():
+                found = self._oracle.judge(states[rows], parents=None if parents is None else parents[rows])
+            verdicts.put(rows, found)
+            self.asked += len(rows)
+            begin += len(rows)
+        return verdicts
+
+
+class Pace:
+    """How many states to judge between two looks at the clock."""
+
+    def __init__(self, *, limited: bool) -> None:
+        """Begin small where there is a deadline; take all at once where there is none."""
+        self.batch = _AT_ONCE if limited else _MOST
+        self._limited = limited
+
+    @contextmanager
+    def measure(self) -> Iterator[None]:
+        """Learn from the time that a batch of this size takes."""
+        begun = time.perf_counter()
+        yield
+        if self._limited:
+            taken = max(time.perf_counter() - begun, 1e-6)
+            self.batch = int(min(max(self.batch * min(_SLICE / taken, 2.0), _LEAST), _MOST))

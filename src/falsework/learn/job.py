@@ -1,0 +1,201 @@
+"""One request on its way to an answer: its task, its clock, and what was found for it so far."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import Mask, States
+from falsework.errors import InputError, PlanError
+from falsework.learn.answer import Decider, Replan
+from falsework.learn.clock import Clock, TimedOracle
+from falsework.learn.guide import PolicyGuide
+from falsework.learn.prover import Prover
+from falsework.learn.request import Request
+from falsework.search.alternatives import Alternatives
+from falsework.search.planner import insertion_steps
+from falsework.search.result import Outcome, Route, SearchResult
+from falsework.search.task import Direction
+from falsework.stability.verdict import Verdicts
+
+_SAFETY = 1.3
+"""Times longer than expected that a proof may take without breaking a deadline."""
+_LOOKED_AT = 16
+"""States in which a search broke off whose motions are looked at, at most."""
+
+
+@dataclass(frozen=True)
+class ReplanSettings:
+    """How hard a replanner tries."""
+
+    samples: int = 16
+    """Rollouts drawn from the probabilities of the policy; 0 for none."""
+    temperature: float = 1.0
+    """Of these: above 1 more daring, below 1 closer to the most probable actions."""
+    widths: tuple[int, ...] = (4, 16, 64)
+    """Of the beams that the policy guides, in turn."""
+    width: int = 256
+    """Of the widest beam of the search without a policy."""
+    state_limit: int = 20_000
+    """States after which the search through all of them gives up."""
+    forces: bool = False
+    """Keep the contact forces that prove each state in the plans."""
+
+    def __post_init__(self) -> None:
+        if self.samples < 0 or not self.temperature > 0:
+            raise InputError("a replanner draws 0 or more samples, at a temperature above 0")
+        if self.width < 1 or self.state_limit < 1 or any(width < 1 for width in self.widths):
+            raise InputError("beams and searches of a replanner keep at least 1 state")
+
+
+@dataclass(frozen=True, eq=False)
+class Kit:
+    """What all requests about one structure share."""
+
+    assembly: Assembly
+    prover: Prover
+    guide: PolicyGuide | None
+    settings: ReplanSettings
+
+
+class Job:
+    """A request that is being worked on."""
+
+    def __init__(self, request: Request, kit: Kit, clock: Clock) -> None:
+        """Check the request; its clock runs already.
+
+        Raises:
+            InputError: it makes no sense for the structure.
+        """
+        self.clock = clock
+        self.request = request
+        self.kit = kit
+        self.task = request.task(kit.assembly)
+        self.way = request.way(kit.assembly)
+        self.oracle = TimedOracle(kit.prover.oracle, self.clock)
+        self.clock.reserve = 0.005 + _SAFETY * kit.prover.seconds_for(self.task.steps // 2 + 2)
+        self.routes: list[Route] = []
+        """The best one first."""
+        self.decided_by = Decider.NOBODY
+        self.outcome = Outcome.NOT_FOUND
+        self.result: SearchResult | None = None
+        self.prefix = self.task.start[None]
+        """States that are known to stand, from the start on: where the policy's most probable actions led."""
+        self.hopeless = False
+        """Whether one of the ends does not stand, so that looking for a plan is in vain."""
+        self._unstable: States | None = None
+        self._why = ""
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing is left to look for, or no time to do it."""
+        enough = len(self.routes) >= self.request.alternatives and not self.task.missing
+        return enough or self.hopeless or self.outcome is Outcome.PROVED_IMPOSSIBLE or self.clock.passed
+
+    @property
+    def decided(self) -> bool:
+        """Whether there is a plan or a proof that there is none."""
+        return self.outcome is not Outcome.NOT_FOUND
+
+    def found(self, routes: list[Route], by: Decider) -> None:
+        """Take plans; the first are those with which missing parts may come latest."""
+        if not self.routes:
+            self.decided_by = by
+        known = {route.states.tobytes() for route in self.routes}
+        routes = [*self.routes, *(route for route in routes if route.states.tobytes() not in known)]
+        self.routes = sorted(routes, key=lambda route: insertion_steps(route, self.task), reverse=True)
+        self.outcome = Outcome.FOUND
+
+    def ended(self, result: SearchResult, by: Decider) -> None:
+        """Take the end of a search."""
+        self.result = result
+        if result.found:
+            self.found(list(result.routes), by)
+        elif result.outcome is Outcome.PROVED_IMPOSSIBLE and not self.routes:
+            self.outcome, self.decided_by = result.outcome, by
+
+    def check_ends(self, verdicts: Verdicts) -> None:
+        """Take the verdicts on start and target."""
+        if not verdicts.stable.all():
+            row = int(np.argmin(verdicts.stable))
+            proved = bool(verdicts.unstable[row])
+            name = "state" if (row == 0) == (self.way is Direction.DISASSEMBLY) else "target"
+            self._unstable = (self.task.start, self.task.target)[row][None]
+            self._why = f"the {name} {'does not stand' if proved else 'could be proved neither stable nor unstable'}"
+            if proved:
+                self.outcome, self.decided_by = Outcome.PROVED_IMPOSSIBLE, Decider.RULES
+            self.hopeless = True
+        elif self.task.steps == 0:
+            self.found([Route(self.task.start[None].copy(), np.zeros(0, dtype=np.int64))], Decider.RULES)
+
+    def answer(self) -> Replan:
+        """Prove what was found and say it."""
+        plans, chosen = (), Alternatives.of(self.routes[: self.request.alternatives])
+        if self.routes:
+            with self.clock.spend("proofs"):
+                try:
+                    prover, forces = self.kit.prover, self.kit.settings.forces
+                    plans = tuple(prover.plan(route, self.task, forces=forces) for route in chosen.routes)
+                except PlanError as error:
+                    self._why, self.outcome, self.decided_by = str(error), Outcome.NOT_FOUND, Decider.NOBODY
+        if self.way is Direction.ASSEMBLY:
+            plans = tuple(plan.reverse() for plan in plans)
+        moving = () if plans else self._moving()
+        return Replan(
+            plans=plans,
+            outcome=self.outcome,
+            decided_by=self.decided_by,
+            direction=self.way,
+            steps=self.task.steps,
+            reached=self.task.steps if plans else self._reached(),
+            seconds=self.clock.seconds,
+            spent=dict(self.clock.spent),
+            verdicts=self.oracle.asked,
+            deadline_passed=self.clock.passed,
+            reason="" if plans else self._reason(),
+            moving=moving,
+            distance=chosen.distance,
+            confidences=tuple(self._confidence(plan.states) for plan in plans) if self.request.confidences else (),
+            search=self.result,
+        )
+
+    def _reached(self) -> int:
+        result = self.result
+        greedy = len(self.prefix) - 1 if self.way is Direction.DISASSEMBLY else 0
+        return max(greedy, result.reached if result is not None and result.direction is self.way else 0)
+
+    def _reason(self) -> str:
+        if self._why:
+            return self._why
+        if self.outcome is Outcome.PROVED_IMPOSSIBLE:
+            return "every state that can be reached was looked at"
+        if self.clock.passed:
+            return f"the deadline of {self.request.deadline} s passed; more time may find a plan"
+        return self.result.limit if self.result is not None and self.result.limit else "the search was limited"
+
+    def _moving(self) -> tuple[int, ...]:
+        """Parts that move where the search broke off; not looked at once the deadline has passed."""
+        rejected = self._unstable
+        if rejected is None and self.result is not None:
+            rejected = self.result.rejected[:_LOOKED_AT]
+        if rejected is None or len(rejected) == 0 or self.clock.passed:
+            return ()
+        verdicts = self.kit.prover.oracle.check(rejected)
+        count: Counter[int] = Counter()
+        for row in np.flatnonzero(verdicts.unstable):
+            if verdicts.velocity is not None:
+                speed = np.abs(verdicts.velocity[row]).max(axis=1)
+                count.update(np.flatnonzero(speed > 0.05 * speed.max()).tolist())
+        return tuple(part for part, _ in count.most_common())
+
+    def _confidence(self, states: States) -> np.ndarray:
+        guide = self.kit.guide
+        if guide is None:
+            return np.zeros((0, 2 * self.task.part_count), dtype=np.float32)
+        legal: Mask = self.task.moves(states, Direction.DISASSEMBLY)
+        targets = np.broadcast_to(self.task.target, states.shape)
+        with self.clock.spend("policy"):
+            return np.exp(guide.log_probabilities(states, legal, targets)).astype(np.float32)

@@ -1,0 +1,161 @@
+"""The stages of a replanner in which the policy decides: its most probable actions, then samples."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import Mask, States
+from falsework.learn.answer import Decider
+from falsework.learn.clock import Pace
+from falsework.learn.job import Job, Kit
+from falsework.learn.proposals import Rollout, roll_out
+from falsework.search.result import Route
+from falsework.search.task import Task
+
+_AMBITIONS = 5
+"""Rollouts for different hopes of how long missing parts can be done without."""
+_VERDICTS = 16
+"""States of a rollout judged before looking whether one of them falls."""
+_BACK = 2
+"""Half of the samples branch off the proven part of the greedy rollout: 2, 4, 8, ... steps before its end."""
+
+
+def follow_greedily(jobs: Sequence[Job], kit: Kit) -> None:
+    """Take the most probable actions for all jobs at once, then judge where they lead.
+
+    What the network says does not depend on verdicts, so it is asked for whole rollouts first, and the oracle then
+    gets their states together, which keeps all cores busy.
+    """
+    jobs = [job for job in jobs if not job.settled]
+    variants = [(job, task) for job in jobs for task in _hopes(job)]
+    if not variants or kit.guide is None:
+        return
+    owners = [job for job, _ in variants]
+    with _policy_time(jobs):
+        rollouts = roll_out(
+            kit.guide,
+            [task for _, task in variants],
+            [task.start for _, task in variants],
+            np.arange(len(variants)),
+            stop=lambda number: owners[number].clock.passed,
+        )
+    proven = _proven_steps(owners, rollouts)
+    for job, rollout, steps in zip(owners, rollouts, proven, strict=True):
+        if rollout.reached and steps == len(rollout.states) - 1:
+            job.found([Route.through(rollout.states)], Decider.GREEDY)
+        if steps >= len(job.prefix):
+            job.prefix = rollout.states[: steps + 1]
+
+
+def follow_samples(jobs: Sequence[Job], kit: Kit) -> None:
+    """Draw rollouts for all jobs at once; half of them branch off the proven part of the greedy one."""
+    jobs = [job for job in jobs if not job.settled and (not job.routes or job.request.alternatives > 1)]
+    count = kit.settings.samples
+    if not jobs or not count or kit.guide is None:
+        return
+    prefixes = [prefix for job in jobs for prefix in _branches(job, count)]
+    owner = np.repeat(np.arange(len(jobs)), count)
+
+    def stable(numbers: NDArray[np.int64], states: States, parents: States) -> Mask:
+        return _judge([jobs[number] for number in numbers.tolist()], states, parents) > 0
+
+    def stop(number: int) -> bool:
+        return jobs[number].clock.passed
+
+    rollouts = roll_out(
+        kit.guide,
+        [job.task for job in jobs],
+        [prefix[-1] for prefix in prefixes],
+        owner,
+        rng=np.random.default_rng([job.request.seed for job in jobs]),
+        temperature=kit.settings.temperature,
+        stable=stable,
+        stop=stop,
+    )
+    for prefix, rollout in zip(prefixes, rollouts, strict=True):
+        if rollout.reached:
+            states = np.concatenate([prefix[:-1], rollout.states])
+            jobs[rollout.task].found([Route.through(states)], Decider.SAMPLED)
+
+
+def _hopes(job: Job) -> list[Task]:
+    """The task, and where parts are missing, with them later and later."""
+    task = job.task
+    if not task.missing:
+        return [task]
+    latest = task.steps - len(task.missing)
+    steps = sorted({round(latest * share) for share in np.linspace(0, 1, _AMBITIONS)})
+    return [task.postpone((step,) * len(task.missing)) for step in steps]
+
+
+def _branches(job: Job, count: int) -> list[States]:
+    """Proven ways that samples go on from."""
+    ways = [job.prefix[:1]] * ((count + 1) // 2)
+    length, back = len(job.prefix), _BACK
+    while len(ways) < count:
+        keep = length - back
+        ways.append(job.prefix[: max(keep, 1)])
+        back = back * 2 if keep > 1 else _BACK
+    return ways
+
+
+def _proven_steps(owners: Sequence[Job], rollouts: Sequence[Rollout]) -> list[int]:
+    """For each rollout how many of its steps lead to states that stand, judged a piece of all at a time."""
+    proven = np.array([len(rollout.states) - 1 for rollout in rollouts])
+    steps = [(s, n) for n, r in enumerate(rollouts) for s in _removals(r)]
+    steps.sort()
+    waiting, size = steps, _VERDICTS * len(rollouts)
+    while waiting:
+        alive = [(s, n) for s, n in waiting if s <= proven[n]]
+        piece, waiting = alive[:size], alive[size:]
+        if not piece:
+            break
+        states = np.stack([rollouts[n].states[s] for s, n in piece])
+        parents = np.stack([rollouts[n].states[s - 1] for s, n in piece])
+        verdict = _judge([owners[n] for _, n in piece], states, parents)
+        for (s, n), stands in zip(piece, verdict > 0, strict=True):
+            if not stands:
+                proven[n] = min(proven[n], s - 1)
+    return proven.tolist()
+
+
+def _removals(rollout: Rollout) -> list[int]:
+    """Steps of a rollout after which a verdict is needed."""
+    present = (rollout.states != 0).sum(axis=1)
+    return (np.flatnonzero(present[1:] < present[:-1]) + 1).tolist()
+
+
+def _judge(owners: Sequence[Job], states: States, parents: States) -> NDArray[np.int8]:
+    """Verdicts for several jobs in one batch; 0 for those whose clock has run out."""
+    verdict = np.zeros(len(states), dtype=np.int8)
+    pace = Pace(limited=any(job.clock.limited for job in owners))
+    oracle = owners[0].kit.prover.oracle
+    begin = 0
+    while begin < len(states):
+        rows = np.arange(begin, min(begin + pace.batch, len(states)))
+        begin += len(rows)
+        rows = np.array([row for row in rows.tolist() if not owners[row].clock.passed], dtype=np.int64)
+        if len(rows) == 0:
+            continue
+        since = time.perf_counter()
+        with pace.measure():
+            verdict[rows] = oracle.judge(states[rows], parents=parents[rows]).verdict
+        taken = time.perf_counter() - since
+        for row in rows.tolist():
+            owners[row].oracle.asked += 1
+        for job in {id(owners[row]): owners[row] for row in rows.tolist()}.values():
+            job.clock.add("verdicts", taken)
+    return verdict
+
+
+@contextmanager
+def _policy_time(jobs: Sequence[Job]) -> Iterator[None]:
+    begun = time.perf_counter()
+    yield
+    for job in jobs:
+        job.clock.add("policy", time.perf_counter() - begun)

@@ -1,0 +1,99 @@
+"""Proves the states of a route by certificates, each state once in the life of a replanner."""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, States, complete_state
+from falsework.search.find import plan_of
+from falsework.search.plan import Plan
+from falsework.search.result import Route
+from falsework.search.task import Task
+from falsework.stability.oracle import Stability
+from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts
+
+_REMEMBERED = 200_000
+"""States kept with what their proofs left; less than a hundred megabytes."""
+_PRACTICE = 8
+"""States from which the time of a proof is measured, at least: few cannot share the cores."""
+_PIECE = 64
+"""States proved at once: their contact forces are in memory together."""
+
+
+class Prover:
+    """Turns routes into plans of which every state is proved stable by contact forces that the checker accepts."""
+
+    def __init__(self, assembly: Assembly, oracle: Stability) -> None:
+        """Prove with `oracle`, which must be one of `assembly`."""
+        self.assembly = assembly
+        self.oracle = oracle
+        self._residual: OrderedDict[bytes, float] = OrderedDict()
+        self._per_state = 1e-3
+
+    def seconds_for(self, states: int) -> float:
+        """How long proving so many states may take, from the proofs so far."""
+        return states * self._per_state
+
+    def practise(self) -> None:
+        """Learn how long a proof takes, on the complete structure with one part held in turn."""
+        boundary = self.assembly.boundary
+        movable = np.flatnonzero(~boundary)[:_PRACTICE]
+        states = np.repeat(complete_state(boundary)[None], len(movable), axis=0)
+        states[np.arange(len(movable)), movable] = HELD
+        begun = time.perf_counter()
+        self.oracle.check(states)
+        self._per_state = (time.perf_counter() - begun) / max(len(movable), 1)
+
+    def plan(self, route: Route, task: Task, *, forces: bool = False) -> Plan:
+        """A plan for disassembly along a route.
+
+        Raises:
+            PlanError: a state that cannot be proved stable.
+        """
+        if forces:
+            return plan_of(route, self.assembly, task, self.oracle)
+        verdicts = self.prove(route.states, route.actions)
+        return Plan.of(route, self.assembly, task, verdicts, self.oracle.settings.claim)
+
+    def prove(self, states: States, actions: NDArray[np.int64]) -> Verdicts:
+        """Prove consecutive states; the verdicts have no forces.
+
+        Forces that balance a state balance it too once a part is held: a hold takes over the proof of the state
+        before, whose residual bounds its own.
+
+        Args:
+            states: in disassembly order, shape (steps + 1, parts).
+            actions: between them, shape (steps,).
+        """
+        verdicts = Verdicts.blank(len(states))
+        keys = [state.tobytes() for state in states]
+        needed = np.concatenate([[True], actions >= states.shape[1]])
+        for row in np.flatnonzero(needed):
+            if keys[row] in self._residual:
+                self._residual.move_to_end(keys[row])
+        rows = np.array([row for row in np.flatnonzero(needed) if keys[row] not in self._residual], dtype=np.int64)
+        for begin in range(0, len(rows), _PIECE):
+            piece = rows[begin : begin + _PIECE]
+            begun = time.perf_counter()
+            found = self.oracle.check(states[piece]).without_certificates()
+            if len(piece) >= _PRACTICE:
+                taken = (time.perf_counter() - begun) / len(piece)
+                self._per_state = max(taken, 0.8 * self._per_state + 0.2 * taken)
+            verdicts.put(piece, found)
+            for row in piece[found.stable]:
+                self._residual[keys[row]] = float(verdicts.residual[row])
+        last = np.maximum.accumulate(np.where(needed, np.arange(len(states)), 0))
+        for row in range(len(states)):
+            residual = self._residual.get(keys[last[row]])
+            if residual is not None:
+                verdicts.verdict[row], verdicts.proof[row] = Verdict.STABLE, Proof.FORCES
+                verdicts.residual[row] = residual
+                verdicts.decided_by[row] = Solver.RULE if verdicts.decided_by[row] == 0 else verdicts.decided_by[row]
+        while len(self._residual) > _REMEMBERED:
+            self._residual.popitem(last=False)
+        return verdicts

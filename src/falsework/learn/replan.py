@@ -1,0 +1,209 @@
+"""Another plan, now: a policy proposes, searches back it up, and every state of the answer is proved stable.
+
+First the policy's most probable actions, then actions drawn from its probabilities, then beam searches that it
+guides, then the search that needs no policy, at last all states there are. Nothing that a policy says is believed:
+an answer is a plan of proven states, a proof that there is none, or the admission that none was found yet.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import action_mask, complete_state, empty_state
+from falsework.errors import InputError
+from falsework.learn.answer import Decider as Decider
+from falsework.learn.answer import Replan as Replan
+from falsework.learn.clock import Clock
+from falsework.learn.fallback import search_on
+from falsework.learn.guide import PolicyGuide
+from falsework.learn.job import Job, Kit
+from falsework.learn.job import ReplanSettings as ReplanSettings
+from falsework.learn.propose import follow_greedily, follow_samples
+from falsework.learn.prover import Prover
+from falsework.learn.request import Request as Request
+from falsework.search.guide import SupportGuide
+from falsework.search.task import Direction
+from falsework.stability.oracle import Stability
+
+_END = object()
+Finished = Callable[[int, Replan], None]
+
+
+class Replanner:
+    """Answers requests about one structure, and keeps all that serves the next one: kernels, verdicts, proofs.
+
+    One object serves one structure and one policy; requests of several threads wait for each other. Hand requests
+    that come together to `replan_many`, which asks network and oracle about all of them at once.
+    """
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        policy: Any = None,
+        oracle: Stability | None = None,
+        *,
+        settings: ReplanSettings = ReplanSettings(),
+    ) -> None:
+        """Load what the first request would otherwise wait for.
+
+        Args:
+            assembly: the structure.
+            policy: proposes actions, a `torch.nn.Module` as of `falsework.learn.policy`; None searches alone.
+            oracle: decides stability; hand in the one you have, for it remembers what it was asked.
+            settings: how hard to try.
+
+        Raises:
+            DependencyError: a policy without torch.
+            InputError: a policy or an oracle of another structure.
+        """
+        oracle = oracle or Stability(assembly)
+        if oracle.assembly.identity != assembly.identity:
+            raise InputError(f"the oracle is of {oracle.assembly.name}, not of {assembly.name}; make one of the latter")
+        guide = None if policy is None else PolicyGuide(policy)
+        self.assembly = assembly
+        self.policy = policy
+        self.oracle = oracle
+        self._kit = Kit(assembly, Prover(assembly, oracle), guide, settings)
+        self._support = SupportGuide(assembly)
+        self._lock = threading.Lock()
+        self._warm()
+
+    def replan(self, state: ArrayLike, **options: Any) -> Replan:
+        """Answer one request; the options are the fields of `Request`.
+
+        Raises:
+            InputError: the request makes no sense for this structure; the message says what to do.
+        """
+        return self.replan_many([Request(state, **options)])[0]
+
+    def replan_many(self, requests: Sequence[Request], *, finished: Finished | None = None) -> list[Replan]:
+        """Answer several requests together.
+
+        The policy is followed for all of them in lock-step; those that need a search then take turns.
+
+        Args:
+            requests: any mixture; check each with `Request.task` first where a bad one must not spoil the rest.
+            finished: called with number and answer of each request as soon as it is there.
+
+        Returns:
+            An answer for each request.
+
+        Raises:
+            InputError: a request that makes no sense for this structure.
+        """
+        clocks = [Clock(request.deadline) for request in requests]
+        with self._lock:
+            jobs = [Job(request, self._kit, clock) for request, clock in zip(requests, clocks, strict=True)]
+            answers: dict[int, Replan] = {}
+
+            def give(number: int) -> None:
+                answers[number] = jobs[number].answer()
+                if finished is not None:
+                    finished(number, answers[number])
+
+            self._check_ends(jobs)
+            if self._kit.guide is not None:
+                follow_greedily(jobs, self._kit)
+                follow_samples([job for n, job in enumerate(jobs) if self._open(n, job, answers, give)], self._kit)
+            waiting: dict[int, Iterator[None]] = {}
+            for number, job in enumerate(jobs):
+                if self._open(number, job, answers, give):
+                    waiting[number] = search_on(job, self._support, alone=len(jobs) == 1)
+            while waiting:
+                for number in sorted(waiting, key=lambda n: jobs[n].clock.left):
+                    if next(waiting[number], _END) is _END:
+                        del waiting[number]
+                        give(number)
+            return [answers[number] for number in range(len(jobs))]
+
+    @staticmethod
+    def _open(number: int, job: Job, answers: dict[int, Replan], give: Callable[[int], None]) -> bool:
+        """Whether work on a job goes on; if not, its answer is given, unless it was already."""
+        if job.settled and number not in answers:
+            give(number)
+        return number not in answers
+
+    def _check_ends(self, jobs: Sequence[Job]) -> None:
+        """Judge start and target of all jobs."""
+        if jobs:
+            verdicts = self.oracle.judge(np.concatenate([[job.task.start, job.task.target] for job in jobs]))
+            for number, job in enumerate(jobs):
+                job.check_ends(verdicts[2 * number : 2 * number + 2])
+
+    def _warm(self) -> None:
+        """Have everything loaded and compiled, and learn how long a proof takes."""
+        state = complete_state(self.assembly.boundary)[None]
+        self.oracle.judge(state, parents=state)
+        self.oracle.check(state)
+        self._kit.prover.practise()
+        if self._kit.guide is not None:
+            legal = action_mask(state, self.assembly.boundary, 1)
+            self._kit.guide.log_probabilities(state, legal, empty_state(self.assembly.boundary)[None])
+
+
+def replan(
+    assembly: Assembly,
+    state: ArrayLike,
+    *,
+    policy: Any = None,
+    target: ArrayLike | None = None,
+    direction: Direction | None = None,
+    robots: int = 2,
+    missing: Sequence[int] = (),
+    fixed: Sequence[int] = (),
+    alternatives: int = 1,
+    seed: int = 0,
+    deadline: float | None = None,
+    removable_only_if_clear: bool = False,
+    confidences: bool = False,
+    oracle: Stability | None = None,
+    settings: ReplanSettings = ReplanSettings(),
+) -> Replan:
+    """Plan anew from a state; see `Request` for what the arguments mean, `Replanner` for many requests.
+
+    Args:
+        assembly: the structure.
+        state: where things stand, shape (parts,).
+        policy: proposes actions, a `torch.nn.Module` as of `falsework.learn.policy`; None searches alone.
+        target: where they shall go, shape (parts,).
+        direction: assembly adds parts, disassembly takes them away.
+        robots: parts that can be held at a time; may be others than the policy was trained for.
+        missing: parts not delivered yet: assembly does without them for as long as possible.
+        fixed: parts that are not to be touched.
+        alternatives: number of plans wanted.
+        seed: same seed, same machine, same answer, unless a deadline cuts the work short.
+        deadline: seconds after which the best proven answer so far is handed back. Loading the structure into the
+            solver comes on top; a `Replanner` has done that already.
+        removable_only_if_clear: move a part only if it has a straight way in or out.
+        confidences: hand back what the policy thinks of every action.
+        oracle: decides stability; hand in the one you have, for it remembers what it was asked.
+        settings: how hard to try.
+
+    Returns:
+        Proven plans, or an honest no.
+
+    Raises:
+        InputError: the request makes no sense for this structure; the message says what to do.
+        DependencyError: a policy without torch.
+    """
+    request = Request(
+        state,
+        target=target,
+        direction=direction,
+        robots=robots,
+        missing=missing,
+        fixed=fixed,
+        alternatives=alternatives,
+        seed=seed,
+        deadline=deadline,
+        removable_only_if_clear=removable_only_if_clear,
+        confidences=confidences,
+    )
+    request.task(assembly)  # bad input is refused before anything is loaded
+    return Replanner(assembly, policy, oracle, settings=settings).replan_many([request])[0]

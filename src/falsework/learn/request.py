@@ -1,0 +1,133 @@
+"""What is asked when a plan must change: where things stand, where they shall go, and what has changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, REMOVED, States, as_states, complete_state, held_count
+from falsework.errors import InputError, StateError
+from falsework.search.task import STAGE, Direction, Task
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """One question to a `Replanner`.
+
+    A plan leads from `state` to `target`. In assembly parts are added: that is the building site, the target is the
+    complete structure unless another is given, and the plan says what to insert and to release from here on. In
+    disassembly parts are taken away, and the target is the empty structure unless another is given.
+    """
+
+    state: ArrayLike
+    """Where things stand: 0 removed, 1 installed, 2 held, shape (parts,)."""
+    target: ArrayLike | None = None
+    """Where they shall go, shape (parts,)."""
+    direction: Direction | None = None
+    """Which way; if not given, the one that leads to the target, or where parts are missing that the state does not
+    have, assembly, or else disassembly."""
+    robots: int = 2
+    """Parts that can be held at a time."""
+    missing: Sequence[int] = ()
+    """Parts not delivered yet: assembly does without them for as long as possible."""
+    fixed: Sequence[int] = ()
+    """Parts that are neither held nor released, neither inserted nor removed."""
+    alternatives: int = 1
+    """Number of plans wanted, as different from each other as possible."""
+    seed: int = 0
+    """Same seed, same machine, same answer, unless a deadline cuts the work short."""
+    deadline: float | None = None
+    """Seconds after which the best proven answer so far is handed back."""
+    removable_only_if_clear: bool = False
+    """Move a part only if it has a straight way in or out."""
+    confidences: bool = False
+    """Hand back what the policy thinks of every action in every state of the plan."""
+
+    def way(self, assembly: Assembly) -> Direction:
+        """Whether parts are added or taken away.
+
+        Raises:
+            StateError: malformed states, or a target that neither leads to.
+        """
+        if self.direction is not None:
+            return Direction(self.direction)
+        state = _state(self.state, assembly, "state")
+        if self.target is not None:
+            target = _state(self.target, assembly, "target")
+            stage, wanted = STAGE[state], STAGE[target]
+            if (stage > wanted).any() and (stage < wanted).any():
+                part, other = int(np.argmax(stage > wanted)), int(np.argmax(stage < wanted))
+                raise StateError(
+                    f"the target is not reachable: part {assembly.names[part]} would have to be added and part "
+                    f"{assembly.names[other]} taken away; plan the two one after the other, over a state between them"
+                )
+            return Direction.ASSEMBLY if (stage > wanted).any() else Direction.DISASSEMBLY
+        absent = any(0 <= part < len(state) and state[part] == REMOVED for part in self.missing)
+        return Direction.ASSEMBLY if absent else Direction.DISASSEMBLY
+
+    def task(self, assembly: Assembly) -> Task:
+        """Check the question against a structure; plans are always searched for in the order of disassembly.
+
+        Raises:
+            InputError: it makes no sense for this structure; the message says what to do.
+        """
+        if self.alternatives < 1:
+            raise InputError(f"{self.alternatives} alternatives is no number of plans; ask for at least 1")
+        if self.deadline is not None and not self.deadline > 0:
+            raise InputError(f"a deadline of {self.deadline} s leaves no time; give more than 0")
+        state = _state(self.state, assembly, "state")
+        target = None if self.target is None else _state(self.target, assembly, "target")
+        way = self.way(assembly)
+        start, end = (state, target) if way is Direction.DISASSEMBLY else (target, state)
+        if way is Direction.ASSEMBLY:
+            for part in self.missing:
+                if 0 <= part < len(state) and state[part] != REMOVED and not assembly.boundary[part]:
+                    raise StateError(
+                        f"part {assembly.names[part]} is said to be missing, yet the state has it; "
+                        f"take it out of one of the two"
+                    )
+            if start is None:
+                start = complete_state(assembly.boundary)
+                for part in self.fixed:
+                    if 0 <= part < len(state):
+                        start[part] = state[part]
+        task = Task.create(
+            assembly.boundary,
+            self.robots,
+            start=start,
+            target=end,
+            fixed=self.fixed,
+            missing=self.missing,
+            clearance=assembly.clearance if self.removable_only_if_clear else None,
+            identity=assembly.identity,
+        )
+        _check_first_step(task, way, assembly)
+        return task
+
+
+def _state(given: ArrayLike, assembly: Assembly, name: str) -> States:
+    states = as_states(given, assembly.boundary)
+    if len(states) != 1:
+        raise StateError(f"the {name} holds {len(states)} states; give one, of shape ({assembly.part_count},)")
+    return states[0]
+
+
+def _check_first_step(task: Task, way: Direction, assembly: Assembly) -> None:
+    """Refuse a state in which the rules allow nothing, before anything is searched."""
+    state = task.origin(way)
+    if task.steps == 0 or task.moves(state[None], way).any():
+        return
+    held = np.flatnonzero((state == HELD) & ~task.boundary)
+    busy = int(held_count(state[None], task.boundary)[0])
+    names = ", ".join(assembly.names[part] for part in held)
+    verb = "held" if busy == 1 else "all held"
+    reason = (
+        f"{names} {'is' if busy == 1 else 'are'} {verb} and must stay so, and one of {task.robots} robots must be free"
+        if busy
+        else "no part has a free way"
+    )
+    raise StateError(f"no action is legal in this state: {reason}; add a robot, or change the state or the target")
