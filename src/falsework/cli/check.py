@@ -9,12 +9,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from tyro.conf import Positional, arg
 
 from falsework.cli.command import UNSET, Command, Exit, LoadOptions
-from falsework.errors import PlanError
 
 if TYPE_CHECKING:
-    from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
-    from falsework.search.plan import Plan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,11 +37,12 @@ class CheckPlan(Command):
 
     def run(self, output: Output) -> Exit:
         """Load, compare, verify."""
+        from falsework.cli.loading import structure_of
         from falsework.cli.motion import describe, motions
         from falsework.search.plan import Plan
 
         plan = Plan.load(self.plan)
-        assembly = self._assembly(plan)
+        assembly = structure_of(plan, self.plan, self.structure, **self.reading.given())
         with output.bar("checking") as show:
             found = plan.validate(assembly, progress=lambda done, total: show(done, total, f"state {done} of {total}"))
         moving = []
@@ -76,21 +74,3 @@ class CheckPlan(Command):
             f"falsework: {self.plan}: {found.reason}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}"
         )
         return Exit.NO
-
-    def _assembly(self, plan: Plan) -> Assembly:
-        """The structure that the options name, else the one that the plan does."""
-        from falsework.assembly import load_structure
-
-        options = self.reading.given()
-        if self.structure is not None:
-            return load_structure(self.structure, **options)
-        source = dict(plan.source or {})
-        if "built_in" in source:
-            spec = source.pop("built_in")
-        elif "path" in source:
-            spec = str(self.plan.resolve().parent / source.pop("path"))
-            if not Path(spec).exists():
-                raise PlanError(f"the structure of the plan, {spec}, is gone; name it with --structure")
-        else:
-            raise PlanError(f"{self.plan} does not say where its structure is; name it with --structure")
-        return load_structure(spec, **{**source, **options})

@@ -81,7 +81,7 @@ class StructureOptions(LoadOptions):
     """Options that say which structure is meant."""
 
     spec: Annotated[Positional[str], arg(metavar="STRUCTURE")]
-    """Built-in such as `vault` or `arch:blocks=15,thickness=0.2`, or a folder or file of meshes."""
+    """Built-in such as `vault` or `arch:blocks=15,thickness=0.2`, or a folder or file of meshes or COMPAS data."""
 
     def load(self) -> Assembly:
         """Build or read the structure.
@@ -89,9 +89,9 @@ class StructureOptions(LoadOptions):
         Raises:
             InputError: no such structure, or it cannot be used; the message says what to do.
         """
-        from falsework.assembly import load_structure
+        from falsework.cli.loading import load
 
-        return load_structure(self.spec, **self.given())
+        return load(self.spec, **self.given())
 
     def source(self, beside: Path) -> dict[str, Any]:
         """What a file beside which others may look for the structure has to say about it.

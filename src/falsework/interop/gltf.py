@@ -1,0 +1,274 @@
+"""glTF 2.0: a structure, and a plan as an animation with one node a part.
+
+glTF has metres and y up, as the standard demands; whoever reads it turns it to his own axes. Each part is a node that
+sits at its centre of mass, so that positions keep their digits however far from the origin the structure is modelled.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework import __version__
+from falsework.errors import InputError
+from falsework.interop.timeline import NOBODY, Timeline, Track, timeline
+from falsework.search.archive import write_whole
+from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.geometry.mesh import TriangleMesh
+    from falsework.search.plan import Plan
+
+Kind = Literal["glb", "gltf"]
+
+_FLOAT, _SHORT, _INT = 5126, 5123, 5125
+_VERTICES, _FACES = 34962, 34963
+_GLB = (b"glTF", 2)
+_JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+
+
+def gltf_of(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb", step_seconds: float = 1.0) -> bytes:
+    """A glTF file, whole in itself.
+
+    Without a plan every part is a node with its mesh. With a plan there is an animation besides: each part is a node
+    that moves out along a straight way, or in; it carries one mesh for when the part stands by itself and one for
+    each robot that holds it, in the robot's colour, of which one is to be seen at a time.
+
+    Args:
+        assembly: the structure.
+        plan: what is to be animated, in its own direction.
+        kind: `glb`, one binary file, or `gltf`, the same as text with its data inside.
+        step_seconds: length of a step.
+
+    Raises:
+        PlanError: the plan is for another structure.
+        InputError: an unknown kind, or a step of no length.
+    """
+    if kind not in ("glb", "gltf"):
+        raise InputError(f"{kind!r} is no kind of glTF; choose glb or gltf")
+    document = _Document(assembly)
+    if plan is None:
+        for part in range(assembly.part_count):
+            document.still(part)
+    else:
+        document.animate(plan, timeline(plan, assembly, step_seconds))
+    return document.packed(kind)
+
+
+def write_gltf(
+    path: Path | str, assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb", step_seconds: float = 1.0
+) -> None:
+    """Write what `gltf_of` makes, whole or not at all.
+
+    Raises:
+        PlanError: the plan is for another structure.
+        InputError: an unknown kind, a step of no length, or the file cannot be written.
+    """
+    content = gltf_of(assembly, plan, kind=kind, step_seconds=step_seconds)
+    write_whole(path, lambda file: file.write(content))
+
+
+class _Document:
+    """A glTF document that grows: its JSON, and its buffer."""
+
+    def __init__(self, assembly: Assembly) -> None:
+        self._assembly = assembly
+        self._buffer = bytearray()
+        self._json: dict[str, Any] = {
+            "asset": {
+                "version": "2.0",
+                "generator": f"falsework {__version__}",
+                "extras": {"structure": assembly.name, "identity": assembly.identity},
+            },
+            "scene": 0,
+            "scenes": [{"name": assembly.name, "nodes": []}],
+        }
+        self._materials: dict[int | str, int] = {}
+        self._geometry: dict[int, dict[str, int]] = {}
+
+    def still(self, part: int) -> int:
+        """A node with the part's mesh, in the scene."""
+        material = "boundary" if self._assembly.boundary[part] else NOBODY
+        node = self._part_node(part)
+        self._json["nodes"][node]["mesh"] = self._mesh(part, material, self._assembly.names[part])
+        return node
+
+    def animate(self, plan: Plan, times: Timeline) -> None:
+        """All parts, and what happens to them."""
+        self._json["extras"] = {"plan": {"direction": plan.direction.value, "steps": len(plan), "robots": plan.robots}}
+        animation: dict[str, Any] = {"name": plan.direction.value, "channels": [], "samplers": []}
+        for part, track in enumerate(times.tracks):
+            if track.path or track.is_held or (track.appears and track.at_first):
+                self._moving(part, track, times.seconds, animation)
+            elif track.at_first:
+                self.still(part)
+        if animation["channels"]:
+            self._json["animations"] = [animation]
+
+    def _moving(self, part: int, track: Track, seconds: float, animation: dict[str, Any]) -> None:
+        """A part that moves, disappears or is held: a node that travels, with one child for each of its looks."""
+        parent = self._part_node(part)
+        looks = sorted({robot for _, robot in track.holder})
+        children = []
+        for robot in looks:
+            held = f"{self._assembly.names[part]} held by robot {robot + 1}"
+            name = self._assembly.names[part] if robot == NOBODY else held
+            child = self._add("nodes", {"name": name, "mesh": self._mesh(part, robot, name)})
+            children.append(child)
+            keys = _visible(track, robot)
+            self._json["nodes"][child]["scale"] = [keys[0][1]] * 3
+            if len(keys) > 1:
+                self._channel(animation, child, "scale", keys, "STEP", [[value] * 3 for _, value in keys])
+        self._json["nodes"][parent]["children"] = children
+        if track.path:
+            base = np.array(self._json["nodes"][parent]["translation"])
+            places = [(base + _y_up(offset)).tolist() for _, offset in track.path]
+            keys = list(track.path)
+            if keys[0][0] > 0:
+                keys, places = [(0.0, keys[0][1]), *keys], [places[0], *places]
+            if keys[-1][0] < seconds:
+                keys, places = [*keys, (seconds, keys[-1][1])], [*places, places[-1]]
+            self._json["nodes"][parent]["translation"] = places[0]
+            self._channel(animation, parent, "translation", keys, "LINEAR", places)
+
+    def _part_node(self, part: int) -> int:
+        assembly = self._assembly
+        node = self._add(
+            "nodes",
+            {
+                "name": assembly.names[part],
+                "translation": _y_up(assembly.mass.center[part]).tolist(),
+                "extras": {
+                    "part": part,
+                    "boundary": bool(assembly.boundary[part]),
+                    "mass": round(float(assembly.mass.mass[part]), 6),
+                },
+            },
+        )
+        self._json["scenes"][0]["nodes"].append(node)
+        return node
+
+    def _mesh(self, part: int, look: int | str, name: str) -> int:
+        if part not in self._geometry:
+            mesh = self._assembly.meshes[part]
+            places = _y_up(mesh.vertices - self._assembly.mass.center[part]).astype("<f4")
+            self._geometry[part] = {
+                "position": self._accessor(places, "VEC3", _VERTICES),
+                "faces": self._accessor(_indices(mesh), "SCALAR", _FACES),
+            }
+        geometry = self._geometry[part]
+        primitive = {
+            "attributes": {"POSITION": geometry["position"]},
+            "indices": geometry["faces"],
+            "material": self._material(look),
+        }
+        return self._add("meshes", {"name": name, "primitives": [primitive]})
+
+    def _material(self, look: int | str) -> int:
+        if look not in self._materials:
+            if isinstance(look, str):
+                name, color = look, BOUNDARY
+            else:
+                name, color = ("part", INSTALLED) if look == NOBODY else (f"robot {look + 1}", robot_color(look))
+            surface = {"baseColorFactor": [*_linear(color), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}
+            self._materials[look] = self._add("materials", {"name": name, "pbrMetallicRoughness": surface})
+        return self._materials[look]
+
+    def _channel(
+        self,
+        animation: dict[str, Any],
+        node: int,
+        path: str,
+        keys: Sequence[tuple[float, Any]],
+        interpolation: str,
+        values: ArrayLike,
+    ) -> None:
+        times = np.array([time for time, _ in keys], dtype="<f4")
+        animation["samplers"].append(
+            {
+                "input": self._accessor(times, "SCALAR"),
+                "output": self._accessor(np.array(values, dtype="<f4"), "VEC3"),
+                "interpolation": interpolation,
+            }
+        )
+        target = {"node": node, "path": path}
+        animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
+
+    def _accessor(self, values: NDArray, kind: str, target: int | None = None) -> int:
+        self._buffer += b"\0" * (-len(self._buffer) % 4)
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._buffer), "byteLength": values.nbytes}
+        if target is not None:
+            view["target"] = target
+        self._buffer += values.tobytes()
+        component = {"f": _FLOAT, "u": _SHORT if values.itemsize == 2 else _INT}[values.dtype.kind]
+        rows = values.reshape(len(values), -1)
+        accessor = {
+            "bufferView": self._add("bufferViews", view),
+            "componentType": component,
+            "count": len(values),
+            "type": kind,
+        }
+        if component == _FLOAT:
+            accessor |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
+        return self._add("accessors", accessor)
+
+    def _add(self, kind: str, entry: dict[str, Any]) -> int:
+        entries = self._json.setdefault(kind, [])
+        entries.append(entry)
+        return len(entries) - 1
+
+    def packed(self, kind: Kind) -> bytes:
+        """The document with its buffer as the bytes of a file."""
+        buffer: dict[str, Any] = {"byteLength": len(self._buffer)}
+        if kind == "gltf":
+            buffer["uri"] = "data:application/octet-stream;base64," + base64.b64encode(self._buffer).decode()
+        text = json.dumps({**self._json, "buffers": [buffer]}, ensure_ascii=False, allow_nan=False).encode()
+        if kind == "gltf":
+            return text + b"\n"
+        text += b" " * (-len(text) % 4)
+        data = bytes(self._buffer) + b"\0" * (-len(self._buffer) % 4)
+        size = 12 + 8 + len(text) + 8 + len(data)
+        header = struct.pack("<4sII", *_GLB, size) + struct.pack("<II", len(text), _JSON_CHUNK)
+        return header + text + struct.pack("<II", len(data), _BINARY_CHUNK) + data
+
+
+def _visible(track: Track, robot: int) -> list[tuple[float, float]]:
+    """When a part looks as it does in the hands of a robot: seconds and scale, 1 to be seen and 0 not to be."""
+    times = sorted({time for time, _ in (*track.shown, *track.holder)})
+    keys: list[tuple[float, float]] = []
+    for time in times:
+        seen = float(_at(track.shown, time) and _at(track.holder, time) == robot)
+        if not keys or keys[-1][1] != seen:
+            keys.append((time, seen))
+    return keys
+
+
+def _at(keys: Sequence[tuple[float, Any]], time: float) -> Any:
+    """Value that holds at a time."""
+    return [value for when, value in keys if when <= time][-1]
+
+
+def _indices(mesh: TriangleMesh) -> NDArray:
+    """Corners of all faces, in the smallest type that holds them; the largest value of a type is reserved."""
+    small = len(mesh.vertices) < 65535
+    return mesh.faces.ravel().astype("<u2" if small else "<u4")
+
+
+def _y_up(points: ArrayLike) -> NDArray[np.float64]:
+    """Points of a world with z up in one with y up; shape (..., 3)."""
+    points = np.asarray(points, dtype=np.float64)
+    return points[..., [0, 2, 1]] * (1.0, 1.0, -1.0)
+
+
+def _linear(color: str) -> list[float]:
+    """Red, green, blue as renderers compute with them, from a colour as screens show it (sRGB)."""
+    values = np.array(unit_rgb(color))
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).round(4).tolist()

@@ -1,0 +1,171 @@
+"""A plan as motion: when each part shows, who holds it, and where it is on its way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, REMOVED, Mask, States
+from falsework.errors import InputError
+from falsework.search.plan_check import check_identity
+from falsework.search.task import Direction
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.search.plan import Plan
+
+Value = TypeVar("Value", bool, int)
+
+NOBODY = -1
+REACH = 0.75
+"""How far a part travels on its way in or out, in diagonals of the structure."""
+PAUSE = 0.1
+"""Share of a step, at its end, in which nothing moves."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What happens to one part, as keys in time; a value holds from its key to the next."""
+
+    shown: tuple[tuple[float, bool], ...]
+    """Seconds and whether the part is to be seen from then on; the first key is at 0."""
+    holder: tuple[tuple[float, int], ...]
+    """Seconds and the robot that holds the part from then on, `NOBODY` for none; the first key is at 0."""
+    path: tuple[tuple[float, tuple[float, float, float]], ...]
+    """Seconds and offset from the part's place, metres, to be joined by straight lines; empty if it never moves."""
+
+    @property
+    def at_first(self) -> bool:
+        """Whether the part is to be seen at the beginning."""
+        return next(shown for _, shown in self.shown)
+
+    @property
+    def appears(self) -> bool:
+        """Whether there is a time when the part is not to be seen."""
+        return not all(shown for _, shown in self.shown)
+
+    @property
+    def is_held(self) -> bool:
+        """Whether a robot ever holds the part."""
+        return any(robot != NOBODY for _, robot in self.holder)
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """A plan as motion of its parts, one step after the other."""
+
+    tracks: tuple[Track, ...]
+    """One a part."""
+    seconds: float
+    """Length of the whole."""
+
+    @cached_property
+    def robots(self) -> int:
+        """Number of robots that hold something at some time."""
+        return 1 + max((robot for track in self.tracks for _, robot in track.holder), default=NOBODY)
+
+
+def holders(states: States, boundary: Mask) -> NDArray[np.int64]:
+    """Robot that holds each part in each state, `NOBODY` where none does; who holds a part keeps it.
+
+    A part that is newly held gets the robot with the lowest number that is free.
+
+    Args:
+        states: states one action apart, shape (steps + 1, parts).
+        boundary: shape (parts,).
+
+    Returns:
+        Shape (steps + 1, parts).
+    """
+    robots = np.full(states.shape, NOBODY, dtype=np.int64)
+    for step, state in enumerate(states):
+        held = np.flatnonzero((state == HELD) & ~boundary)
+        if step:
+            robots[step, held] = robots[step - 1, held]
+        busy = set(robots[step, held].tolist())
+        free = (robot for robot in range(len(state) + 1) if robot not in busy)
+        for part in held:
+            if robots[step, part] == NOBODY:
+                robots[step, part] = next(free)
+    return robots
+
+
+def way_out(plan: Plan, assembly: Assembly, step: int) -> NDArray[np.float64] | None:
+    """Unit vector along which the part of a removal leaves; an insertion comes the opposite way. Shape (3,).
+
+    Args:
+        plan: the plan.
+        assembly: its structure.
+        step: number of a step, from 0, that removes or inserts.
+
+    Returns:
+        None if no straight way is free.
+    """
+    before = plan.states[step if plan.direction is Direction.DISASSEMBLY else step + 1]
+    return assembly.clearance.exit_direction(before, int(plan.actions[step]) % assembly.part_count)
+
+
+def timeline(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Timeline:
+    """Put a plan on a time axis, in its own direction.
+
+    A part that is removed leaves along a straight way past the others and then disappears; one that is inserted does
+    the opposite. Where no straight way is free, it disappears or appears in its place.
+
+    Args:
+        plan: what happens.
+        assembly: the structure that the plan is for.
+        step_seconds: length of a step.
+
+    Raises:
+        PlanError: the plan is for another structure.
+        InputError: a step of no length.
+    """
+    check_identity(plan, assembly)
+    if not (np.isfinite(step_seconds) and step_seconds > 0):
+        raise InputError(f"a step of {step_seconds:g} seconds cannot be seen; give a number above zero")
+    parts = assembly.part_count
+    present, robots = plan.states != REMOVED, holders(plan.states, plan.boundary)
+    shown = [[(0.0, bool(present[0, part]))] for part in range(parts)]
+    holder = [[(0.0, int(robots[0, part]))] for part in range(parts)]
+    path: list[list[tuple[float, tuple[float, float, float]]]] = [[] for _ in range(parts)]
+    points = np.concatenate([mesh.bounds for mesh in assembly.meshes])
+    reach = REACH * float(np.linalg.norm(np.ptp(points, axis=0)))
+    for step, action in enumerate(plan.actions.tolist()):
+        part, moves = action % parts, action >= parts
+        begin, end = step * step_seconds, (step + 1 - PAUSE) * step_seconds
+        if not moves:
+            holder[part].append((begin, int(robots[step + 1, part])))
+            continue
+        direction = way_out(plan, assembly, step)
+        away, home = (0.0, 0.0, 0.0) if direction is None else _triple(reach * direction), (0.0, 0.0, 0.0)
+        if plan.direction is Direction.DISASSEMBLY:
+            shown[part].append((end, False))
+            holder[part].append((end, NOBODY))
+            places = [(begin, home), (end, away)]
+        else:
+            shown[part].append((begin, True))
+            holder[part].append((begin, int(robots[step + 1, part])))
+            places = [(begin, away), (end, home)]
+        if direction is not None:
+            path[part].extend(places)
+    tracks = (Track(_clean(shown[part]), _clean(holder[part]), tuple(path[part])) for part in range(parts))
+    return Timeline(tuple(tracks), len(plan) * step_seconds)
+
+
+def _clean(keys: list[tuple[float, Value]]) -> tuple[tuple[float, Value], ...]:
+    """Keys without those that change nothing; of two at one time the later one counts."""
+    last = dict(keys)
+    kept: list[tuple[float, Value]] = []
+    for time, value in last.items():
+        if not kept or kept[-1][1] != value:
+            kept.append((time, value))
+    return tuple(kept)
+
+
+def _triple(vector: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in vector)
+    return x, y, z
