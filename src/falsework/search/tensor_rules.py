@@ -10,7 +10,7 @@ from falsework.assembly.state import HELD, INSTALLED, REMOVED
 from falsework.geometry.bits import unpack
 from falsework.geometry.clearance import ClearanceTable
 from falsework.search.hashing import StateHash
-from falsework.search.task import Direction, Task
+from falsework.search.task import Clearance, Direction, Task
 from falsework.search.tensors import import_torch, put
 
 if TYPE_CHECKING:
@@ -45,11 +45,10 @@ class TensorRules:
         self._origin = put(task.origin(direction), device)
         self._to_come = put(task.start != REMOVED, device)
         self._words = put(StateHash.for_parts(task.part_count).words, device)
-        self._part = import_torch().arange(task.part_count, device=device)
         self._postponed = put(np.asarray(task.postponed, dtype=np.int64), device)
         self._missing = put(np.asarray(task.missing, dtype=np.int64), device)
         self._values = put(np.array([INSTALLED, HELD] if backward else [HELD, REMOVED], dtype=np.uint8), device)
-        self._ways = _Ways(task, device)
+        self._ways = WaysOut(task.clearance, task.part_count, device)
 
     def origin(self) -> torch.Tensor:
         """State that the search begins with, shape (1, parts)."""
@@ -103,13 +102,7 @@ class TensorRules:
 
     def hashes(self, states: torch.Tensor) -> torch.Tensor:
         """The words of `StateHash`, as int64 of the same bits. Shape (batch,)."""
-        words = self._words[self._part, states.long()]
-        while words.shape[1] > 1:  # torch has no exclusive or along an axis
-            half = words.shape[1] // 2
-            words, odd = words[:, :half] ^ words[:, half : 2 * half], words[:, 2 * half :]
-            if odd.shape[1]:
-                words[:, :1] ^= odd
-        return words[:, 0]
+        return hash_states(states, self._words)
 
     def hashes_after(self, states: torch.Tensor, hashes: torch.Tensor, actions: torch.Tensor, parent: torch.Tensor):
         """Hashes of the states that moves lead to, without writing these down.
@@ -136,24 +129,44 @@ class TensorRules:
         return (self._postponed[None] < (self.task.steps - done + offset)[:, None]).sum(dim=1)
 
 
-class _Ways:
+class WaysOut:
     """Ways out of each part, as two matrix products of small whole numbers, which are exact in any precision."""
 
-    def __init__(self, task: Task, device: torch.device) -> None:
-        self._clearance = task.clearance
+    def __init__(self, clearance: Clearance | None, parts: int, device: torch.device) -> None:
+        """Copy a clearance table to the device; without one, every part can leave."""
+        self._clearance = clearance
         self._device = device
         self._blockers = None
-        if isinstance(task.clearance, ClearanceTable):
-            table, parts = task.clearance, task.part_count
-            owner = np.repeat(np.arange(parts), np.diff(table.start))
-            self._blockers = put(unpack(table.blockers)[:, :parts].T.astype(np.float32), device)
+        if isinstance(clearance, ClearanceTable):
+            owner = np.repeat(np.arange(parts), np.diff(clearance.start))
+            self._blockers = put(unpack(clearance.blockers)[:, :parts].T.astype(np.float32), device)
             self._owner = put((owner[:, None] == np.arange(parts)).astype(np.float32), device)
 
     def can_leave(self, states: torch.Tensor) -> torch.Tensor:
-        """Shape (batch, parts)."""
+        """Which parts have a free way out. Shape (batch, parts)."""
         if self._clearance is None:
             return import_torch().ones_like(states, dtype=import_torch().bool)
         if self._blockers is None:
             return put(np.asarray(self._clearance.can_leave(states.cpu().numpy())), self._device)
         free = ((states != REMOVED).float() @ self._blockers == 0).float()
         return free @ self._owner > 0
+
+
+def hash_states(states: torch.Tensor, words: torch.Tensor) -> torch.Tensor:
+    """Hashes of states.
+
+    Args:
+        states: `uint8`, shape (batch, parts).
+        words: those of `StateHash`, as int64 of the same bits, shape (parts, 3).
+
+    Returns:
+        int64, shape (batch,).
+    """
+    torch = import_torch()
+    hashes = words[torch.arange(len(words), device=states.device), states.long()]
+    while hashes.shape[1] > 1:  # torch has no exclusive or along an axis
+        half = hashes.shape[1] // 2
+        hashes, odd = hashes[:, :half] ^ hashes[:, half : 2 * half], hashes[:, 2 * half :]
+        if odd.shape[1]:
+            hashes[:, :1] ^= odd
+    return hashes[:, 0]

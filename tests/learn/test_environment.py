@@ -1,0 +1,297 @@
+"""The environment: rewards, verdicts and rollouts, against the slow way of doing the same."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
+
+from falsework.assembly import Assembly, load_assembly, load_structure  # noqa: E402
+from falsework.errors import InputError, StateError  # noqa: E402
+from falsework.learn.environment import Environment  # noqa: E402
+from falsework.learn.rollout import Rollouts, choose_actions, play  # noqa: E402
+from falsework.search import Direction, StateGraph, Task, find_plans, task_of  # noqa: E402
+from falsework.stability import Stability, Verdicts  # noqa: E402
+from falsework.stability.exact import ExactSolver  # noqa: E402
+
+
+class Counting:
+    """Passes questions on and writes down what was asked."""
+
+    def __init__(self, assembly: Assembly) -> None:
+        self.oracle = Stability(assembly)
+        self.asked: list[bytes] = []
+
+    def judge(self, states: np.ndarray, *, parents: np.ndarray | None = None) -> Verdicts:
+        self.asked += [state.tobytes() for state in states]
+        return self.oracle.judge(states, parents=parents)
+
+
+class Indifferent:
+    """Thinks nothing of anything, so that drawn actions are drawn evenly."""
+
+    def __init__(self) -> None:
+        self.rows: list[int] = []
+
+    def __call__(self, states, targets=None):
+        self.rows.append(len(states))
+        return torch.zeros(len(states), 2 * states.shape[1]), torch.zeros(len(states))
+
+
+class Scripted:
+    """Prefers the next action of a plan, told by the number of steps done."""
+
+    def __init__(self, assembly: Assembly, actions: list[int]) -> None:
+        self.task = task_of(assembly)
+        self.actions = actions
+
+    def __call__(self, states, targets=None):
+        logits = torch.zeros(len(states), 2 * states.shape[1])
+        done = self.task.steps_done(states.numpy())
+        logits[torch.arange(len(states)), [self.actions[step] for step in done]] = 5.0
+        return logits, torch.zeros(len(states))
+
+
+@pytest.fixture(scope="module")
+def arch() -> Assembly:
+    return load_structure("arch:blocks=7")
+
+
+@pytest.fixture(scope="module")
+def bottle() -> Assembly:
+    return load_structure("bottle")
+
+
+def random_rollouts(assembly: Assembly, count: int, seed: int = 0, **options) -> tuple[Environment, Rollouts]:
+    environment = Environment(assembly, 2, device="cpu", **options)
+    starts = environment.rules.complete(count)
+    generator = environment.generator(seed)
+    return environment, environment.rollout(Indifferent(), starts, greedy=False, generator=generator)
+
+
+def check_rollouts(assembly: Assembly, rollouts: Rollouts, targets: np.ndarray | None = None) -> None:
+    """Replay every rollout with arrays, tasks and the exact solver."""
+    exact = ExactSolver(assembly)
+    states, actions = rollouts.states.numpy(), rollouts.actions.numpy()
+    for row, length in enumerate(rollouts.length.tolist()):
+        task = Task.create(assembly.boundary, 2, start=states[0, row], target=None if targets is None else targets[row])
+        passed = states[: length + 1, row]
+        for step in range(length):
+            assert task.moves(passed[step][None], Direction.DISASSEMBLY)[0, actions[step, row]]
+            after = task.follow(passed[step][None], actions[step, row][None], Direction.DISASSEMBLY)[0]
+            assert np.array_equal(after, passed[step + 1])
+        assert (actions[length:, row] == -1).all()
+        assert (states[length:, row] == passed[-1]).all()
+        stable = exact.check(np.unique(passed[1:], axis=0)).stable if length else np.ones(1, bool)
+        assert stable.all() == (not rollouts.unstable[row])
+        assert not rollouts.unstable[row] or exact.check(passed[-2][None]).stable[0]
+        assert bool(rollouts.success[row]) == np.array_equal(passed[-1], task.target)
+        if rollouts.stuck[row]:
+            assert not task.moves(passed[-1][None], Direction.DISASSEMBLY).any()
+        good = rollouts.passed()[:, row].numpy()
+        assert good.sum() == length + 1 - int(rollouts.unstable[row])
+
+
+def test_random_rollouts_obey_rules_and_exact_solver(arch: Assembly) -> None:
+    _, rollouts = random_rollouts(arch, 40)
+    assert rollouts.unstable.any()
+    check_rollouts(arch, rollouts)
+
+
+def test_random_rollouts_with_targets(bottle: Assembly) -> None:
+    environment = Environment(bottle, 2, device="cpu")
+    _, free = random_rollouts(bottle, 60)
+    last = free.length - free.unstable.long()
+    targets = free.states[last, torch.arange(60)]
+    starts = free.states[last // 3, torch.arange(60)]
+    rollouts = environment.rollout(Indifferent(), starts, targets, greedy=False, generator=environment.generator(1))
+    assert rollouts.success.any()
+    check_rollouts(bottle, rollouts, targets.numpy())
+
+
+def test_a_plan_is_a_success_with_the_rewards_of_the_paper(arch: Assembly) -> None:
+    route = find_plans(arch, task_of(arch)).plans[0]
+    environment = Environment(arch, 2, device="cpu")
+    rollouts = environment.rollout(Scripted(arch, list(route.actions)), environment.rules.complete(3))
+    assert rollouts.success.all()
+    assert np.array_equal(rollouts.states[:, 1].numpy(), route.states)
+    state, rewards = environment.rules.complete(), []
+    for action in route.actions:
+        step = environment.step(state, torch.tensor([action]), check=True)
+        state = step.states
+        rewards.append(step.reward.item())
+    assert rewards == [0.0] * (len(route.actions) - 1) + [1.0]
+    assert step.done.all()
+    assert step.success.all()
+
+
+def test_the_first_unstable_state_costs_one(arch: Assembly) -> None:
+    environment = Environment(arch, 2, device="cpu")
+    middle = 1 + int((~arch.boundary).sum()) // 2
+    held = environment.step(environment.rules.complete(), torch.tensor([middle]), check=True)
+    assert held.reward.tolist() == [0.0]
+    fallen = environment.step(held.states, torch.tensor([arch.part_count + middle]), check=True)
+    assert not Stability(arch).stable(fallen.states.numpy())[0]
+    assert fallen.reward.tolist() == [-1.0]
+    assert fallen.done.all()
+    assert fallen.unstable.all()
+    assert not fallen.success.any()
+
+
+def test_a_state_without_legal_action_has_failed() -> None:
+    """Robots that hold two parts neither of which can leave wait for ever."""
+    environment = Environment(load_structure("polycube"), 1, device="cpu", clearance=True)
+    starts = environment.rules.complete(50)
+    rollouts = environment.rollout(Indifferent(), starts, greedy=False, generator=environment.generator(0))
+    stuck = rollouts.stuck.nonzero()[:, 0]
+    assert len(stuck)
+    row = int(stuck[0])
+    before = rollouts.states[rollouts.length[row] - 1, row][None]
+    step = environment.step(before, rollouts.actions[rollouts.length[row] - 1, row][None].long(), check=True)
+    assert step.reward.tolist() == [-1.0]
+    assert step.done.all()
+    assert not step.unstable.any()
+    again = environment.rollout(Indifferent(), rollouts.last[stuck])
+    assert not again.success.any()
+    assert (again.length == 0).all()
+
+
+def test_only_removals_are_judged_and_every_state_once(bottle: Assembly) -> None:
+    oracle = Counting(bottle)
+    environment, first = random_rollouts(bottle, 300, oracle=oracle)
+    assert len(oracle.asked) == len(set(oracle.asked)) == environment.counters.removals_asked
+    removed = first.actions >= environment.part_count
+    assert set(oracle.asked) == {state.numpy().tobytes() for state in first.states[1:][removed]}
+    asked = len(oracle.asked)
+    environment.rollout(
+        Indifferent(), environment.rules.complete(300), greedy=False, generator=environment.generator(0)
+    )
+    assert len(oracle.asked) == asked
+    assert environment.counters.steps == 2 * int(first.length.sum())
+    shares = environment.counters.as_dict()
+    assert abs(sum(value for name, value in shares.items() if name.startswith("share_")) - 1) < 1e-9
+
+
+def test_verdicts_are_right_when_slots_are_fought_over(bottle: Assembly) -> None:
+    """A table with few slots forgets; what it says stays true."""
+    from falsework.learn.verdict_table import VerdictTable
+
+    environment, rollouts = random_rollouts(bottle, 500)
+    states = rollouts.states.view(-1, environment.part_count)
+    states = states[torch.randperm(len(states), generator=torch.Generator().manual_seed(0))]
+    environment._known = VerdictTable(environment.rules, memory=1)
+    environment._known._slots = 32
+    truth = torch.from_numpy(Stability(bottle).stable(states.numpy()))
+    for begin in range(0, len(states), 700):
+        rows = slice(begin, begin + 700)
+        assert torch.equal(environment.stable(states[rows]), truth[rows])
+
+
+def test_same_seed_same_rollouts_and_ends_are_the_ends(bottle: Assembly) -> None:
+    environment, one = random_rollouts(bottle, 100, seed=5)
+    _, two = random_rollouts(bottle, 100, seed=5)
+    _, other = random_rollouts(bottle, 100, seed=6)
+    assert torch.equal(one.states, two.states)
+    assert torch.equal(one.actions, two.actions)
+    assert one.states.shape != other.states.shape or not torch.equal(one.states, other.states)
+    ends = environment.rollout(
+        Indifferent(),
+        environment.rules.complete(100),
+        greedy=False,
+        generator=environment.generator(5),
+        keep="ends",
+    )
+    assert torch.equal(ends.last, one.last)
+    assert torch.equal(ends.states[0], one.states[0])
+    assert torch.equal(ends.length, one.length)
+    assert ends.actions.shape == (0, 100)
+
+
+def test_finished_rollouts_cost_nothing(bottle: Assembly) -> None:
+    environment, _ = random_rollouts(bottle, 1)
+    policy = Indifferent()
+    rollouts = environment.rollout(
+        policy, environment.rules.complete(200), greedy=False, generator=environment.generator(0)
+    )
+    going = [int((rollouts.length > step).sum()) for step in range(int(rollouts.length.max()))]
+    assert policy.rows == going
+    environment.rows_at_once = 16
+    pieces = Indifferent()
+    again = environment.rollout(
+        pieces, environment.rules.complete(200), greedy=False, generator=environment.generator(0)
+    )
+    assert max(pieces.rows) == 16
+    assert torch.equal(again.states, rollouts.states)
+
+
+def test_starts_at_the_target_and_empty_batches(arch: Assembly) -> None:
+    environment = Environment(arch, 2, device="cpu")
+    complete = environment.rules.complete(2)
+    there = environment.rollout(Indifferent(), complete, complete.clone())
+    assert there.success.all()
+    assert (there.length == 0).all()
+    assert there.states.shape == (1, 2, arch.part_count)
+    assert there.actions.shape == (0, 2)
+    nothing = environment.rollout(Indifferent(), complete[:0], keep="ends")
+    assert nothing.states.shape == (2, 0, arch.part_count)
+    assert environment.stable(complete[:0]).shape == (0,)
+
+
+def test_drawn_actions_follow_the_probabilities_and_are_legal() -> None:
+    generator = torch.Generator().manual_seed(0)
+    logits = torch.log(torch.tensor([0.1, 0.2, 0.3, 0.4])).expand(60_000, 4)
+    mask = torch.tensor([True, False, True, True]).expand(60_000, 4)
+    drawn = choose_actions(logits, mask, greedy=False, generator=generator)
+    share = torch.bincount(drawn, minlength=4) / len(drawn)
+    assert torch.allclose(share, torch.tensor([0.125, 0.0, 0.375, 0.5]), atol=0.01)
+    cold = choose_actions(logits, mask, greedy=False, temperature=1e-3, generator=generator)
+    assert (cold == 3).all()
+    for bad in (torch.nan, torch.inf, -torch.inf):
+        assert choose_actions(torch.full((1, 4), bad), torch.tensor([[False, False, True, False]])).item() in (0, 2)
+    assert choose_actions(torch.full((1, 4), torch.nan), torch.tensor([[False, False, True, False]])).item() == 2
+
+
+def test_every_state_of_a_graph_is_proven_stable(shared_assembly) -> None:
+    assembly = load_assembly(shared_assembly("bottle-12"))
+    environment = Environment(assembly, 2, device="cpu")
+    from falsework.search import BeamSearch, BeamSettings
+
+    task = task_of(assembly)
+    search = BeamSearch(task, environment.oracle, BeamSettings(width=8))
+    search.run()
+    graph = StateGraph.build(task, search.states())
+    states = torch.from_numpy(graph.states)
+    assert environment.stable(states).all()
+    parents = states[torch.from_numpy(graph.source).long()]
+    assert environment.stable(states[torch.from_numpy(graph.target).long()], parents).all()
+
+
+def test_bad_input_is_one_clear_line(arch: Assembly) -> None:
+    environment = Environment(arch, 2, device="cpu")
+    state = environment.rules.complete()
+    for action in (-1, 2 * arch.part_count, arch.part_count):
+        with pytest.raises(StateError, match=f"action {action} is not legal in state 0"):
+            environment.step(state, torch.tensor([action]), check=True)
+    with pytest.raises(InputError, match="temperature is 0"):
+        environment.rollout(Indifferent(), state, greedy=False, temperature=0.0)
+    with pytest.raises(InputError, match="temperature is nan"):
+        next(play(environment, Indifferent(), state, temperature=float("nan")))
+    if not torch.cuda.is_available():
+        with pytest.raises(InputError, match="0 CUDA devices were found"):
+            Environment(arch, 2, device="cuda")
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no GPU")
+def test_rollouts_on_a_gpu_obey_rules_and_exact_solver(arch: Assembly) -> None:
+    environment = Environment(arch, 2, device="cuda")
+
+    def indifferent(states, targets=None):
+        return torch.zeros(len(states), 2 * states.shape[1], device=states.device), torch.zeros(
+            len(states), device=states.device
+        )
+
+    starts = environment.rules.complete(40)
+    rollouts = environment.rollout(indifferent, starts, greedy=False, generator=environment.generator(0))
+    names = ("states", "actions", "length", "success", "unstable")
+    check_rollouts(arch, Rollouts(*(getattr(rollouts, name).cpu() for name in names)))
