@@ -23,7 +23,7 @@ from falsework.learn.policy import (
     transfer,
 )
 
-KINDS = ("parts", "mlp")
+KINDS = ("parts", "graph", "mlp")
 SMALL = {"layers": 2, "channels": 16, "heads": 2}
 
 

@@ -44,8 +44,8 @@ class Policy(nn.Module):
         """Number of values that `classes` tells apart."""
         return 12 if self.settings.two_states else 4
 
-    def classes(self, states: Tensor, targets: Tensor | None) -> Tensor:
-        """One-hot class of every part: removed, installed, held or boundary, each by its value in the target.
+    def numbers(self, states: Tensor, targets: Tensor | None) -> Tensor:
+        """Class of every part: removed 0, installed 1, held 2, boundary 3; of two states, 3 times that plus the target.
 
         Args:
             states: uint8, shape (batch, parts).
@@ -53,15 +53,20 @@ class Policy(nn.Module):
                 of one state takes no notice of it.
 
         Returns:
-            Shape (batch, parts, kinds_of_part), bool.
+            Shape (batch, parts), int32.
         """
         if states.shape[-1] != self.part_count:
             raise InputError(f"states have {states.shape[-1]} parts; this policy is for {self.part_count}")
-        kind = torch.where(self.fixed, 3, states.int())
+        number = torch.where(self.fixed, 3, states.int())
         if self.settings.two_states:
-            aim = torch.where(self.fixed, 2, 0) if targets is None else targets.int()
-            kind = 3 * kind + aim
-        return kind[..., None] == torch.arange(self.kinds_of_part, device=states.device, dtype=kind.dtype)
+            aim = torch.where(self.fixed, 2, 0) if targets is None else targets
+            number = 3 * number + aim.int()
+        return number
+
+    def classes(self, states: Tensor, targets: Tensor | None) -> Tensor:
+        """The same one-hot, shape (batch, parts, kinds_of_part), bool."""
+        numbers = self.numbers(states, targets)
+        return numbers[..., None] == torch.arange(self.kinds_of_part, device=states.device, dtype=numbers.dtype)
 
     def forward(self, states: Tensor, targets: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Logits of all actions and an estimate of success.
