@@ -4,6 +4,7 @@ from __future__ import annotations
 
 __all__ = [
     "AssemblyError",
+    "CellError",
     "DependencyError",
     "FalseworkError",
     "InputError",
@@ -11,6 +12,7 @@ __all__ = [
     "PlanError",
     "SolverError",
     "StateError",
+    "TrainingError",
 ]
 
 
@@ -34,6 +36,10 @@ class StateError(InputError):
     """A state or an action has the wrong length or values."""
 
 
+class CellError(InputError):
+    """A cell file or a robot description cannot be used."""
+
+
 class PlanError(InputError):
     """A plan file is damaged, of another version, or for another assembly."""
 
@@ -44,3 +50,7 @@ class DependencyError(InputError, ImportError):
 
 class SolverError(FalseworkError):
     """A numerical library failed where the mathematics says that it must not."""
+
+
+class TrainingError(FalseworkError):
+    """Training cannot go on, such as after a loss that is not a finite number; what was saved is still good."""

@@ -1,0 +1,1 @@
+"""Real arms: cells, collisions, motions, grasps and the plans that robots carry out."""

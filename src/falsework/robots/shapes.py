@@ -1,0 +1,106 @@
+"""Convex pieces: what every link, gripper, obstacle and part is made of in collision queries.
+
+A piece is the convex hull of its vertices, an array of shape (vertices, 3) in metres.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from falsework.errors import InputError
+
+Array = NDArray[np.float64]
+Pieces = tuple[Array, ...]
+"""Convex pieces that together cover one body."""
+
+SIDES = 12
+"""Sides of the prism that stands for a cylinder."""
+
+
+def block(low: ArrayLike, high: ArrayLike, axis: str = "z", bevels: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)) -> Array:
+    """A box whose four edges along one axis are bevelled by 45 degrees.
+
+    Args:
+        low, high: opposite corners, metres.
+        axis: the edges along it are bevelled: x, y or z.
+        bevels: how far each bevel reaches, metres. With `u`, `v` the other two axes in the order of the alphabet:
+            at low u and low v, high u and low v, high u and high v, low u and high v.
+
+    Returns:
+        Shape (8 to 16, 3).
+    """
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    along = "xyz".index(axis)
+    u, v = (k for k in range(3) if k != along)
+    corners = ((low[u], low[v], 1, 1), (high[u], low[v], -1, 1), (high[u], high[v], -1, -1), (low[u], high[v], 1, -1))
+    outline = []
+    for (x, y, right, up), bevel in zip(corners, bevels, strict=True):
+        outline += [(x + right * bevel, y), (x, y + up * bevel)] if bevel else [(x, y)]
+    flat = np.array(outline)
+    points = np.empty((2 * len(flat), 3))
+    points[:, u], points[:, v] = np.tile(flat[:, 0], 2), np.tile(flat[:, 1], 2)
+    points[:, along] = np.repeat((low[along], high[along]), len(flat))
+    return _frozen(points)
+
+
+def cylinder(radius: float, low: float, high: float, sides: int = SIDES) -> Array:
+    """A prism around a cylinder about the z axis from `low` to `high`, metres. Shape (2 sides, 3).
+
+    The cylinder lies inside: the prism sticks out by at most 3.5 % of the radius with twelve sides.
+    """
+    angle = 2 * np.pi * np.arange(sides) / sides
+    outer = radius / np.cos(np.pi / sides)
+    ring = np.stack([outer * np.cos(angle), outer * np.sin(angle)], axis=1)
+    points = np.concatenate([np.c_[ring, np.full(sides, low)], np.c_[ring, np.full(sides, high)]])
+    return _frozen(points)
+
+
+def hull(points: ArrayLike) -> Array:
+    """Vertices of the convex hull. Shape (vertices, 3).
+
+    Raises:
+        InputError: the points span no volume.
+    """
+    given = np.asarray(points, dtype=np.float64)
+    try:
+        return _frozen(given[np.sort(ConvexHull(given).vertices)])
+    except (QhullError, ValueError):
+        raise InputError(
+            f"{len(given)} points span no volume, so they make no collision shape; give a closed mesh"
+        ) from None
+
+
+def move(pose: Array, vertices: Array) -> Array:
+    """Vertices moved by a pose, shapes (4, 4) and (vertices, 3)."""
+    return vertices @ pose[:3, :3].T + pose[:3, 3]
+
+
+def move_pieces(pose: Array, pieces: Pieces) -> Pieces:
+    """Pieces moved by a pose, shape (4, 4)."""
+    return tuple(_frozen(move(pose, piece)) for piece in pieces)
+
+
+def pose(position: ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Array:
+    """A pose that stands upright, turned about z by `yaw` radians. Shape (4, 4)."""
+    made = np.eye(4)
+    made[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    made[:3, 3] = position
+    return _frozen(made)
+
+
+def inverse_pose(given: Array) -> Array:
+    """Inverse of a rigid pose, shape (..., 4, 4)."""
+    made = np.zeros_like(given)
+    turn = np.swapaxes(given[..., :3, :3], -1, -2)
+    made[..., :3, :3] = turn
+    made[..., :3, 3] = -np.einsum("...ij,...j->...i", turn, given[..., :3, 3])
+    made[..., 3, 3] = 1.0
+    return made
+
+
+def _frozen(array: Array) -> Array:
+    array = np.ascontiguousarray(array)
+    array.setflags(write=False)
+    return array
