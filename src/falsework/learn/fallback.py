@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -22,8 +22,13 @@ from falsework.search.planner import Planner, PlannerSettings
 from falsework.search.result import Outcome, SearchResult, Stop
 from falsework.search.task import Direction
 
-SLICE = 0.05
-"""Seconds that a search has before it is the turn of another request's."""
+_PLAIN_LEVELS = 4
+"""Levels of the plain search for each level of the one that the policy guides, which asks a network too. A count, not
+a time, so that the same seed gives the same answer."""
+_SHARE = 0.5
+"""Share of the time before a deadline that the guided search may take."""
+_TURN_LEVELS = 8
+"""Levels that a search has before it is the turn of another request, where it searches alone."""
 
 
 class _Search(Protocol):
@@ -54,73 +59,121 @@ class _TimedGuide:
             return self._guide(states, actions, direction)
 
 
-def search_on(job: Job, guide: Guide, *, alone: bool) -> Iterator[None]:
+def search_on(job: Job, guide: Guide) -> Iterator[None]:
     """Look for what the rollouts did not find: a plan, later missing parts, other plans; or prove that there is none.
+
+    A policy that has just failed is no safe guide, so the search that it guides and the plain one take turns.
 
     Args:
         job: what is asked, and what was found.
         guide: of the search without a policy.
-        alone: whether no other request waits.
 
     Yields:
-        Whenever it is another request's turn.
+        Whenever it may be another request's turn.
     """
-    slice_ = None if alone else SLICE
-    if job.kit.guide is not None and not job.decided:
-        timed = _TimedGuide(job.kit.guide.for_task(job.task), job.clock)
-        for width in job.kit.settings.widths:
-            settings = BeamSettings(width, Direction.DISASSEMBLY, "none", retries=0, seed=job.request.seed)
-            beam = BeamSearch(job.task, job.oracle, settings, guide=timed)
-            job.ended((yield from _run(beam, job, slice_)), Decider.GUIDED)
-            if job.decided or job.clock.passed:
-                break
-    wanted = len(job.routes) < job.request.alternatives or job.task.missing
-    if job.outcome is not Outcome.PROVED_IMPOSSIBLE and wanted and not job.clock.passed:
-        yield from _plan(job, guide, slice_)
+    if not job.routes:
+        yield from _first_plan(job, guide)
+    if job.routes and not job.settled:
+        yield from _better_plans(job, guide)
     if not job.decided and not job.clock.passed:
         census = _Census(ExhaustiveSearch(job.task, job.oracle, state_limit=job.kit.settings.state_limit))
-        job.ended((yield from _run(census, job, slice_)), Decider.EXHAUSTIVE)
+        yield from _finish([_Turns(census, Decider.EXHAUSTIVE, _TURN_LEVELS)], job)
 
 
-def _plan(job: Job, guide: Guide, slice_: float | None) -> Iterator[None]:
+def _first_plan(job: Job, guide: Guide) -> Iterator[None]:
+    settings = PlannerSettings(job.kit.settings.width, seed=job.request.seed)
+    # Later missing parts are looked for once there is a plan.
+    task = replace(job.task, missing=(), postponed=())
+    rivals = [_Turns(Planner(task, job.oracle, settings, guide=guide), Decider.SEARCH, _PLAIN_LEVELS)]
+    if _affordable(job):
+        timed = _TimedGuide(job.kit.guide.for_task(job.task), job.clock)
+        rivals.insert(0, _Turns(_Widening(job, timed), Decider.GUIDED, 1))
+    yield from _finish(rivals, job)
+
+
+def _affordable(job: Job) -> bool:
+    """Whether there is a policy, and time for a beam that it guides beside the plain search."""
+    guide, widths = job.kit.guide, job.kit.settings.widths
+    if guide is None or not widths:
+        return False
+    return guide.seconds_for(widths[0]) * job.task.steps < _SHARE * (job.clock.left - job.clock.reserve)
+
+
+def _better_plans(job: Job, guide: Guide) -> Iterator[None]:
     request = job.request
     settings = PlannerSettings(job.kit.settings.width, alternatives=request.alternatives, seed=request.seed)
     planner = Planner(job.task, job.oracle, settings, guide=guide)
-    if job.routes:
-        planner.begin_with(job.routes[0])
-        planner.states = np.concatenate([route.states for route in job.routes])
-    job.ended((yield from _run(planner, job, slice_)), Decider.SEARCH)
-    if planner.routes:
-        job.routes = list(choose_plans(planner, settings, job.kit.assembly.name).routes)
+    planner.begin_with(job.routes[0])
+    planner.states = np.concatenate([route.states for route in job.routes])
+    yield from _finish([_Turns(planner, Decider.SEARCH, _TURN_LEVELS)], job)
+    job.routes = list(choose_plans(planner, settings, job.kit.assembly.name).routes)
 
 
-def _run(search: _Search, job: Job, slice_: float | None) -> Generator[None, None, SearchResult]:
-    """Run a search to its end or the deadline, a slice of time at once."""
-    turn = _Turn(job.clock, slice_)
-    while True:
-        turn.begin()
-        result = search.run(stop=turn.over)
-        if not result.interrupted or job.clock.passed:
-            return result
-        if not turn.told:  # not the clock but somebody at the keyboard
-            raise KeyboardInterrupt
+def _finish(rivals: list[_Turns], job: Job) -> Iterator[None]:
+    """Let searches take turns until one finds a plan or proves that there is none, all are at an end, or time is up."""
+    while rivals:
+        for rival in list(rivals):
+            result = rival.take(job.clock)
+            if result is not None:
+                job.ended(result, rival.decider)
+                rivals.remove(rival)
+                if job.decided:
+                    return
+            if job.clock.passed:
+                for rest in rivals:
+                    job.ended(rest.search.run(stop=lambda: True), rest.decider)
+                return
         yield
 
 
-class _Turn:
-    """Tells a search when its turn is over."""
+class _Turns:
+    """A search that stops after some levels, to go on in its next turn."""
 
-    def __init__(self, clock: Clock, seconds: float | None) -> None:
-        self.told = False
-        """Whether the search was told to stop."""
-        self._clock = clock
-        self._seconds = np.inf if seconds is None else seconds
-        self._end = np.inf
+    def __init__(self, search: _Search, decider: Decider, levels: int) -> None:
+        self.search = search
+        self.decider = decider
+        self._levels = levels
+        self._left = 0
+        self._clock: Clock | None = None
 
-    def begin(self) -> None:
-        self.told = False
-        self._end = time.perf_counter() + self._seconds
+    def take(self, clock: Clock) -> SearchResult | None:
+        """Search for a turn; the result if the search is at its end.
 
-    def over(self) -> bool:
-        self.told = self._clock.passed or time.perf_counter() > self._end
-        return self.told
+        Raises:
+            KeyboardInterrupt: somebody at the keyboard wants an end.
+        """
+        self._left, self._clock = self._levels, clock
+        result = self.search.run(stop=self._over)
+        if not result.interrupted:
+            return result
+        if self._left > 0 and not clock.passed:  # not told to stop
+            raise KeyboardInterrupt
+        return None
+
+    def _over(self) -> bool:
+        over = self._left == 0 or (self._clock is not None and self._clock.passed)
+        self._left = 0 if over else self._left - 1
+        return over
+
+
+class _Widening:
+    """Beams that the policy guides, each wider than the one before."""
+
+    def __init__(self, job: Job, guide: Guide) -> None:
+        self._job = job
+        self._guide = guide
+        self._number = 0
+        self._beam: BeamSearch | None = None
+
+    def run(self, *, stop: Stop | None = None) -> SearchResult:
+        widths = self._job.kit.settings.widths
+        while True:
+            if self._beam is None:
+                width, seed = widths[self._number], self._job.request.seed
+                settings = BeamSettings(width, Direction.DISASSEMBLY, "none", retries=0, seed=seed)
+                self._beam = BeamSearch(self._job.task, self._job.oracle, settings, guide=self._guide)
+            result = self._beam.run(stop=stop)
+            proved = result.outcome is Outcome.PROVED_IMPOSSIBLE
+            if result.interrupted or result.found or proved or self._number == len(widths) - 1:
+                return result
+            self._number, self._beam = self._number + 1, None

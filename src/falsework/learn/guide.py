@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import Mask, States
+from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
 from falsework.learn.door import check_torch
 from falsework.search.task import Direction, Task
@@ -56,10 +57,31 @@ class PolicyGuide:
         self.device = torch.device("cpu") if weights is None else weights.device
         self.two_states = bool(getattr(getattr(policy, "settings", None), "two_states", False))
         self.task = task
+        self._seconds: dict[int, float] = {}
 
     def for_task(self, task: Task) -> PolicyGuide:
         """The same policy as the guide of another task."""
         return PolicyGuide(self.policy, task=task)
+
+    def practise(self, state: States, rows: int) -> None:
+        """Let the network see one state, then `rows` different ones, so that it is loaded and its speed is known.
+
+        Args:
+            state: of the structure, shape (parts,).
+            rows: number of states.
+        """
+        for count in {1, max(rows, 1)}:
+            states = np.repeat(state[None], count, axis=0)
+            held = np.arange(count) % len(state)
+            states[np.arange(count), held] = HELD
+            self._ask(states, states if self.two_states else None)
+
+    def seconds_for(self, rows: int) -> float:
+        """How long the network may take for so many states at once, from what it took before; 0 if nothing is known."""
+        if not self._seconds:
+            return 0.0
+        nearest = min(self._seconds, key=lambda known: abs(known - rows.bit_length()))
+        return self._seconds[nearest] * max(rows / 2 ** (nearest - 1), 1.0) ** 0.5
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float64]:
         """As `falsework.search.guide.Guide`.
@@ -101,21 +123,26 @@ class PolicyGuide:
 
     def _logits(self, states: States, targets: States | None) -> NDArray[np.float64]:
         """What the network says, each distinct question asked once. Shape (batch, 2 parts)."""
-        torch, conditioned = self._torch, self.two_states and targets is not None
-        questions = np.concatenate([states, targets], axis=1) if conditioned and targets is not None else states
+        targets = targets if self.two_states else None
+        questions = states if targets is None else np.concatenate([states, targets], axis=1)
         questions = np.ascontiguousarray(questions)
         keys = questions.view(np.dtype((np.void, questions.shape[1]))).ravel()
         _, first, back = np.unique(keys, return_index=True, return_inverse=True)
-        answers = np.empty((len(first), 2 * states.shape[1]))
-        with torch.inference_mode():
-            for begin in range(0, len(first), _BATCH):
-                rows = first[begin : begin + _BATCH]
-                asked = torch.from_numpy(np.ascontiguousarray(states[rows])).to(self.device)
-                aim = None
-                if conditioned and targets is not None:
-                    aim = torch.from_numpy(np.ascontiguousarray(targets[rows])).to(self.device)
-                logits, _ = self.policy(asked, aim)
-                answers[begin : begin + _BATCH] = logits.float().cpu().numpy()
-        if not np.isfinite(answers).all():
+        pieces = [first[begin : begin + _BATCH] for begin in range(0, len(first), _BATCH)]
+        answers = [self._ask(states[rows], None if targets is None else targets[rows]) for rows in pieces]
+        logits = np.concatenate(answers) if answers else np.empty((0, 2 * states.shape[1]))
+        if not np.isfinite(logits).all():
             raise InputError("the policy returned values that are not finite; its weights are damaged, train it again")
-        return answers[back]
+        return logits[back]
+
+    def _ask(self, states: States, targets: States | None) -> NDArray[np.float64]:
+        torch = self._torch
+        begun = time.perf_counter()
+        with torch.inference_mode():
+            asked = torch.from_numpy(np.ascontiguousarray(states)).to(self.device)
+            aim = None if targets is None else torch.from_numpy(np.ascontiguousarray(targets)).to(self.device)
+            logits, _ = self.policy(asked, aim)
+            answer = logits.double().cpu().numpy()
+        size, taken = len(states).bit_length(), time.perf_counter() - begun
+        self._seconds[size] = taken if size not in self._seconds else 0.5 * (taken + self._seconds[size])
+        return answer

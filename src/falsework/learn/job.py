@@ -15,7 +15,9 @@ from falsework.learn.clock import Clock, TimedOracle
 from falsework.learn.guide import PolicyGuide
 from falsework.learn.prover import Prover
 from falsework.learn.request import Request
-from falsework.search.alternatives import Alternatives
+from falsework.search.alternatives import Alternatives, choose_alternatives
+from falsework.search.graph import StateGraph
+from falsework.search.plan import Plan
 from falsework.search.planner import insertion_steps
 from falsework.search.result import Outcome, Route, SearchResult
 from falsework.search.task import Direction
@@ -23,6 +25,8 @@ from falsework.stability.verdict import Verdicts
 
 _SAFETY = 1.3
 """Times longer than expected that a proof may take without breaking a deadline."""
+_PROVING = 0.25
+"""Share of a deadline that is kept for it at most."""
 _LOOKED_AT = 16
 """States in which a search broke off whose motions are looked at, at most."""
 
@@ -76,7 +80,8 @@ class Job:
         self.task = request.task(kit.assembly)
         self.way = request.way(kit.assembly)
         self.oracle = TimedOracle(kit.prover.oracle, self.clock)
-        self.clock.reserve = 0.005 + _SAFETY * kit.prover.seconds_for(self.task.steps // 2 + 2)
+        needed = _SAFETY * kit.prover.seconds_for(self.task.steps // 2 + 2)
+        self.clock.reserve = min(needed, _PROVING * request.deadline) if request.deadline is not None else 0.0
         self.routes: list[Route] = []
         """The best one first."""
         self.decided_by = Decider.NOBODY
@@ -92,7 +97,7 @@ class Job:
     @property
     def settled(self) -> bool:
         """Whether nothing is left to look for, or no time to do it."""
-        enough = len(self.routes) >= self.request.alternatives and not self.task.missing
+        enough = bool(self.routes) and self.request.alternatives == 1 and not self.task.missing
         return enough or self.hopeless or self.outcome is Outcome.PROVED_IMPOSSIBLE or self.clock.passed
 
     @property
@@ -133,12 +138,14 @@ class Job:
 
     def answer(self) -> Replan:
         """Prove what was found and say it."""
-        plans, chosen = (), Alternatives.of(self.routes[: self.request.alternatives])
+        plans: tuple[Plan, ...]
+        plans, chosen, late = (), self._choose(), self.clock.passed
         if self.routes:
             with self.clock.spend("proofs"):
                 try:
                     prover, forces = self.kit.prover, self.kit.settings.forces
-                    plans = tuple(prover.plan(route, self.task, forces=forces) for route in chosen.routes)
+                    for route in chosen.routes:
+                        plans = (*plans, prover.plan(route, self.task, forces=forces, seconds=self.clock.left))
                 except PlanError as error:
                     self._why, self.outcome, self.decided_by = str(error), Outcome.NOT_FOUND, Decider.NOBODY
         if self.way is Direction.ASSEMBLY:
@@ -154,13 +161,21 @@ class Job:
             seconds=self.clock.seconds,
             spent=dict(self.clock.spent),
             verdicts=self.oracle.asked,
-            deadline_passed=self.clock.passed,
+            deadline_passed=late,
             reason="" if plans else self._reason(),
             moving=moving,
             distance=chosen.distance,
             confidences=tuple(self._confidence(plan.states) for plan in plans) if self.request.confidences else (),
             search=self.result,
         )
+
+    def _choose(self) -> Alternatives:
+        """As many of the plans that were found as are wanted."""
+        wanted, routes = self.request.alternatives, self.routes
+        if wanted == 1 or len(routes) <= wanted:
+            return Alternatives.of(routes[:wanted])
+        graph = StateGraph.build(self.task, np.concatenate([route.states for route in routes]))
+        return choose_alternatives(graph, wanted, given=routes[:1], seed=self.request.seed)
 
     def _reached(self) -> int:
         result = self.result

@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 from falsework.assembly.state import Mask, States
 from falsework.learn.answer import Decider
 from falsework.learn.clock import Pace
+from falsework.learn.guide import PolicyGuide
 from falsework.learn.job import Job, Kit
 from falsework.learn.proposals import Rollout, roll_out
 from falsework.search.result import Route
 from falsework.search.task import Task
 
+_SHARE = 0.6
+"""Share of the time before a deadline that rollouts may take."""
 _AMBITIONS = 5
 """Rollouts for different hopes of how long missing parts can be done without."""
 _VERDICTS = 16
@@ -31,9 +34,12 @@ def follow_greedily(jobs: Sequence[Job], kit: Kit) -> None:
     What the network says does not depend on verdicts, so it is asked for whole rollouts first, and the oracle then
     gets their states together, which keeps all cores busy.
     """
+    if kit.guide is None:
+        return
     jobs = [job for job in jobs if not job.settled]
+    jobs = _with_time([(job, len(_hopes(job))) for job in jobs], kit.guide)
     variants = [(job, task) for job in jobs for task in _hopes(job)]
-    if not variants or kit.guide is None:
+    if not variants:
         return
     owners = [job for job, _ in variants]
     with _policy_time(jobs):
@@ -56,7 +62,10 @@ def follow_samples(jobs: Sequence[Job], kit: Kit) -> None:
     """Draw rollouts for all jobs at once; half of them branch off the proven part of the greedy one."""
     jobs = [job for job in jobs if not job.settled and (not job.routes or job.request.alternatives > 1)]
     count = kit.settings.samples
-    if not jobs or not count or kit.guide is None:
+    if not count or kit.guide is None:
+        return
+    jobs = _with_time([(job, count) for job in jobs], kit.guide)
+    if not jobs:
         return
     prefixes = [prefix for job in jobs for prefix in _branches(job, count)]
     owner = np.repeat(np.arange(len(jobs)), count)
@@ -67,6 +76,8 @@ def follow_samples(jobs: Sequence[Job], kit: Kit) -> None:
     def stop(number: int) -> bool:
         return jobs[number].clock.passed
 
+    before = [sum(job.clock.spent.values()) for job in jobs]
+    begun = time.perf_counter()
     rollouts = roll_out(
         kit.guide,
         [job.task for job in jobs],
@@ -77,10 +88,32 @@ def follow_samples(jobs: Sequence[Job], kit: Kit) -> None:
         stable=stable,
         stop=stop,
     )
+    for job, spent in zip(jobs, before, strict=True):
+        job.clock.add("policy", time.perf_counter() - begun - (sum(job.clock.spent.values()) - spent))
     for prefix, rollout in zip(prefixes, rollouts, strict=True):
         if rollout.reached:
             states = np.concatenate([prefix[:-1], rollout.states])
             jobs[rollout.task].found([Route.through(states)], Decider.SAMPLED)
+
+
+def _with_time(wanted: Sequence[tuple[Job, int]], guide: PolicyGuide) -> list[Job]:
+    """Jobs whose deadline leaves time for rollouts, and as much again for a search if they fail.
+
+    Args:
+        wanted: jobs and the number of their rollouts.
+        guide: the policy.
+    """
+    jobs = list(wanted)
+    while jobs:
+        rows = sum(count for _, count in jobs)
+        seconds = guide.seconds_for(rows) * max(job.task.steps for job, _ in jobs)
+        tight = [job for job, _ in jobs if _SHARE * (job.clock.left - job.clock.reserve) < seconds]
+        if not tight:
+            break
+        # Fewer rollouts at a time are faster for each: the most urgent job gives way.
+        urgent = min(tight, key=lambda job: job.clock.left)
+        jobs = [(job, count) for job, count in jobs if job is not urgent]
+    return [job for job, _ in jobs]
 
 
 def _hopes(job: Job) -> list[Task]:

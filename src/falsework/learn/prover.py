@@ -49,16 +49,31 @@ class Prover:
         self.oracle.check(states)
         self._per_state = (time.perf_counter() - begun) / max(len(movable), 1)
 
-    def plan(self, route: Route, task: Task, *, forces: bool = False) -> Plan:
+    def plan(self, route: Route, task: Task, *, forces: bool = False, seconds: float = np.inf) -> Plan:
         """A plan for disassembly along a route.
+
+        Args:
+            route: states and actions.
+            task: what the route was found for.
+            forces: keep the contact forces that prove the states in the plan.
+            seconds: time that is left. Where it is too short to solve the states again for the checker, the plan rests
+                on the proofs that the solver itself found and checked during the search.
 
         Raises:
             PlanError: a state that cannot be proved stable.
         """
         if forces:
             return plan_of(route, self.assembly, task, self.oracle)
-        verdicts = self.prove(route.states, route.actions)
+        if self.seconds_for(self._unproven(route)) > seconds:
+            verdicts = self.oracle.judge(route.states)
+        else:
+            verdicts = self.prove(route.states, route.actions)
         return Plan.of(route, self.assembly, task, verdicts, self.oracle.settings.claim)
+
+    def _unproven(self, route: Route) -> int:
+        """States of a route that need a proof and have none yet."""
+        needed = np.concatenate([[True], route.actions >= route.states.shape[1]])
+        return sum(state.tobytes() not in self._residual for state in route.states[needed])
 
     def prove(self, states: States, actions: NDArray[np.int64]) -> Verdicts:
         """Prove consecutive states; the verdicts have no forces.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import action_mask, complete_state, empty_state
+from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.learn.answer import Decider as Decider
 from falsework.learn.answer import Replan as Replan
@@ -114,7 +114,7 @@ class Replanner:
             waiting: dict[int, Iterator[None]] = {}
             for number, job in enumerate(jobs):
                 if self._open(number, job, answers, give):
-                    waiting[number] = search_on(job, self._support, alone=len(jobs) == 1)
+                    waiting[number] = search_on(job, self._support)
             while waiting:
                 for number in sorted(waiting, key=lambda n: jobs[n].clock.left):
                     if next(waiting[number], _END) is _END:
@@ -143,8 +143,8 @@ class Replanner:
         self.oracle.check(state)
         self._kit.prover.practise()
         if self._kit.guide is not None:
-            legal = action_mask(state, self.assembly.boundary, 1)
-            self._kit.guide.log_probabilities(state, legal, empty_state(self.assembly.boundary)[None])
+            for _ in range(2):  # what the first call takes says nothing about the next
+                self._kit.guide.practise(state[0], self._kit.settings.samples)
 
 
 def replan(
