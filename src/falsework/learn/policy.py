@@ -105,6 +105,10 @@ def _network(assembly: Assembly, settings: PolicySettings) -> Policy:
         from falsework.learn.mlp import MlpPolicy
 
         return MlpPolicy(assembly, settings)
+    if settings.kind == "residual":
+        from falsework.learn.residual import ResidualPolicy
+
+        return ResidualPolicy(assembly, settings)
     if settings.kind == "parts":
         from falsework.learn.parts_network import PartsPolicy
 

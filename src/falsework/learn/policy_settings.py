@@ -7,9 +7,10 @@ from typing import Any, Literal, get_args
 
 from falsework.errors import InputError
 
-Kind = Literal["parts", "graph", "mlp"]
+Kind = Literal["residual", "parts", "graph", "mlp"]
 
 _DEFAULTS: dict[str, dict[str, int]] = {
+    "residual": {"layers": 4, "channels": 512, "heads": 1, "expansion": 2},
     "parts": {"layers": 4, "channels": 128, "heads": 8, "expansion": 2},
     "graph": {"layers": 8, "channels": 16, "heads": 2, "expansion": 1},
     "mlp": {"layers": 3, "channels": 64, "heads": 1, "expansion": 1},
@@ -22,17 +23,18 @@ class PolicySettings:
     """A kind of network and its sizes; a size of 0 is the default of the kind."""
 
     kind: Kind = "parts"
-    """`parts`: attention between parts; `graph`: the paper's force-torque graph; `mlp`: the paper's baseline."""
+    """`residual`: layers over the plain state, quick; `parts`: attention between parts; `graph`: the paper's force-torque
+    graph; `mlp`: the paper's baseline."""
     two_states: bool = False
     """Whether the policy is told a target state; without, it takes apart all there is."""
     layers: int = 0
-    """0: parts 4, graph 8, mlp 3."""
+    """0: residual and parts 4, graph 8, mlp 3."""
     channels: int = 0
-    """0: parts 128, graph 16, mlp 64."""
+    """0: residual 512, parts 128, graph 16, mlp 64."""
     heads: int = 0
     """Heads of attention, which share the channels; 0: parts 8, graph 2."""
     expansion: int = 0
-    """Hidden channels of a feed-forward layer by channels, for `parts`; 0: 2."""
+    """Hidden channels of a feed-forward layer by channels, for `residual` and `parts`; 0: 2."""
     identity: bool = False
     """Learn a vector for every part of this structure, for `parts`: no transfer to other structures."""
 
@@ -44,7 +46,7 @@ class PolicySettings:
             if not isinstance(value, int) or value < 0:
                 raise InputError(f"policy {name} is {value!r}; give a positive number, or 0 for the default")
         sizes = self.resolved()
-        if self.kind != "mlp" and sizes.channels % sizes.heads:
+        if self.kind in ("parts", "graph") and sizes.channels % sizes.heads:
             raise InputError(
                 f"policy channels {sizes.channels} do not divide among {sizes.heads} heads; choose a multiple"
             )
@@ -64,7 +66,7 @@ class PolicySettings:
     @property
     def transfers(self) -> bool:
         """Whether the weights fit any structure."""
-        return self.kind != "mlp" and not self.identity
+        return self.kind in ("parts", "graph") and not self.identity
 
     @staticmethod
     def from_dict(values: dict[str, Any]) -> PolicySettings:

@@ -1,0 +1,241 @@
+"""Refinement: policy gradients from many short rollouts, begun where imitation has taken the policy.
+
+Imitation of wide searches makes a policy that finds its way from most states in some of many draws. Rollouts from
+those states then tell good actions from bad ones, and their successes become known to be solvable and are imitated in
+turn. This is PPO (Schulman et al. 2017) with advantages over an estimate of success (Schulman et al. 2016). It differs
+from the paper's use of it (section 5.2) in where rollouts start, in batches of thousands of them, and in having no
+discount.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+from falsework.learn.distributed import average_gradients, summed
+from falsework.learn.environment import Environment
+from falsework.learn.imitation import Network, imitation_loss
+from falsework.learn.moves import Moves, play_and_judge
+from falsework.learn.policy import Policy, masked_log_probabilities
+from falsework.learn.refine_settings import RefineSettings
+from falsework.learn.solved import SolvedStates
+from falsework.search.shards import Shards
+
+
+class Refinement:
+    """Learns in blocks, as `falsework.learn.learners.Learner`."""
+
+    def __init__(
+        self,
+        environment: Environment,
+        policy: Policy,
+        solved: SolvedStates,
+        starts: torch.Tensor,
+        settings: RefineSettings,
+        *,
+        targets: torch.Tensor | None = None,
+        begin: float = 0.0,
+        seed: int = 0,
+        precision: str = "float32",
+        compiled: bool = False,
+        shards: Shards = Shards(),
+    ) -> None:
+        """Begin with the weights that the policy has.
+
+        Args:
+            environment: rules and verdicts.
+            policy: what is trained, in place.
+            solved: states known to be solvable; grows, unless there are targets.
+            starts: states to begin at, like those that the policy is for; solvable, shape (count, parts).
+            settings: filled in, see `RefineSettings.resolved`.
+            targets: the target of each start, shape (count, parts), or None.
+            begin: progress of the whole training at which this begins.
+            seed: of starts, rollouts and batches.
+            precision: of the network.
+            compiled: compile the network for its updates.
+            shards: processes that share rollouts and average their gradients.
+        """
+        self.exhausted = False
+        self.steps = 0
+        """Steps of the optimizer taken."""
+        self._environment, self._solved, self._settings, self._shards = environment, solved, settings, shards
+        self._starts, self._targets, self._begin = starts, targets, begin
+        self._policy = policy
+        self._network = Network(policy, precision, compiled=compiled)
+        self._playing = Network(policy, precision)
+        self._weights = [weight for weight in policy.parameters() if weight.requires_grad]
+        self._optimizer: Any = torch.optim.AdamW(
+            self._weights, lr=settings.learning_rate, weight_decay=settings.weight_decay, fused=True
+        )
+        self._average = [weight.detach().clone() for weight in self._weights]
+        self._generator = environment.generator(seed * 1009 + 700 + shards.rank)
+        self._failed = starts[:0]
+        self._failed_targets = None if targets is None else targets[:0]
+        self._numbers: dict[str, float] = {}
+
+    def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
+        """Take some steps of the optimizer, with as many rollouts as they need.
+
+        Args:
+            steps: how many.
+            progress: of the whole training, before and after.
+
+        Returns:
+            Numbers to log.
+        """
+        left = steps
+        share = self._settings.batch // self._shards.size
+        while left:
+            moves = self._collect()
+            # All processes take the same number of steps, since they exchange gradients at each.
+            count = int(-summed([-float(len(moves) // share)], self._shards, self._environment.device)[0])
+            count = max(count // self._shards.size, 1)
+            done = 1.0 - left / steps
+            place = progress[0] + (progress[1] - progress[0]) * done
+            took = min(count, left)
+            self._update(moves, took, share, place)
+            left -= took
+        return {**self._numbers, "solved": float(len(self._solved))}
+
+    def best(self, policy: Policy) -> Policy:
+        """Write the moving average of the weights into another policy of the same kind."""
+        with torch.no_grad():
+            torch._foreach_copy_([weight for weight in policy.parameters() if weight.requires_grad], self._average)
+        return policy.eval()
+
+    def adopt(self, policy: Policy) -> None:
+        """Begin with the weights of another policy of the same kind, such as what imitation arrived at."""
+        self._policy.load_state_dict(policy.state_dict())
+        with torch.no_grad():
+            torch._foreach_copy_(self._average, [weight.detach() for weight in self._weights])
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """All that there is to save and is the same in all processes."""
+        saved = {f"weight.{name}": tensor for name, tensor in self._policy.state_dict().items()}
+        saved |= {f"average.{place}": tensor for place, tensor in enumerate(self._average)}
+        for place, state in self._optimizer.state_dict()["state"].items():
+            saved |= {f"optimizer.{place}.{name}": torch.as_tensor(value) for name, value in state.items()}
+        return {**saved, "steps": torch.tensor([self.steps])}
+
+    def own_tensors(self) -> dict[str, torch.Tensor]:
+        """All that there is to save and belongs to this process."""
+        saved = {"generator": self._generator.get_state(), "failed": self._failed}
+        return saved if self._failed_targets is None else {**saved, "failed_targets": self._failed_targets}
+
+    def load(self, tensors: dict[str, torch.Tensor], own: dict[str, torch.Tensor] | None) -> None:
+        """Go back to what was saved; `own` is None if the number of processes has changed."""
+        named = {name[len("weight.") :]: one for name, one in tensors.items() if name.startswith("weight.")}
+        self._policy.load_state_dict(named)
+        for place, average in enumerate(self._average):
+            average.copy_(tensors[f"average.{place}"])
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for name, one in tensors.items():
+            if name.startswith("optimizer."):
+                _, place, key = name.split(".", 2)
+                state.setdefault(int(place), {})[key] = one.clone()
+        self._optimizer.load_state_dict({**self._optimizer.state_dict(), "state": state})
+        self.steps = int(tensors["steps"][0])
+        if own is None:
+            self._generator.manual_seed(100_003 * (self.steps + 1) + self._shards.rank)
+            return
+        self._generator.set_state(own["generator"].cpu())
+        self._failed = own["failed"].to(self._starts.device)
+        if self._failed_targets is not None:
+            self._failed_targets = own["failed_targets"].to(self._starts.device)
+
+    def _draw(self, count: int, among: int) -> torch.Tensor:
+        return torch.randint(among, (count,), generator=self._generator, device=self._starts.device)
+
+    def _choose_starts(self) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """Starts of one collection: from the data, from recent failures, and from all that is solvable."""
+        settings = self._settings
+        count = max(settings.rollouts // self._shards.size, 1)
+        failures = round(count * settings.from_failures) if len(self._failed) else 0
+        searched = round(count * (settings.from_data + settings.from_failures))
+        anywhere = count - searched if self._targets is None else 0
+        rows = self._draw(count - failures - anywhere, len(self._starts))
+        pieces = [self._starts[rows]]
+        aims = None if self._targets is None else [self._targets[rows]]
+        if failures:
+            rows = self._draw(failures, len(self._failed))
+            pieces.append(self._failed[rows])
+            if aims is not None and self._failed_targets is not None:
+                aims.append(self._failed_targets[rows])
+        if anywhere:
+            pieces.append(self._solved.states[self._draw(anywhere, len(self._solved))])
+        return torch.cat(pieces), None if aims is None else torch.cat(aims)
+
+    def _collect(self) -> Moves:
+        """Play, remember failures and solvable states, and keep the moves that may be learned from."""
+        settings = self._settings
+        starts, targets = self._choose_starts()
+        self._policy.eval()
+        moves = play_and_judge(self._environment, self._playing, starts, targets, settings.trace, self._generator)
+        failed = ~moves.success
+        most = 4 * len(starts)
+        self._failed = torch.cat([starts[failed], self._failed])[:most]
+        if self._failed_targets is not None and targets is not None:
+            self._failed_targets = torch.cat([targets[failed], self._failed_targets])[:most]
+        if targets is None and len(moves):
+            if len(self._solved) < settings.most_solved:
+                self._solved.add(moves.states[moves.success[moves.rollout]])
+            # What is kept for testing is not learned from, not even by trial.
+            moves = moves.take((~self._solved.is_forbidden(moves.states)).nonzero()[:, 0])
+        tried, well, steps = summed(
+            [float(len(starts)), float(moves.success.sum()), float(len(moves))], self._shards, starts.device
+        )
+        self._numbers |= {"rollout_success": well / max(tried, 1.0), "rollout_moves": steps}
+        return moves
+
+    def _update(self, moves: Moves, steps: int, share: int, progress: float) -> None:
+        settings = self._settings
+        self._policy.train()
+        order = torch.randperm(len(moves), generator=self._generator, device=self._starts.device)
+        scale = moves.advantage.std(correction=0) + 1e-6 if len(moves) else torch.ones((), device=order.device)
+        through = min(max((progress - self._begin) / max(1.0 - self._begin, 1e-9), 0.0), 1.0)
+        rate = settings.learning_rate * (1.0 - (1.0 - settings.least_learning_rate) * through)
+        for group in self._optimizer.param_groups:
+            group["lr"] = rate
+        sums = torch.zeros(4, device=order.device)
+        for step in range(steps):
+            loss, numbers = self._loss(moves.take(order[step * share : (step + 1) * share]), scale)
+            self._optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            average_gradients(self._weights, self._shards)
+            norm = torch.nn.utils.clip_grad_norm_(self._weights, settings.clip, foreach=True)
+            self._optimizer.found_inf = (~norm.isfinite()).float()  # a step that is not finite is left out
+            self._optimizer.step()
+            self.steps += 1
+            torch._foreach_lerp_(self._average, [weight.detach() for weight in self._weights], 1.0 - settings.average)
+            sums += numbers
+        self._policy.eval()
+        loss, entropy, error, drift = (sums / steps).tolist()
+        self._numbers |= {"loss": loss, "entropy": entropy, "value_error": error, "drift": drift, "rate": rate}
+
+    def _loss(self, moves: Moves, scale: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        settings = self._settings
+        states, targets = moves.states, moves.targets
+        imitate = settings.imitation > 0 and targets is None and len(self._solved) > 0
+        if imitate:
+            count = max(round(settings.batch * settings.imitation_share / self._shards.size), 1)
+            known = self._solved.states[self._draw(count, len(self._solved))]
+            states = torch.cat([states, known])
+        logits, value = self._network(states, targets)
+        size = len(moves)
+        logs = masked_log_probabilities(logits[:size], moves.mask)
+        ratio = torch.exp(logs.gather(1, moves.actions[:, None])[:, 0] - moves.log_probability)
+        gain = moves.advantage / scale
+        low, high = 1.0 - settings.clip_ratio, 1.0 + settings.clip_ratio
+        count = max(size, 1)
+        surrogate = -torch.minimum(ratio * gain, ratio.clamp(low, high) * gain).sum() / count
+        entropy = -(logs.exp() * torch.where(moves.mask, logs, 0.0)).sum() / count
+        chance = (0.5 + 0.5 * value[:size]).clamp(1e-4, 1.0 - 1e-4)
+        error = torch.nn.functional.binary_cross_entropy(chance, moves.chance, reduction="sum") / count
+        loss = surrogate - settings.entropy * entropy + settings.value * error
+        if imitate:
+            mask = self._environment.rules.mask(known)
+            valid = self._solved.valid_actions(known, mask)
+            loss = loss + settings.imitation * imitation_loss(logits[size:], mask, valid)
+        drift = (moves.log_probability.sum() - logs.gather(1, moves.actions[:, None]).sum()) / count
+        return loss, torch.stack([loss, entropy, error, drift]).detach()
