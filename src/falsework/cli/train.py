@@ -1,0 +1,116 @@
+"""`falsework train`: a policy for one structure, which knows what to do next in any state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from tyro.conf import arg
+
+from falsework.cli.command import UNSET, Command, Exit, StructureOptions
+from falsework.cli.planning import refuse_unstable
+from falsework.errors import InputError
+
+if TYPE_CHECKING:
+    from falsework.cli.output import Output
+    from falsework.learn.train import TrainResult
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train(Command):
+    """Train a policy that proposes the next action from any state of a structure.
+
+    States are found by searches, learned from, and then the policy plays itself; where it fails, a search shows how.
+    What is left is a folder, the run, with weights, configuration and logs. Interrupted at any moment, the same command
+    with --resume goes on. Under torchrun several processes share the work.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework train arch:blocks=7 --robots 2 --out run --minutes 0.1",
+        "falsework train arch:blocks=7 --out run --resume --minutes 0.2",
+    )
+
+    structure: StructureOptions
+    out: Annotated[Path, arg(metavar="RUN")] = Path("run")
+    """Folder to write."""
+    robots: int = 2
+    """Parts that can be held at a time."""
+    minutes: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: by structure and device)")] = None
+    """Time for everything, data and earlier pieces included."""
+    steps: Annotated[int | None, arg(metavar="N", help_behavior_hint=UNSET)] = None
+    """Steps in place of a time: the run then depends on the seed alone."""
+    resume: bool = False
+    """Go on with the run in the folder; of the other options only --minutes, --steps, --device and --log count."""
+    method: Literal["search", "imitation", "ppo", "imitation+ppo", "ppo-complete"] = "search"
+    """Way to learn; `ppo` is that of the paper, `ppo-complete` the same without its curriculum."""
+    policy: Literal["parts", "graph", "mlp"] = "parts"
+    """Network: attention between parts, the paper's force-torque graph, or the paper's baseline."""
+    two_states: bool = False
+    """Tell the policy a target state."""
+    removable_only_if_clear: bool = False
+    """Remove a part only if it has a straight way out."""
+    data: Literal["wide", "width64"] = "wide"
+    """Learn from wide searches, or from the paper's training set alone."""
+    seed: int = 0
+    """Of weights, batches and rollouts."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to train; `auto` takes a GPU if there is one."""
+    log: tuple[Literal["tensorboard", "wandb"], ...] = ("tensorboard",)
+    """Where numbers go, beside progress.jsonl in the folder."""
+
+    def run(self, output: Output) -> Exit:
+        """Search, learn, save."""
+        from falsework.learn.door import check_torch
+        from falsework.learn.settings import PolicySettings, TrainSettings
+
+        check_torch()
+        from falsework.learn.data import task_for
+        from falsework.learn.train import train
+        from falsework.stability import Stability
+
+        for name, given in (("--minutes", self.minutes), ("--steps", self.steps)):
+            if given is not None and not given > 0:
+                raise InputError(f"{name} {given} leaves no time to learn; give more than 0")
+        settings = TrainSettings(
+            method=self.method,
+            robots=self.robots,
+            policy=PolicySettings(self.policy, two_states=self.two_states),
+            removable_only_if_clear=self.removable_only_if_clear,
+            data=self.data,
+            minutes=self.minutes or 0.0,
+            steps=self.steps or 0,
+            seed=self.seed,
+        )
+        assembly = self.structure.load()
+        task = task_for(assembly, self.robots, self.removable_only_if_clear)
+        if not self.resume and refuse_unstable(assembly, Stability(assembly), task, output):
+            return Exit.NO
+        with output.bar("training") as show:
+            result = train(
+                assembly,
+                settings,
+                folder=self.out,
+                source=self.structure.source(self.out / "run.json"),
+                device=self.device,
+                resume=self.resume,
+                logs=self.log,
+                report=lambda done, text: show(round(1000 * done), 1000, text),
+            )
+        return self._tell(result, output)
+
+    def _tell(self, result: TrainResult, output: Output) -> Exit:
+        if not result.first:
+            return Exit.DONE
+        for note in result.notes:
+            output.note(note)
+        output.record({"run": str(self.out), **result.as_json()})
+        output.say(
+            f"{self.out}: {100 * result.test.share:.1f} % of {result.test.states} test states and "
+            f"{100 * result.train.share:.1f} % of {result.train.states} training states succeed, "
+            f"{result.steps} steps in {result.seconds:.0f} s; {result.solved} states learned from"
+        )
+        if result.interrupted:
+            output.note(f"interrupted; falsework train ... --out {self.out} --resume goes on")
+            return Exit.INTERRUPTED
+        return Exit.DONE

@@ -1,0 +1,75 @@
+"""Several processes at one training run: what is averaged, what is summed, and who decides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import torch
+
+from falsework.search.shards import Shards
+
+
+def average_gradients(parameters: Iterable[torch.nn.Parameter], shards: Shards) -> None:
+    """Replace gradients by their mean over the processes, in one exchange."""
+    if shards.size == 1:
+        return
+    import torch.distributed as dist
+
+    # A parameter that this process did not use takes part with zero, so that all exchange the same.
+    held = list(parameters)
+    pieces = [torch.zeros_like(one) if one.grad is None else one.grad for one in held]
+    flat = torch.cat([piece.reshape(-1) for piece in pieces])
+    dist.all_reduce(flat, group=shards.group)
+    flat /= shards.size
+    for one, mean in zip(held, flat.split([one.numel() for one in held]), strict=True):
+        one.grad = mean.view_as(one)
+
+
+def same_weights(module: torch.nn.Module, shards: Shards) -> None:
+    """Give every process the weights of the first."""
+    if shards.size == 1:
+        return
+    import torch.distributed as dist
+
+    for tensor in module.state_dict().values():
+        dist.broadcast(tensor, src=0, group=shards.group)
+
+
+def decided(value: float, shards: Shards, device: torch.device) -> float:
+    """A number that only the first process may choose, such as its clock, in all of them."""
+    if shards.size == 1:
+        return value
+    import torch.distributed as dist
+
+    box = torch.tensor([value], dtype=torch.float64, device=device)
+    dist.broadcast(box, src=0, group=shards.group)
+    return float(box[0])
+
+
+def summed(values: list[float], shards: Shards, device: torch.device) -> list[float]:
+    """Sums over the processes, such as of successes and of states tried."""
+    if shards.size == 1:
+        return values
+    import torch.distributed as dist
+
+    box = torch.tensor(values, dtype=torch.float64, device=device)
+    dist.all_reduce(box, group=shards.group)
+    return box.tolist()
+
+
+def gather_rows(rows: torch.Tensor, shards: Shards) -> torch.Tensor:
+    """The rows of all processes, which may be different numbers of them, those of the first process first.
+
+    Args:
+        rows: shape (count, ...); count differs from process to process.
+
+    Returns:
+        Shape (sum of counts, ...).
+    """
+    if shards.size == 1:
+        return rows
+    counts = shards.gather(torch.tensor([len(rows)], device=rows.device)).tolist()
+    padded = rows.new_zeros((max(counts), *rows.shape[1:]))
+    padded[: len(rows)] = rows
+    whole = shards.gather(padded).view(shards.size, max(counts), *rows.shape[1:])
+    return torch.cat([whole[rank, :count] for rank, count in enumerate(counts)])

@@ -1,0 +1,85 @@
+"""How good a policy is: the share of states from which its most probable actions lead to the end, all of it proven."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from falsework.assembly.state import States
+from falsework.learn.distributed import summed
+from falsework.learn.environment import Environment
+from falsework.learn.rollout import Policy
+from falsework.search.shards import Shards
+
+Report = Callable[[int, int, str], None]
+"""Told what is done, what there is to do, and words."""
+
+
+@dataclass(frozen=True)
+class Success:
+    """Greedy success on a set of states."""
+
+    states: int
+    """Number of states tried."""
+    succeeded: int
+    """Number from which the end was reached, every state on the way proven stable."""
+
+    @property
+    def share(self) -> float:
+        """Between 0 and 1; 1 without states, since none failed."""
+        return self.succeeded / self.states if self.states else 1.0
+
+    def as_json(self) -> dict[str, Any]:
+        """States and success."""
+        return {"states": self.states, "success": round(self.share, 6)}
+
+
+def sample(states: States, count: int, seed: int = 0) -> States:
+    """At most `count` states, always the same ones, in the order in which they are given. Shape (count, parts)."""
+    if count <= 0 or len(states) <= count:
+        return states
+    return states[np.sort(np.random.default_rng(seed).permutation(len(states))[:count])]
+
+
+def greedy_success(
+    environment: Environment,
+    policy: Policy,
+    states: torch.Tensor,
+    targets: torch.Tensor | None = None,
+    *,
+    shards: Shards = Shards(),
+) -> tuple[Success, torch.Tensor]:
+    """Follow the most probable action from every state.
+
+    Args:
+        environment: rules and verdicts.
+        policy: what is evaluated.
+        states: stable, shape (count, parts).
+        targets: shape (count, parts), or None.
+        shards: processes that share the states.
+
+    Returns:
+        Numbers over all processes, and which states succeeded, in every process, bool, shape (count,).
+    """
+    mine, _ = shards.block(len(states))
+    aims = None if targets is None else targets[mine]
+    ended = environment.rollout(policy, states[mine], aims, greedy=True, keep="ends").success
+    success = shards.gather_blocks(ended.to(torch.uint8), len(states)).bool()
+    return Success(len(states), int(success.sum())), success
+
+
+def throughput(environment: Environment, seconds: float, shards: Shards = Shards()) -> dict[str, Any]:
+    """Steps of the environment a second over all processes, and what share of the time went into what."""
+    counters = environment.counters.as_dict()
+    steps, asked = summed([float(counters["steps"]), float(counters["removals_asked"])], shards, environment.device)
+    shares = {name: round(float(value), 4) for name, value in counters.items() if name.startswith("share_")}
+    return {
+        "steps": int(steps),
+        "steps_per_second": round(steps / max(seconds, 1e-9), 1),
+        "asked": int(asked),
+        **shares,
+    }

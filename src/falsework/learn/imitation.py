@@ -1,0 +1,290 @@
+"""Imitation: raise the probability of all actions that are known to keep a structure solvable, whichever it takes."""
+
+from __future__ import annotations
+
+import math
+from contextlib import nullcontext
+from typing import Any
+
+import torch
+
+from falsework.errors import InputError
+from falsework.learn.distributed import average_gradients
+from falsework.learn.policy import Policy, masked_log_probabilities
+from falsework.learn.rules import Rules
+from falsework.learn.settings import ImitationSettings
+from falsework.learn.solved import SolvedStates
+from falsework.learn.watch import Memory
+from falsework.search.shards import Shards
+
+_LOW = -1e30
+"""Stands for minus infinity where one would make NaN of a gradient."""
+
+
+class Network(torch.nn.Module):
+    """A policy in the precision chosen for its device: the only place where precision is lowered.
+
+    The setting is passed to the calls of the network alone. Nothing global is changed, since the solver's iterations do
+    not come to an end in less than float32.
+    """
+
+    def __init__(self, policy: Policy, precision: str = "float32", *, compiled: bool = False) -> None:
+        """Wrap a policy, whose weights stay its own.
+
+        Args:
+            policy: the network.
+            precision: `float32` or `bfloat16`.
+            compiled: compile it for the batches of training, which all have one size.
+        """
+        super().__init__()
+        self.policy = policy
+        self.settings = policy.settings
+        self._half = precision == "bfloat16"
+        call: Any = torch.compile(policy) if compiled else policy
+        # Hidden from torch in a tuple: the compiled module is no second set of weights.
+        self._call = (call,)
+
+    def forward(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
+        """As `Policy`; both results in float32."""
+        with torch.autocast(states.device.type, torch.bfloat16) if self._half else nullcontext():
+            logits, value = self._call[0](states, targets)
+        return logits.float(), value.float()
+
+
+def imitation_loss(logits: torch.Tensor, mask: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
+    """Mean of `-log(sum of the probabilities of the valid actions)` over the rows that have a valid action.
+
+    Args:
+        logits: shape (batch, actions).
+        mask: legal actions, bool, shape (batch, actions).
+        valid: some of the legal actions, shape (batch, actions).
+    """
+    log_probability = masked_log_probabilities(logits, mask)
+    known = valid.any(dim=1)
+    # Rows without a valid action count for nothing; let them look at all actions, so that they make no NaN either.
+    looked = torch.where(known[:, None], valid, torch.ones_like(valid))
+    inside = torch.logsumexp(torch.where(looked & mask, log_probability, _LOW), dim=1)
+    return -(inside * known).sum() / known.sum().clamp(min=1)
+
+
+def unlearning_loss(logits: torch.Tensor, mask: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+    """Mean of `-log(1 - probability)` of actions that bring something down, where there is another choice.
+
+    Args:
+        logits: shape (batch, actions).
+        mask: legal actions, bool, shape (batch, actions).
+        actions: shape (batch,).
+    """
+    log_probability = masked_log_probabilities(logits, mask)
+    others = mask.scatter(1, actions[:, None], False)
+    choice = others.any(dim=1)
+    looked = torch.where(choice[:, None], others, mask)
+    rest = torch.logsumexp(torch.where(looked, log_probability, _LOW), dim=1)
+    return -(rest * choice).sum() / choice.sum().clamp(min=1)
+
+
+class Imitation:
+    """Takes steps of AdamW on batches drawn on the device; nothing waits for the device between two reports."""
+
+    def __init__(
+        self,
+        policy: Policy,
+        rules: Rules,
+        settings: ImitationSettings,
+        *,
+        seed: int = 0,
+        precision: str = "float32",
+        compiled: bool = False,
+        shards: Shards = Shards(),
+    ) -> None:
+        """Begin with the weights that the policy has.
+
+        Args:
+            policy: what is trained, in place.
+            rules: legal actions.
+            settings: filled in, see `TrainSettings.resolved`.
+            seed: of the batches.
+            precision: of the network.
+            compiled: compile the network.
+            shards: processes that share every batch and average their gradients.
+        """
+        if settings.batch < shards.size:
+            raise InputError(f"a batch of {settings.batch} cannot be shared by {shards.size} processes; make it larger")
+        self.policy = policy
+        self.settings = settings
+        self.shards = shards
+        self.steps = 0
+        """Steps taken."""
+        self._rules = rules
+        self._device = rules.device
+        self._network = Network(policy, precision, compiled=compiled)
+        self._weights = [weight for weight in policy.parameters() if weight.requires_grad]
+        # Steps of the size of the weight are for matrices; norms and biases are not pulled to zero.
+        matrices = [weight for weight in self._weights if weight.dim() > 1]
+        others = [weight for weight in self._weights if weight.dim() <= 1]
+        groups = [{"params": matrices, "weight_decay": settings.weight_decay}, {"params": others, "weight_decay": 0.0}]
+        self._optimizer: Any = torch.optim.AdamW(groups, lr=settings.learning_rate, fused=True, betas=(0.9, 0.98))
+        self._generator = torch.Generator(self._device).manual_seed(seed * 1009 + shards.rank)
+        self._average = [weight.detach().clone() for weight in self._weights]
+        self._sums = torch.zeros(4, device=self._device)
+
+    def run(
+        self,
+        solved: SolvedStates,
+        steps: int,
+        progress: tuple[float, float],
+        *,
+        mistakes: Memory | None = None,
+        outcomes: Memory | None = None,
+        targets: TargetSamples | None = None,
+    ) -> None:
+        """Take some steps.
+
+        Args:
+            solved: states to draw from.
+            steps: how many.
+            progress: how much of the whole training is done before and after these steps, between 0 and 1.
+            mistakes: actions to unlearn, as of `WatchedEnvironment`.
+            outcomes: values to learn, likewise.
+            targets: samples with targets; drawn from in place of `solved`.
+        """
+        self.policy.train()
+        share = self.settings.batch // self.shards.size
+        for step in range(steps):
+            place = progress[0] + (progress[1] - progress[0]) * step / steps
+            loss = self._loss(solved, share, mistakes, outcomes, targets)
+            self._optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            average_gradients(self._weights, self.shards)
+            norm = torch.nn.utils.clip_grad_norm_(self._weights, self.settings.clip, foreach=True)
+            rate = self.settings.learning_rate * self.schedule(self.steps, place)
+            for group in self._optimizer.param_groups:
+                group["lr"] = rate
+            self._optimizer.found_inf = (~norm.isfinite()).float()  # a step that is not finite is left out
+            self._optimizer.step()
+            self.steps += 1
+            # The first averages are over few steps, or they would remember the random weights of the beginning.
+            keep = min(self.settings.average, (1 + self.steps) / (10 + self.steps))
+            torch._foreach_lerp_(self._average, [weight.detach() for weight in self._weights], 1.0 - keep)
+            self._sums += torch.stack([loss.detach(), norm.detach(), torch.ones_like(norm), norm.isfinite().float()])
+        self.policy.eval()
+
+    def schedule(self, step: int, progress: float) -> float:
+        """Learning rate as a share of the largest: a rise by steps, a plateau, half a cosine by progress."""
+        settings = self.settings
+        rise = min((step + 1) / max(settings.warm_up, 1), 1.0)
+        fallen = min(max((progress - 1.0 + settings.decay) / max(settings.decay, 1e-9), 0.0), 1.0)
+        least = settings.least_learning_rate
+        return rise * (least + (1 - least) * 0.5 * (1 + math.cos(math.pi * fallen)))
+
+    def report(self) -> dict[str, float]:
+        """Means since the last report; waits for the device."""
+        loss, norm, count, finite = self._sums.tolist()
+        self._sums.zero_()
+        return {"loss": loss / max(count, 1), "gradient_norm": norm / max(count, 1), "broken": count - finite}
+
+    def averaged(self, policy: Policy) -> Policy:
+        """Write the moving average of the weights into another policy of the same kind."""
+        with torch.no_grad():
+            weights = [weight for weight in policy.parameters() if weight.requires_grad]
+            torch._foreach_copy_(weights, self._average)
+        return policy.eval()
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """All that there is to save, for `load`."""
+        saved = {f"weight.{name}": tensor for name, tensor in self.policy.state_dict().items()}
+        saved |= {f"average.{place}": tensor for place, tensor in enumerate(self._average)}
+        for place, state in self._optimizer.state_dict()["state"].items():
+            saved |= {f"optimizer.{place}.{name}": torch.as_tensor(value) for name, value in state.items()}
+        saved["steps"] = torch.tensor([self.steps])
+        saved["sums"] = self._sums
+        return saved
+
+    def load(self, tensors: dict[str, torch.Tensor]) -> None:
+        """Go back to what `tensors` gave."""
+        weights = {name[len("weight.") :]: one for name, one in tensors.items() if name.startswith("weight.")}
+        self.policy.load_state_dict(weights)
+        for place, average in enumerate(self._average):
+            average.copy_(tensors[f"average.{place}"])
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for name, one in tensors.items():
+            if name.startswith("optimizer."):
+                _, place, key = name.split(".", 2)
+                state.setdefault(int(place), {})[key] = one.clone()
+        self._optimizer.load_state_dict({**self._optimizer.state_dict(), "state": state})
+        self.steps = int(tensors["steps"][0])
+        self._sums.copy_(tensors["sums"])
+
+    def generator_state(self) -> torch.Tensor:
+        """Where the random numbers of this process are."""
+        return self._generator.get_state()
+
+    def set_generator_state(self, state: torch.Tensor) -> None:
+        """Go back to random numbers that `generator_state` gave."""
+        self._generator.set_state(state.cpu())
+
+    def reseed(self, seed: int) -> None:
+        """Draw other random numbers from now on."""
+        self._generator.manual_seed(seed)
+
+    def _loss(
+        self,
+        solved: SolvedStates,
+        count: int,
+        mistakes: Memory | None,
+        outcomes: Memory | None,
+        targets: TargetSamples | None,
+    ) -> torch.Tensor:
+        settings = self.settings
+        if targets is None:
+            rows = torch.randint(len(solved), (count,), generator=self._generator, device=self._device)
+            states, aims = solved.states[rows], None
+            mask = self._rules.mask(states)
+            valid = solved.valid_actions(states, mask)
+        else:
+            states, aims, valid = targets.draw(count, self._generator)
+            mask = self._rules.mask(states, aims)
+        sizes = [count]
+        wrong = value = None
+        if targets is None and mistakes is not None and len(mistakes) and settings.unstable:
+            wrong = mistakes.draw(max(settings.mistakes // self.shards.size, 1), self._generator)
+            states = torch.cat([states, wrong["states"]])
+            sizes.append(len(wrong["states"]))
+        if targets is None and outcomes is not None and len(outcomes) and settings.value:
+            value = outcomes.draw(max(settings.mistakes // self.shards.size, 1), self._generator)
+            states = torch.cat([states, value["states"]])
+            sizes.append(len(value["states"]))
+        logits, estimate = self._network(states, aims)
+        logit_parts, estimate_parts = list(logits.split(sizes)), list(estimate.split(sizes))
+        loss = imitation_loss(logit_parts.pop(0), mask, valid)
+        # All stored states are solvable; only rollouts can say where the policy fails none the less.
+        loss = loss + settings.value * ((estimate_parts.pop(0) - 1.0) ** 2).mean() * (value is None)
+        if wrong is not None:
+            estimate_parts.pop(0)
+            mask = self._rules.mask(wrong["states"])
+            loss = loss + settings.unstable * unlearning_loss(logit_parts.pop(0), mask, wrong["actions"])
+        if value is not None:
+            loss = loss + settings.value * ((estimate_parts.pop(0) - value["value"]) ** 2).mean()
+        return loss
+
+
+class TargetSamples:
+    """States with targets and the actions that are valid on the way, on one device (paper, section 5.3)."""
+
+    def __init__(self, states: torch.Tensor, targets: torch.Tensor, valid: torch.Tensor) -> None:
+        """Keep samples.
+
+        Args:
+            states: `uint8`, shape (count, parts).
+            targets: `uint8`, shape (count, parts).
+            valid: bool, shape (count, 2 parts).
+        """
+        self.states, self.targets, self.valid = states, targets, valid
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    def draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Samples drawn evenly, with repetition."""
+        rows = torch.randint(len(self.states), (count,), generator=generator, device=self.states.device)
+        return self.states[rows], self.targets[rows], self.valid[rows]

@@ -1,0 +1,181 @@
+"""The ways to train a policy, each as something that learns in blocks and can be saved between two of them."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import torch
+
+from falsework.learn.distributed import gather_rows, summed
+from falsework.learn.imitation import Imitation, Network, TargetSamples
+from falsework.learn.policy import Policy
+from falsework.learn.settings import TrainSettings
+from falsework.learn.solved import SolvedStates
+from falsework.learn.watch import WatchedEnvironment
+from falsework.search.shards import Shards
+
+
+class Learner(Protocol):
+    """Makes a policy better, a block at a time."""
+
+    exhausted: bool
+    """Nothing is left to learn."""
+
+    def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
+        """Take some steps of the optimizer; progress of the whole run before and after. Returns numbers to log."""
+        ...
+
+    def best(self, policy: Policy) -> Policy:
+        """Write the weights to be evaluated into another policy of the same kind, and return it."""
+        ...
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """All that there is to save and is the same in all processes."""
+        ...
+
+    def own_tensors(self) -> dict[str, torch.Tensor]:
+        """All that there is to save and belongs to this process."""
+        ...
+
+    def load(self, tensors: dict[str, torch.Tensor], own: dict[str, torch.Tensor] | None) -> None:
+        """Go back to what was saved; `own` is None if the number of processes has changed."""
+        ...
+
+
+class SearchLearner:
+    """Imitation of states known to be solvable and, if asked for, rounds in which rollouts find more of them."""
+
+    def __init__(
+        self,
+        environment: WatchedEnvironment,
+        policy: Policy,
+        solved: SolvedStates,
+        settings: TrainSettings,
+        *,
+        rounds: bool,
+        compiled: bool = False,
+        shards: Shards = Shards(),
+        targets: TargetSamples | None = None,
+    ) -> None:
+        """Begin.
+
+        Args:
+            environment: rules and verdicts.
+            policy: what is trained, in place.
+            solved: what is known; grows with the rounds.
+            settings: filled in.
+            rounds: let the policy play and search where it fails.
+            compiled: compile the network.
+            shards: processes.
+            targets: samples with targets, in place of `solved`.
+        """
+        self.exhausted = False
+        self._environment, self._solved, self._settings = environment, solved, settings
+        self._rounds, self._shards, self._targets = rounds, shards, targets
+        self._imitation = Imitation(
+            policy,
+            environment.rules,
+            settings.imitation,
+            seed=settings.seed,
+            precision=settings.precision,
+            compiled=compiled,
+            shards=shards,
+        )
+        self._network = Network(policy, settings.precision)
+        self._generator = environment.generator(settings.seed * 1009 + 500 + shards.rank)
+        self._blocks = 0
+        self._perfect = 0
+        self._numbers: dict[str, float] = {}
+
+    def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
+        """As `Learner`."""
+        rounds = self._settings.improve
+        if self._rounds and rounds.first <= progress[0] < rounds.last and self._blocks % rounds.every == 0:
+            self._numbers = self._round()
+        self._blocks += 1
+        self._imitation.run(
+            self._solved,
+            steps,
+            progress,
+            mistakes=self._environment.mistakes,
+            outcomes=self._environment.outcomes,
+            targets=self._targets,
+        )
+        return {**self._imitation.report(), "solved": float(len(self._solved)), **self._numbers}
+
+    def best(self, policy: Policy) -> Policy:
+        """As `Learner`."""
+        return self._imitation.averaged(policy)
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """As `Learner`."""
+        counts = torch.tensor([self._blocks, self._perfect, int(self.exhausted)])
+        saved = {f"imitation.{name}": tensor for name, tensor in self._imitation.tensors().items()}
+        return {**saved, "counts": counts}
+
+    def own_tensors(self) -> dict[str, torch.Tensor]:
+        """As `Learner`."""
+        saved = {"batches": self._imitation.generator_state(), "rollouts": self._generator.get_state()}
+        for name, memory in (("mistakes", self._environment.mistakes), ("outcomes", self._environment.outcomes)):
+            saved |= {f"{name}.{column}": tensor for column, tensor in memory.tensors().items()}
+        return saved
+
+    def load(self, tensors: dict[str, torch.Tensor], own: dict[str, torch.Tensor] | None) -> None:
+        """As `Learner`."""
+        self._blocks, self._perfect, exhausted = tensors["counts"].tolist()
+        self.exhausted = bool(exhausted)
+        prefix = "imitation."
+        self._imitation.load({n[len(prefix) :]: t for n, t in tensors.items() if n.startswith(prefix)})
+        if own is None:  # other processes than before: they draw other numbers, and have made no mistakes yet
+            seed = (self._settings.seed * 1009 + self._shards.rank) * 100_003 + self._imitation.steps
+            self._imitation.reseed(seed)
+            self._generator.manual_seed(seed + 1)
+            return
+        self._imitation.set_generator_state(own["batches"])
+        self._generator.set_state(own["rollouts"].cpu())
+        for name, memory in (("mistakes", self._environment.mistakes), ("outcomes", self._environment.outcomes)):
+            memory.load({n[len(name) + 1 :]: t for n, t in own.items() if n.startswith(name + ".")})
+
+    def _round(self) -> dict[str, float]:
+        """Play from states that are known to be solvable, search where that fails, and learn what was found."""
+        from falsework.learn.improve import improve
+
+        settings, solved, device = self._settings, self._solved, self._environment.device
+        count = max(settings.improve.starts // self._shards.size, 1)
+        rows = torch.randint(len(solved), (count,), generator=self._generator, device=device)
+        known = len(solved)
+        found = improve(self._environment, self._network, solved, solved.states[rows], generator=self._generator)
+        if self._shards.size > 1:
+            solved.add(gather_rows(solved.states[known:], self._shards))
+            solved.sort()
+        tried, succeeded = summed([float(count), float(found.succeeded)], self._shards, device)
+        self._perfect = self._perfect + 1 if tried == succeeded else 0
+        self.exhausted = 0 < settings.patience <= self._perfect
+        return {"round_success": succeeded / tried, "round_new": float(len(solved) - known)}
+
+
+def merged(own: dict[str, torch.Tensor], shards: Shards, device: torch.device) -> dict[str, torch.Tensor]:
+    """What belongs to single processes, from all of them, with names that say whose it is."""
+    if shards.size == 1:
+        return {f"process.0.{name}": tensor for name, tensor in own.items()}
+    whole: dict[str, torch.Tensor] = {}
+    for name in sorted(own):
+        rows = own[name].to(device)
+        counts = gather_rows(torch.tensor([len(rows)], device=device), shards).tolist()
+        pieces = gather_rows(rows, shards).split(counts)
+        whole |= {f"process.{rank}.{name}": piece for rank, piece in enumerate(pieces)}
+    return whole
+
+
+def own_of(tensors: dict[str, torch.Tensor], shards: Shards) -> dict[str, torch.Tensor] | None:
+    """What `merged` kept for this process; None if there were more or fewer of them."""
+    ranks = {int(name.split(".")[1]) for name in tensors if name.startswith("process.")}
+    if len(ranks) != shards.size:
+        return None
+    prefix = f"process.{shards.rank}."
+    return {name[len(prefix) :]: tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+
+
+def names(values: dict[str, Any], prefix: str) -> dict[str, Any]:
+    """The values under names that begin with a prefix, with the prefix taken off."""
+    return {name[len(prefix) :]: value for name, value in values.items() if name.startswith(prefix)}

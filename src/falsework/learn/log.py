@@ -1,0 +1,166 @@
+"""What training says while it goes on: lines of JSON, TensorBoard, and other places if asked."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from falsework.errors import DependencyError, InputError
+
+PROGRESS = "progress.jsonl"
+TENSORBOARD = "tensorboard"
+
+
+class Writer(Protocol):
+    """Takes numbers by name, again and again."""
+
+    def write(self, step: int, values: Mapping[str, float]) -> None:
+        """Note numbers that belong to a step."""
+        ...
+
+    def close(self) -> None:
+        """Nothing more comes."""
+        ...
+
+
+class Progress:
+    """`progress.jsonl`: one JSON object a line, each flushed at once."""
+
+    def __init__(self, folder: Path, resumed_at: int | None = None) -> None:
+        """Begin a new file, or go on after the step at which the checkpoint was taken.
+
+        Args:
+            folder: of the run.
+            resumed_at: lines of later steps are dropped, since these steps are taken again.
+        """
+        self.path = folder / PROGRESS
+        kept = [] if resumed_at is None else [line for line in read_progress(folder) if line["step"] <= resumed_at]
+        text = "".join(json.dumps(line) + "\n" for line in kept)
+        self.path.write_text(text, encoding="utf-8")
+
+    def write(self, step: int, values: Mapping[str, Any]) -> None:
+        """As `Writer`."""
+        try:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"step": step, **values}, allow_nan=False, default=str) + "\n")
+        except OSError as error:  # a line of the curve is not worth a training run
+            warnings.warn(f"cannot write {self.path}: {error.strerror}; training goes on", stacklevel=2)
+
+    def close(self) -> None:
+        """As `Writer`."""
+
+
+class TensorBoard:
+    """Scalars for TensorBoard."""
+
+    def __init__(self, folder: Path, resumed_at: int | None = None) -> None:
+        """Write below the folder of a run.
+
+        Raises:
+            DependencyError: tensorboard is not installed.
+        """
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            raise DependencyError("logs for TensorBoard need tensorboard; pip install 'falsework[learn]'") from None
+        purge = None if resumed_at is None else resumed_at + 1
+        self._writer = SummaryWriter(str(folder / TENSORBOARD), purge_step=purge, flush_secs=10)
+
+    def write(self, step: int, values: Mapping[str, Any]) -> None:
+        """As `Writer`."""
+        for name, value in values.items():
+            if isinstance(value, (int, float)) and not isinstance(value, bool):
+                self._writer.add_scalar(name, value, step)
+
+    def close(self) -> None:
+        """As `Writer`."""
+        self._writer.close()
+
+
+class WeightsAndBiases:
+    """The same numbers for Weights & Biases."""
+
+    def __init__(self, folder: Path, configuration: Mapping[str, Any]) -> None:
+        """Begin or go on with a run named like the folder.
+
+        Raises:
+            DependencyError: wandb is not installed.
+        """
+        try:
+            import wandb  # pyright: ignore[reportMissingImports]
+        except ImportError:
+            raise DependencyError("--log wandb needs wandb; pip install 'falsework[wandb]', or leave it out") from None
+        name = folder.resolve().name
+        self._run = wandb.init(project="falsework", id=name, name=name, resume="allow", config=dict(configuration))
+
+    def write(self, step: int, values: Mapping[str, Any]) -> None:
+        """As `Writer`."""
+        self._run.log(dict(values), step=step)
+
+    def close(self) -> None:
+        """As `Writer`."""
+        self._run.finish()
+
+
+class Journal:
+    """All writers of a run; TensorBoard is left out with a remark where it is not installed."""
+
+    def __init__(
+        self,
+        folder: Path,
+        logs: Sequence[str] = ("tensorboard",),
+        *,
+        configuration: Mapping[str, Any] | None = None,
+        resumed_at: int | None = None,
+    ) -> None:
+        """Open the writers.
+
+        Args:
+            folder: of the run.
+            logs: `tensorboard`, `wandb` or both, beside `progress.jsonl`, which is always written.
+            configuration: settings of the run, for those that show them.
+            resumed_at: step of the checkpoint that training goes on from.
+
+        Raises:
+            DependencyError: wandb was asked for and is not installed.
+            InputError: an unknown kind of log.
+        """
+        self.notes: list[str] = []
+        self._writers: list[Writer] = [Progress(folder, resumed_at)]
+        for name in logs:
+            if name == "tensorboard":
+                try:
+                    self._writers.append(TensorBoard(folder, resumed_at))
+                except DependencyError as error:
+                    self.notes.append(f"{error}; going on without")
+            elif name == "wandb":
+                self._writers.append(WeightsAndBiases(folder, configuration or {}))
+            else:
+                raise InputError(f"unknown log {name!r}; choose tensorboard or wandb")
+
+    def write(self, step: int, values: Mapping[str, Any]) -> None:
+        """Note numbers that belong to a step."""
+        for writer in self._writers:
+            writer.write(step, values)
+
+    def close(self) -> None:
+        """Nothing more comes."""
+        for writer in self._writers:
+            writer.close()
+
+
+def read_progress(folder: Path) -> list[dict[str, Any]]:
+    """Lines of `progress.jsonl`; one that an interruption cut off is left out, and so is a file that is not there."""
+    path = folder / PROGRESS
+    if not path.is_file():
+        return []
+    lines = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            lines.append(json.loads(line))
+        except ValueError:
+            continue
+    return lines

@@ -1,0 +1,216 @@
+"""Every choice that training leaves open, in one tree of frozen dataclasses; read without torch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from types import UnionType
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+from falsework.errors import InputError
+from falsework.learn.policy_settings import PolicySettings
+
+Method = Literal["search", "imitation", "ppo", "imitation+ppo", "ppo-complete"]
+Data = Literal["wide", "width64"]
+
+METHODS: tuple[str, ...] = get_args(Method)
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class ImitationSettings:
+    """How a policy is made to take actions that are known to be valid."""
+
+    batch: int = 0
+    """States a step, over all processes; 0: 1,024 on a GPU, 128 on a processor."""
+    learning_rate: float = 0.0
+    """Largest step of AdamW; 0: 1e-3 on a GPU, 2e-3 on a processor."""
+    least_learning_rate: float = 0.01
+    """What the learning rate falls to, as a share of the largest."""
+    weight_decay: float = 0.01
+    """Of AdamW."""
+    warm_up: int = 100
+    """Steps in which the learning rate rises."""
+    decay: float = 0.5
+    """Share of the training at the end of which the learning rate falls along half a cosine."""
+    clip: float = 1.0
+    """Largest norm of the gradient."""
+    average: float = 0.998
+    """Decay of the moving average of the weights that is evaluated and saved."""
+    value: float = 0.1
+    """Weight of the error of the value head."""
+    unstable: float = 0.1
+    """Weight of the probability given to actions after which something fell in a rollout."""
+    mistakes: int = 0
+    """States a step at which such actions are unlearned; 0: a quarter of the batch."""
+    memory: int = 200_000
+    """Mistakes and outcomes of rollouts that are remembered."""
+
+
+@dataclass(frozen=True)
+class ImproveRounds:
+    """When and from where rollouts of the policy itself look for what is still to be learned."""
+
+    first: float = 0.15
+    """Share of the training that is imitation alone, before the first round."""
+    every: int = 5
+    """Blocks of imitation from one round to the next."""
+    starts: int = 0
+    """Start states a round, over all processes; 0: 4,096 on a GPU, 256 on a processor."""
+    last: float = 0.95
+    """Share of the training after which there are no more rounds, so that the last finds are still learned."""
+
+
+@dataclass(frozen=True)
+class PpoPhase:
+    """Reinforcement learning with the curriculum of the paper (section 5.2)."""
+
+    rollouts: int = 0
+    """Rollouts an update, over all processes; 0: 1,024 on a GPU, 64 on a processor."""
+    learning_rate: float = 0.0
+    """Step of Adam; 0: the default of the method."""
+    imitation_share: float = 0.4
+    """Share of the time for imitation, where it goes before."""
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """A whole training run."""
+
+    method: Method = "search"
+    """`search`: imitation of wide searches, then rounds of rollouts whose failures are searched; `imitation`: of the
+    data alone; `ppo`: reinforcement learning with a curriculum; `imitation+ppo`: one, then the other; `ppo-complete`:
+    reinforcement learning that always starts from the complete structure, as a baseline."""
+    robots: int = 2
+    """Parts held at a time."""
+    policy: PolicySettings = field(default_factory=PolicySettings)
+    """Network; with `two_states`, it is told a target."""
+    removable_only_if_clear: bool = False
+    """Remove a part only if it has a straight way out."""
+    data: Data = "wide"
+    """`width64`: the paper's training set alone; `wide`: that and the states of wider searches."""
+    widths: tuple[int, ...] = ()
+    """Widths of the wider searches; none given: by the number of parts and the device."""
+    data_seed: int = 0
+    """Of the searches: training runs with different seeds share one test set."""
+    minutes: float = 0.0
+    """Time for everything, data included; 0: by the number of parts and the device."""
+    steps: int = 0
+    """Steps of the optimizer in place of a time: the run then depends on the seed alone; 0: go by `minutes`."""
+    seed: int = 0
+    """Of weights, batches and rollouts."""
+    imitation: ImitationSettings = ImitationSettings()
+    """Supervised learning."""
+    improve: ImproveRounds = ImproveRounds()
+    """Learning from verified search."""
+    ppo: PpoPhase = PpoPhase()
+    """Reinforcement learning."""
+    block: int = 0
+    """Steps between two looks at clock and curve; 0: 200 on a GPU, 50 on a processor."""
+    evaluate_every: int = 5
+    """Blocks from one point of the curve to the next."""
+    evaluation_states: int = 512
+    """Test states of the curve, at most, and as many training states; a fixed sample."""
+    checkpoint_every: float = 30.0
+    """Seconds between two checkpoints, as near as blocks allow."""
+    patience: int = 3
+    """Rounds in a row in which every rollout succeeded, after which there is nothing left to learn; 0: never stop."""
+    threads: int = 0
+    """Threads of torch on a processor; 0: half of its cores, since threads that wait for each other lose more to other
+    work on the machine than they win."""
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """Of the network; `auto` is bfloat16 on a GPU. Verdicts are not affected."""
+    compile: Literal["auto", "on", "off"] = "auto"
+    """Compile the network with torch; `auto` does on a GPU where there are minutes enough to pay for it."""
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InputError(f"unknown method {self.method!r}; choose {', '.join(METHODS)}")
+        if self.data not in get_args(Data):
+            raise InputError(f"unknown data {self.data!r}; choose {' or '.join(get_args(Data))}")
+        if self.minutes < 0 or self.steps < 0:
+            raise InputError("minutes and steps are not negative; leave them out for the defaults")
+        if self.seed < 0 or self.data_seed < 0:
+            raise InputError("seeds are not negative")
+        if self.robots < 1:
+            raise InputError(f"{self.robots} robots cannot hold anything; give at least 1")
+
+    def resolved(self, parts: int, device: str) -> TrainSettings:
+        """The same settings with everything filled in that depends on structure and device.
+
+        Args:
+            parts: number of parts.
+            device: kind of device, `cpu` or `cuda`.
+        """
+        gpu = device == "cuda"
+        imitation = self.imitation
+        batch = imitation.batch or (1024 if gpu else 128)
+        return replace(
+            self,
+            policy=self.policy.resolved(),
+            minutes=self.minutes or default_minutes(parts, device),
+            widths=self.widths or default_widths(parts, device),
+            imitation=replace(
+                imitation,
+                batch=batch,
+                learning_rate=imitation.learning_rate or (1e-3 if gpu else 2e-3),
+                mistakes=imitation.mistakes or max(batch // 4, 1),
+            ),
+            improve=replace(self.improve, starts=self.improve.starts or (4096 if gpu else 256)),
+            ppo=replace(self.ppo, rollouts=self.ppo.rollouts or (1024 if gpu else 64)),
+            block=self.block or (200 if gpu else 50),
+            precision=("bfloat16" if gpu else "float32") if self.precision == "auto" else self.precision,
+        )
+
+
+def default_minutes(parts: int, device: str) -> float:
+    """Minutes that training takes if nothing is said: enough on a GPU for the figures in the documentation."""
+    minutes = 2.0 if parts <= 20 else 5.0 if parts <= 50 else 15.0
+    return minutes if device == "cuda" else 2.0 * minutes
+
+
+def default_widths(parts: int, device: str) -> tuple[int, ...]:
+    """Widths of the searches that make data beyond the paper's."""
+    if device == "cuda":
+        return (4096,)
+    return (1024,) if parts <= 20 else (256,)
+
+
+def as_json(settings: Any) -> dict[str, Any]:
+    """Settings as plain JSON values."""
+    return asdict(settings)
+
+
+def from_json(kind: type[T], values: Mapping[str, Any]) -> T:
+    """Settings from what `as_json` gave.
+
+    Raises:
+        InputError: a name that is no setting, or a value of another type.
+    """
+    if not isinstance(values, Mapping):
+        raise InputError(f"settings of {kind.__name__} are {type(values).__name__}; expected names and values")
+    hints = get_type_hints(kind)
+    known = {one.name for one in fields(kind)}  # type: ignore[arg-type]
+    odd = sorted(set(values) - known)
+    if odd:
+        raise InputError(f"{odd[0]!r} is no setting of {kind.__name__}")
+    return kind(**{name: _read(hints[name], value, f"{kind.__name__}.{name}") for name, value in values.items()})
+
+
+def _read(hint: Any, value: Any, name: str) -> Any:
+    origin = get_origin(hint)
+    if is_dataclass(hint):
+        return from_json(hint, value)  # type: ignore[arg-type]
+    if origin is Literal:
+        good = value in get_args(hint)
+    elif origin is tuple:
+        good = isinstance(value, (list, tuple))
+        value = tuple(value) if good else value
+    elif origin is UnionType:
+        good = isinstance(value, get_args(hint))
+    else:
+        good = isinstance(value, (int, float) if hint is float else hint) and (hint is bool or value is not True)
+    if not good:
+        raise InputError(f"{name} is {value!r}, which it cannot be")
+    return value
