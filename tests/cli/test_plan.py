@@ -122,6 +122,20 @@ def test_clear_ways_out(falsework: Run, tmp_path: Path) -> None:
     assert falsework("check", out).code == 0
 
 
+def test_a_structure_that_locks_itself(falsework: Run, tmp_path: Path) -> None:
+    """Both commands say that no plan exists where parts need a way out; the graph keeps what can be reached."""
+    out = tmp_path / "out"
+    for command, more in (("plan", ()), ("graph", ("--direction", "disassembly"))):
+        done = falsework(command, "shelf", "--removable-only-if-clear", *more, "--out", out)
+        assert done.code == 1
+        assert "no plan exists" in done.error
+    graph = StateGraph.load(out)
+    assert graph.removable_only_if_clear
+    assert graph.reachable.all()
+    assert not graph.solvable.any()
+    assert falsework("plan", "shelf", "--out", out).code == 0
+
+
 def test_alternatives_differ(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     finished = falsework("plan", "arch:blocks=7", "--alternatives", 3, "--out", out, "--json")

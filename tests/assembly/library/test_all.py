@@ -26,6 +26,10 @@ SPECS = [
     "bottle:pieces=20,seed=3",
     "bottle:pieces=4,width=3,height=4",
     "polycube:pieces=6,size=3,seed=5",
+    "house:storeys=1,pitch=5,thickness=0.02",
+    "house:storeys=4,length=2,width=0.3",
+    "shelf:shelves=0",
+    "shelf:shelves=5,width=2,thickness=0.05",
 ]
 
 

@@ -14,7 +14,19 @@ from falsework.errors import AssemblyError, InputError
 
 def test_catalogue_is_complete_and_plain_data() -> None:
     names = [entry.name for entry in structures()]
-    assert names == ["arch", "catenary", "dome", "vault", "wall", "stack", "corbel", "bottle", "polycube"]
+    assert names == [
+        "arch",
+        "catenary",
+        "dome",
+        "vault",
+        "wall",
+        "stack",
+        "corbel",
+        "bottle",
+        "polycube",
+        "house",
+        "shelf",
+    ]
     for entry in structures():
         assert entry.description.endswith(".")
         assert entry.description in (entry.__doc__ or "")

@@ -10,6 +10,7 @@ from falsework.assembly.library.blocks import Blocks
 from falsework.assembly.library.catalogue import Parameter, Structure
 from falsework.assembly.library.corbels import corbel
 from falsework.assembly.library.domes import dome
+from falsework.assembly.library.plates import house, shelf
 from falsework.assembly.library.polycubes import polycube
 from falsework.assembly.library.polyominoes import bottle
 from falsework.assembly.library.specification import build, is_built_in, structures
@@ -27,8 +28,10 @@ __all__ = [
     "catenary",
     "corbel",
     "dome",
+    "house",
     "is_built_in",
     "polycube",
+    "shelf",
     "stack",
     "structures",
     "vault",

@@ -9,6 +9,7 @@ from falsework.assembly.library.arches import arch, catenary
 from falsework.assembly.library.catalogue import Structure
 from falsework.assembly.library.corbels import corbel
 from falsework.assembly.library.domes import dome
+from falsework.assembly.library.plates import house, shelf
 from falsework.assembly.library.polycubes import polycube
 from falsework.assembly.library.polyominoes import bottle
 from falsework.assembly.library.stacks import stack
@@ -17,7 +18,19 @@ from falsework.assembly.library.walls import wall
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 
-_STRUCTURES: tuple[Structure, ...] = (arch, catenary, dome, vault, wall, stack, corbel, bottle, polycube)
+_STRUCTURES: tuple[Structure, ...] = (
+    arch,
+    catenary,
+    dome,
+    vault,
+    wall,
+    stack,
+    corbel,
+    bottle,
+    polycube,
+    house,
+    shelf,
+)
 _MATERIAL = ("density", "friction")
 
 
