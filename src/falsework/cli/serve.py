@@ -1,0 +1,96 @@
+"""`falsework serve`: replanning and verdicts over HTTP."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from tyro.conf import arg
+
+from falsework.cli.command import UNSET, Command, Exit, StructureOptions
+from falsework.errors import DependencyError, InputError
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.cli.output import Output
+    from falsework.service.settings import ServiceSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Serve(Command):
+    """Answer requests for plans and verdicts over HTTP, until it is interrupted.
+
+    STRUCTURE may be the folder of a trained run, whose policy then proposes. The address that is printed has a page
+    that describes all requests. Only this machine can connect unless --host says otherwise; then clients must show
+    the token.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework serve vault --port 8080",
+        "FALSEWORK_TOKEN=$(openssl rand -hex 24) falsework serve my-run --host 0.0.0.0",
+    )
+
+    structure: StructureOptions
+    policy: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
+    """Folder of a run for this structure, as `falsework train` wrote it."""
+    host: str = "127.0.0.1"
+    """Address to listen on; any but this machine's own needs a token."""
+    port: int = 8080
+    """Port to listen on; 0 for any that is free."""
+    token: Annotated[str | None, arg(metavar="TEXT", help_behavior_hint="(default: FALSEWORK_TOKEN)")] = None
+    """What clients must show. Others on this machine can read it here; better put it into the environment."""
+    workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one a core)")] = None
+    """Processes that plan."""
+
+    def run(self, output: Output) -> Exit:
+        """Load, listen, serve."""
+        settings = self._settings()
+        for name in ("fastapi", "uvicorn", "prometheus_client"):
+            _check(name)
+        from falsework.service.server import run_service
+
+        assembly, run = self._load()
+
+        def started(address: str) -> None:
+            output.record({"url": address, "structure": assembly.name, "policy": None if run is None else str(run)})
+            output.say(f"{assembly.name} is served at {address}, described at {address}/docs; Ctrl-C stops")
+
+        run_service(assembly, settings, run=run, started=started)
+        return Exit.DONE
+
+    def _settings(self) -> ServiceSettings:
+        from falsework.service.settings import TOKEN_VARIABLE, ServiceSettings
+
+        token = self.token or os.environ.get(TOKEN_VARIABLE) or None
+        settings = ServiceSettings(host=self.host, port=self.port, token=token)
+        if self.workers is None:
+            return settings
+        return ServiceSettings(host=self.host, port=self.port, token=token, workers=self.workers)
+
+    def _load(self) -> tuple[Assembly, Path | None]:
+        """The structure, and the run if there is one."""
+        folder = Path(self.structure.spec)
+        if not (folder / "run.json").is_file():
+            return self.structure.load(), self.policy
+        if self.policy is not None:
+            raise InputError(f"{folder} is a run already; leave --policy out, or name the structure instead")
+        if self.structure.given():
+            raise InputError(f"{folder} is a run, which says what its structure is; leave {self._first_given()} out")
+        from falsework.learn.door import check_torch
+
+        check_torch()
+        from falsework.learn.checkpoint import load_structure_of, read_run
+
+        return load_structure_of(folder, read_run(folder)), folder
+
+    def _first_given(self) -> str:
+        return f"--{next(iter(self.structure.given()))}"
+
+
+def _check(name: str) -> None:
+    from importlib.util import find_spec
+
+    if find_spec(name) is None:
+        raise DependencyError(f"the service needs {name}; pip install 'falsework[service]'")

@@ -1,0 +1,242 @@
+"""What requests and answers look like: checked on the way in, written down for the OpenAPI page."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic.json_schema import models_json_schema
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import States, as_states, complete_state, empty_state
+from falsework.errors import StateError
+from falsework.search.plan_file import plan_schema
+from falsework.service.settings import ServiceSettings
+from falsework.service.worker import NOT_YET
+
+SHORTEST_DEADLINE = 10
+"""Milliseconds."""
+MOST_ROBOTS, MOST_ALTERNATIVES = 64, 8
+_SHOWN = 160
+"""Characters of a complaint that quote what came in."""
+_REF = "#/components/schemas/{model}"
+
+
+class Strict(BaseModel):
+    """Takes nothing that its description does not say."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+@dataclass(frozen=True)
+class Models:
+    """Requests about one structure."""
+
+    replan: type[BaseModel]
+    stability: type[BaseModel]
+
+
+def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
+    """Requests as they must be for a structure and the bounds of a service.
+
+    Args:
+        assembly: says how long a state is.
+        settings: bounds.
+    """
+    parts = assembly.part_count
+    values = Annotated[
+        list[Literal[0, 1, 2]],
+        Field(min_length=parts, max_length=parts, description="one value a part: 0 removed, 1 installed, 2 held"),
+    ]
+    state = values | Literal["complete", "empty"]
+    numbers = Annotated[list[Annotated[int, Field(ge=0, lt=parts)]], Field(max_length=parts)]
+    longest = round(1000 * settings.longest_deadline)
+    replan: dict[str, Any] = {
+        "state": (state, Field(default="complete", description="where things stand; boundary parts are always 2")),
+        "target": (
+            state | None,
+            Field(default=None, description="where they shall go; by default complete in assembly, else empty"),
+        ),
+        "direction": (
+            Literal["assembly", "disassembly"] | None,
+            Field(
+                default=None,
+                description="assembly adds parts, disassembly takes them away; by default what leads to the target, "
+                "assembly where parts are missing that the state does not have, else disassembly",
+            ),
+        ),
+        "missing": (
+            numbers,
+            Field(default=[], description="parts not delivered yet, done without longest"),
+        ),
+        "fixed": (numbers, Field(default=[], description="parts that nobody must touch")),
+        "robots": (int, Field(default=2, ge=1, le=MOST_ROBOTS, description="parts that can be held at a time")),
+        "alternatives": (int, Field(default=1, ge=1, le=MOST_ALTERNATIVES, description="plans wanted")),
+        "removable_only_if_clear": (
+            bool,
+            Field(default=False, description="move parts along free straight ways only"),
+        ),
+        "seed": (int, Field(default=0, ge=0, lt=2**31)),
+        "deadline": (
+            int,
+            Field(
+                default=round(1000 * settings.deadline),
+                ge=SHORTEST_DEADLINE,
+                le=longest,
+                description="milliseconds until the answer: the best proven one so far",
+            ),
+        ),
+    }
+    stability: dict[str, Any] = {
+        "states": (Annotated[list[state], Field(min_length=1, max_length=settings.states)], ...),
+        "explain": (bool, Field(default=False, description="name the parts that move in unstable states")),
+    }
+    return Models(
+        create_model(
+            "ReplanRequest",
+            __base__=Strict,
+            __doc__="Where things stand, where they shall go, and what has changed.",
+            **replan,
+        ),
+        create_model("StabilityRequest", __base__=Strict, __doc__="States to judge.", **stability),
+    )
+
+
+def read_state(value: Any, assembly: Assembly) -> States:
+    """A state in a request as an array, shape (parts,).
+
+    Raises:
+        StateError: a boundary part that is not 2.
+    """
+    if value == "complete":
+        return complete_state(assembly.boundary)
+    if value == "empty":
+        return empty_state(assembly.boundary)
+    return as_states(value, assembly.boundary)[0]
+
+
+def read_states(values: list[Any], assembly: Assembly) -> States:
+    """States in a request as an array, shape (states, parts).
+
+    Raises:
+        StateError: a boundary part that is not 2.
+    """
+    rows = []
+    for number, value in enumerate(values):
+        try:
+            rows.append(read_state(value, assembly))
+        except StateError as error:
+            raise StateError(f"states {number}: {error}") from None
+    return np.stack(rows)
+
+
+def complaint(error: ValidationError, parts: int) -> str:
+    """The first thing that is wrong with a request, in one line."""
+    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    place = [str(piece) for piece in first["loc"]]
+    if not place:
+        return f"the request is no JSON object as it must be: {first['msg'][:_SHOWN]}; /docs says what it may hold"
+    if place[0] in ("state", "target", "states"):
+        where = f"states {place[1]}" if place[0] == "states" and len(place) > 1 else place[0]
+        return f"{where}: give {parts} values 0 (removed), 1 (installed) or 2 (held), one a part, or complete or empty"
+    if first["type"] == "extra_forbidden":
+        return f"there is no entry {ascii(place[0])[:_SHOWN]} in this request; /docs lists those that there are"
+    return f"{' '.join(place)[:_SHOWN]}: {first['msg'][:_SHOWN]}"
+
+
+def components(models: Models) -> dict[str, Any]:
+    """Schemas of everything that goes in and out, by name, for the OpenAPI description."""
+    _, generated = models_json_schema(
+        [(models.replan, "validation"), (models.stability, "validation")], ref_template=_REF
+    )
+    number, count = {"type": "number", "minimum": 0}, {"type": "integer", "minimum": 0}
+    numbers = {"type": "array", "items": count}
+    verdict = {
+        "verdict": {"enum": ["stable", "unstable", "undecided"]},
+        "proof": {"enum": ["forces", "velocity", "none"]},
+        "residual": {"description": "m/s2 and rad/s2", "anyOf": [{"type": "number"}, {"type": "null"}]},
+        "moving": {**numbers, "description": "parts that move, the fastest first; only where asked for"},
+    }
+    answer = {
+        "outcome": {
+            "enum": ["found", "proved_impossible", "not_found", NOT_YET],
+            "description": f"{NOT_YET}: the deadline passed before there was a plan, or a proof that there is none",
+        },
+        "decided_by": {"type": "string"},
+        "direction": {"enum": ["assembly", "disassembly", None]},
+        "steps": {"description": "actions to the target", "anyOf": [count, {"type": "null"}]},
+        "reached": {"description": "actions of the longest stable way that was found", **count},
+        "seconds": number,
+        "deadline_passed": {"type": "boolean", "description": "more time might give a plan, or a better one"},
+        "reason": {"type": "string", "description": "why there is no plan"},
+        "moving": {**numbers, "description": "parts that move where the search broke off"},
+        "plans": {"type": "array", "items": {"$ref": _REF.format(model="Plan")}},
+        "distances": {"type": "array", "items": {"type": "array", "items": number}},
+    }
+    part = {"part": count, "name": {"type": "string"}, "boundary": {"type": "boolean"}, "mass": number}
+    part |= {"center": {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}}
+    structure = {
+        "name": {"type": "string"},
+        "identity": {"type": "string"},
+        "friction": number,
+        "contacts": count,
+        "policy": {"type": "boolean", "description": "whether a trained policy proposes actions"},
+        "parts": {"type": "array", "items": _object(part)},
+    }
+    health = {"status": {"enum": ["ok", "starting"]}, "planners": count, "judges": count, "waiting": count}
+    return {
+        **generated.get("$defs", {}),
+        **_plan_components(),
+        "ReplanAnswer": _object(answer),
+        "Verdict": _object(verdict, optional=("moving",)),
+        "StabilityAnswer": _object({"verdicts": {"type": "array", "items": {"$ref": _REF.format(model="Verdict")}}}),
+        "Structure": _object(structure),
+        "Health": _object(health),
+        "Error": _object({"error": {"type": "string", "description": "one line that says what to do"}}),
+    }
+
+
+def structure_record(assembly: Assembly, *, policy: bool) -> dict[str, Any]:
+    """What `GET /structure` says."""
+    return {
+        "name": assembly.name,
+        "identity": assembly.identity,
+        "friction": assembly.friction,
+        "contacts": len(assembly.contacts),
+        "policy": policy,
+        "parts": [
+            {
+                "part": part,
+                "name": name,
+                "boundary": bool(assembly.boundary[part]),
+                "mass": float(f"{assembly.mass.mass[part]:.6g}"),
+                "center": [float(f"{value:.6g}") for value in assembly.mass.center[part]],
+            }
+            for part, name in enumerate(assembly.names)
+        ],
+    }
+
+
+def _plan_components() -> dict[str, Any]:
+    """The published schema of plans, its definitions among the components."""
+    schema = plan_schema()
+    text = json.dumps({name: value for name, value in schema.items() if name not in ("$schema", "$id", "$defs")})
+    found: dict[str, Any] = {"Plan": text}
+    found |= {f"Plan{name.capitalize()}": json.dumps(value) for name, value in schema["$defs"].items()}
+    for name, written in found.items():
+        for other in schema["$defs"]:
+            written = written.replace(f'"#/$defs/{other}"', f'"{_REF.format(model=f"Plan{other.capitalize()}")}"')
+        found[name] = json.loads(written)
+    return found
+
+
+def _object(properties: dict[str, Any], optional: tuple[str, ...] = ()) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "additionalProperties": False,
+        "required": [name for name in properties if name not in optional],
+        "properties": properties,
+    }

@@ -1,0 +1,59 @@
+"""What the service counts, for Prometheus."""
+
+from __future__ import annotations
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+
+_SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
+_SIZES = (1, 2, 4, 8, 16, 32, 64)
+PATHS = frozenset({"/", "/docs", "/openapi.json", "/replan", "/stability", "/structure", "/health", "/metrics"})
+"""Paths that are counted by name; all others together, so that nobody can fill the memory with names."""
+
+
+class Metrics:
+    """Counters of one service."""
+
+    def __init__(self) -> None:
+        self._registry = CollectorRegistry()
+        names = {"registry": self._registry, "namespace": "falsework"}
+        self._requests = Counter("requests", "Answers by path and status", ("path", "status"), **names)
+        self._seconds = Histogram("request_seconds", "Time to answer", ("path",), buckets=_SECONDS, **names)
+        self._answers = Counter("answers", "Answers of workers by who decided", ("kind", "decided_by"), **names)
+        self._batch = Histogram("batch_size", "Requests worked on together", ("kind",), buckets=_SIZES, **names)
+        self._late = Counter("late", "Requests that got 'not yet' at their deadline", ("kind",), **names)
+        self._turned_away = Counter("turned_away", "Requests that found the queue full", **names)
+        self._restarts = Counter("worker_restarts", "Workers that were lost and replaced", ("kind",), **names)
+        self._queue = Gauge("queue_length", "Requests that wait", **names)
+        self._workers = Gauge("workers_ready", "Workers that take requests", **names)
+
+    def answered(self, path: str, status: int, seconds: float) -> None:
+        """A request was answered."""
+        name = path if path in PATHS else "other"
+        self._requests.labels(name, str(status)).inc()
+        self._seconds.labels(name).observe(seconds)
+
+    def decided(self, kind: str, label: str) -> None:
+        """A worker gave an answer."""
+        self._answers.labels(kind, label).inc()
+
+    def batched(self, kind: str, size: int) -> None:
+        """A worker took a batch."""
+        self._batch.labels(kind).observe(size)
+
+    def late(self, kind: str) -> None:
+        """A deadline passed without an answer."""
+        self._late.labels(kind).inc()
+
+    def turned_away(self) -> None:
+        """The queue was full."""
+        self._turned_away.inc()
+
+    def restarted(self, kind: str) -> None:
+        """A worker was lost."""
+        self._restarts.labels(kind).inc()
+
+    def text(self, queue: int, workers: int) -> bytes:
+        """All of it, as Prometheus reads it."""
+        self._queue.set(queue)
+        self._workers.set(workers)
+        return generate_latest(self._registry)

@@ -1,0 +1,357 @@
+"""Shares requests among worker processes: batches, deadlines, and workers that are lost.
+
+Everything here runs in the event loop of the process that talks to clients; nothing in it takes long. A request that
+waits is answered at its deadline whatever the workers do. A worker that dies takes at most one try of its requests with
+it: each is tried once more, by itself, and if it takes the next worker down as well, it is refused.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import heapq
+import itertools
+import json
+import logging
+import multiprocessing
+import os
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, get_args
+
+from falsework.assembly.model import Assembly
+from falsework.errors import FalseworkError, InputError
+from falsework.service.metrics import Metrics
+from falsework.service.settings import ServiceSettings
+from falsework.service.worker import NOT_YET, Done, Failed, Item, Kind, Ready, Recipe, refusal, work
+
+KINDS: tuple[Kind, ...] = get_args(Kind)
+START_SECONDS = 300.0
+"""For a worker to load its structure."""
+_TRIES = 2
+_HEAD_START = 0.02
+"""Seconds before the deadline at which a worker is to be done, so that its answer is here in time."""
+_BACKOFF = (0.0, 0.5, 2.0, 10.0)
+"""Seconds before a worker is replaced that never got as far as to take a request, by how often that happened."""
+_QUIET = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+log = logging.getLogger("falsework.service")
+
+
+@dataclass(frozen=True)
+class Reply:
+    """An answer on its way to a client."""
+
+    status: int
+    body: bytes
+    """JSON."""
+
+
+@dataclass(eq=False)
+class Ticket:
+    """A request that waits for its answer."""
+
+    kind: Kind
+    payload: Any
+    deadline: float
+    """On the clock of the event loop."""
+    future: asyncio.Future[Reply]
+    number: int
+    tries: int = 0
+
+    @property
+    def open(self) -> bool:
+        """Whether somebody still wants to know."""
+        return not self.future.done()
+
+
+@dataclass(eq=False)
+class _Worker:
+    """A process and what it is busy with."""
+
+    kind: Kind
+    process: Any
+    pipe: Connection
+    ready: bool = False
+    busy: dict[int, Ticket] | None = field(default_factory=dict)
+    """Requests that it has; None once it is waiting for more."""
+    watchdog: asyncio.TimerHandle | None = None
+
+
+class Pool:
+    """Workers, and the requests that wait for them."""
+
+    def __init__(
+        self, assembly: Assembly, settings: ServiceSettings, metrics: Metrics, *, run: Path | None = None
+    ) -> None:
+        """Get ready; `start` begins."""
+        self.settings = settings
+        self.policy = ""
+        """What proposes actions, in words; empty for none."""
+        self._recipes = {kind: Recipe(assembly, kind, run if kind == "replan" else None) for kind in KINDS}
+        self._metrics = metrics
+        self._workers: list[_Worker] = []
+        self._queues: dict[Kind, list[tuple[float, int, Ticket]]] = {kind: [] for kind in KINDS}
+        self._planned: dict[Kind, asyncio.TimerHandle] = {}
+        self._failures: dict[Kind, int] = dict.fromkeys(KINDS, 0)
+        self._numbers = itertools.count()
+        self._started: asyncio.Future[None] | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._closing = False
+
+    @property
+    def waiting(self) -> int:
+        """Requests that no worker has taken yet."""
+        return sum(ticket.open for queue in self._queues.values() for _, _, ticket in queue)
+
+    @property
+    def ready(self) -> dict[Kind, int]:
+        """Workers of each kind that take requests."""
+        return {kind: sum(worker.ready for worker in self._workers if worker.kind == kind) for kind in KINDS}
+
+    @property
+    def pids(self) -> dict[Kind, list[int]]:
+        """Process ids of the workers."""
+        return {kind: [worker.process.pid for worker in self._workers if worker.kind == kind] for kind in KINDS}
+
+    async def start(self) -> None:
+        """Start all workers and wait until each has loaded the structure.
+
+        Raises:
+            InputError: a worker says why it cannot begin.
+            FalseworkError: a worker died without a word, or took too long.
+        """
+        for name, value in _QUIET.items():
+            os.environ.setdefault(name, value)
+        self._started = asyncio.get_running_loop().create_future()
+        for kind in KINDS:
+            for _ in range(self.settings.workers if kind == "replan" else 1):
+                self._replace(kind)
+        try:
+            await asyncio.wait_for(self._started, START_SECONDS)
+        except TimeoutError:
+            raise FalseworkError(f"no worker was ready within {START_SECONDS:g} s; try a smaller structure") from None
+        finally:
+            if self._started.cancelled() or not self._started.done() or self._started.exception():
+                await self.stop()
+
+    async def stop(self) -> None:
+        """End all workers and refuse what is still waiting."""
+        self._closing = True
+        for task in self._tasks:
+            task.cancel()
+        for queue in self._queues.values():
+            for _, _, ticket in queue:
+                _give(ticket, Reply(503, refusal("the service is stopping")))
+            queue.clear()
+        for worker in list(self._workers):
+            for ticket in (worker.busy or {}).values():
+                _give(ticket, Reply(503, refusal("the service is stopping")))
+            self._drop(worker)
+            worker.process.terminate()
+        await asyncio.sleep(0)
+
+    async def ask(self, kind: Kind, payload: Any, seconds: float) -> Reply:
+        """Have a worker answer a request; there is an answer when its time is up at the latest.
+
+        Args:
+            kind: of the request.
+            payload: as `Item` says.
+            seconds: time that it has from now on.
+        """
+        loop = asyncio.get_running_loop()
+        if len(self._queues[kind]) >= self.settings.queue:
+            self._queues[kind] = [entry for entry in self._queues[kind] if entry[2].open]
+            heapq.heapify(self._queues[kind])
+        if len(self._queues[kind]) >= self.settings.queue:
+            self._metrics.turned_away()
+            return Reply(503, refusal("too many requests are waiting; try again in a moment"))
+        ticket = Ticket(kind, payload, loop.time() + seconds, loop.create_future(), next(self._numbers))
+        guard = loop.call_at(ticket.deadline + self.settings.grace, self._late, ticket, seconds)
+        try:
+            self._put(ticket)
+            self._plan(kind, self.settings.window)
+            return await ticket.future
+        finally:
+            guard.cancel()
+
+    def _put(self, ticket: Ticket) -> None:
+        """Who has the least time left comes first."""
+        heapq.heappush(self._queues[ticket.kind], (ticket.deadline, ticket.number, ticket))
+
+    def _plan(self, kind: Kind, seconds: float) -> None:
+        """Hand out requests in a moment, when others may have joined them."""
+        if kind not in self._planned:
+            self._planned[kind] = asyncio.get_running_loop().call_later(seconds, self._hand_out, kind)
+
+    def _hand_out(self, kind: Kind) -> None:
+        self._planned.pop(kind, None)
+        idle = [worker for worker in self._workers if worker.kind == kind and worker.ready and worker.busy is None]
+        for place, worker in enumerate(idle):
+            batch = self._take(kind, share=len(idle) - place)
+            if not batch:
+                return
+            self._send(worker, batch)
+
+    def _take(self, kind: Kind, share: int) -> list[Ticket]:
+        """The most urgent requests for one of `share` idle workers; one that was tried before goes by itself."""
+        queue = self._queues[kind]
+        limit = self.settings.batch if kind == "replan" else self.settings.stability_batch
+        limit = min(limit, -(-len(queue) // share))
+        batch: list[Ticket] = []
+        while queue and len(batch) < limit:
+            ticket = queue[0][2]
+            if ticket.open and ticket.tries and batch:
+                break
+            heapq.heappop(queue)
+            if ticket.open:
+                batch.append(ticket)
+                if ticket.tries:
+                    break
+        return batch
+
+    def _send(self, worker: _Worker, batch: list[Ticket]) -> None:
+        loop = asyncio.get_running_loop()
+        now = loop.time()
+        items = [Item(ticket.number, ticket.payload, ticket.deadline - now - _HEAD_START) for ticket in batch]
+        worker.busy = {ticket.number: ticket for ticket in batch}
+        last = max(ticket.deadline for ticket in batch)
+        worker.watchdog = loop.call_at(last + self.settings.stuck_seconds, self._stuck, worker)
+        self._metrics.batched(worker.kind, len(batch))
+        try:
+            worker.pipe.send(items)
+        except OSError:
+            self._lost(worker)
+
+    def _heard(self, worker: _Worker) -> None:
+        """A worker has put something into its pipe."""
+        try:
+            while worker.pipe.poll():
+                self._take_in(worker, worker.pipe.recv())
+        except (EOFError, OSError):
+            self._lost(worker)
+
+    def _take_in(self, worker: _Worker, message: Ready | Failed | Done | None) -> None:
+        if isinstance(message, Done):
+            ticket = (worker.busy or {}).pop(message.number, None)
+            if ticket is not None:
+                self._metrics.decided(worker.kind, message.label)
+                _give(ticket, Reply(message.status, message.body))
+            return
+        if isinstance(message, Failed):
+            if self._started is not None and not self._started.done():
+                self._started.set_exception(InputError(message.reason))
+            log.error("a worker cannot begin: %s", message.reason)
+            return
+        if isinstance(message, Ready):
+            worker.ready = True
+            self._failures[worker.kind] = 0
+            self.policy = message.policy or self.policy
+            if self._started is not None and not self._started.done() and self._complete():
+                self._started.set_result(None)
+        if worker.watchdog is not None:
+            worker.watchdog.cancel()
+        worker.busy, worker.watchdog = None, None
+        self._hand_out(worker.kind)
+
+    def _complete(self) -> bool:
+        return self.ready["replan"] == self.settings.workers and self.ready["stability"] == 1
+
+    def _lost(self, worker: _Worker) -> None:
+        """A worker is gone: try its requests once more, and have another one take its place."""
+        if worker not in self._workers:
+            return
+        begun = worker.ready
+        self._drop(worker)
+        for ticket in (worker.busy or {}).values():
+            ticket.tries += 1
+            if not ticket.open:
+                continue
+            if ticket.tries < _TRIES:
+                self._put(ticket)
+            else:
+                _give(
+                    ticket, Reply(503, refusal("the workers that had this request were lost; change it or try later"))
+                )
+        if self._closing:
+            return
+        if self._started is not None and not self._started.done():
+            self._started.set_exception(FalseworkError("a worker died while it loaded the structure; is memory short?"))
+            return
+        self._metrics.restarted(worker.kind)
+        log.warning("a worker was lost (exit code %s); another one takes its place", worker.process.exitcode)
+        self._failures[worker.kind] += not begun
+        delay = _BACKOFF[min(self._failures[worker.kind], len(_BACKOFF) - 1)]
+        asyncio.get_running_loop().call_later(delay, self._replace, worker.kind)
+        self._plan(worker.kind, 0.0)
+
+    def _drop(self, worker: _Worker) -> None:
+        """Forget a worker; it ends when its pipe closes."""
+        self._workers.remove(worker)
+        asyncio.get_running_loop().remove_reader(worker.pipe.fileno())
+        worker.pipe.close()
+        if worker.watchdog is not None:
+            worker.watchdog.cancel()
+
+    def _stuck(self, worker: _Worker) -> None:
+        """A worker that does not come back is ended; its pipe then says so."""
+        log.error("a worker is stuck and is replaced")
+        worker.process.kill()
+
+    def _replace(self, kind: Kind) -> None:
+        if not self._closing:
+            task = asyncio.get_running_loop().create_task(self._spawn(kind))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _spawn(self, kind: Kind) -> None:
+        """Start a worker; in a thread, since its structure goes through a pipe while the new process begins."""
+        context = multiprocessing.get_context("spawn")
+        mine, theirs = context.Pipe()
+        process = context.Process(
+            target=work, args=(theirs, self._recipes[kind]), daemon=True, name=f"falsework {kind}"
+        )
+        await asyncio.get_running_loop().run_in_executor(None, process.start)
+        theirs.close()
+        if self._closing:
+            mine.close()
+            process.terminate()
+            return
+        worker = _Worker(kind, process, mine)
+        self._workers.append(worker)
+        asyncio.get_running_loop().add_reader(mine.fileno(), self._heard, worker)
+
+    def _late(self, ticket: Ticket, seconds: float) -> None:
+        """A request has run out of time while it waited or was worked on."""
+        if not ticket.open:
+            return
+        self._metrics.late(ticket.kind)
+        if ticket.kind == "stability":
+            _give(ticket, Reply(503, refusal(f"no verdict within {seconds:g} s; try again, or ask about fewer states")))
+        else:
+            _give(ticket, Reply(200, not_yet(seconds)))
+
+
+def not_yet(seconds: float) -> bytes:
+    """The answer to a request for a plan whose time is up: neither a plan nor a no."""
+    record = {
+        "outcome": NOT_YET,
+        "decided_by": "nobody",
+        "direction": None,
+        "steps": None,
+        "reached": 0,
+        "seconds": round(seconds, 6),
+        "deadline_passed": True,
+        "reason": f"the deadline of {round(1000 * seconds)} ms passed; more time may find a plan",
+        "moving": [],
+        "plans": [],
+        "distances": [],
+    }
+    return json.dumps(record, separators=(",", ":")).encode()
+
+
+def _give(ticket: Ticket, reply: Reply) -> None:
+    if ticket.open:
+        with contextlib.suppress(asyncio.InvalidStateError):
+            ticket.future.set_result(reply)

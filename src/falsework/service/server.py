@@ -1,0 +1,159 @@
+"""Listens, and hangs up on those who take too long."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from falsework.assembly.model import Assembly
+from falsework.errors import InputError
+from falsework.service.app import application
+from falsework.service.metrics import Metrics
+from falsework.service.pool import Pool
+from falsework.service.settings import ServiceSettings
+
+_IDLE_SECONDS = 15
+"""Between two requests on one connection."""
+_HEADER_BYTES = 16 * 1024
+_STOP_SECONDS = 3
+
+
+def run_service(
+    assembly: Assembly,
+    settings: ServiceSettings,
+    *,
+    run: Path | None = None,
+    started: Callable[[str], None] | None = None,
+) -> None:
+    """Serve one structure until the process is told to stop.
+
+    Args:
+        assembly: the structure; its ways out are computed first, if that was not done.
+        settings: where to listen, and bounds.
+        run: folder of a trained policy.
+        started: called with the address once requests are taken.
+
+    Raises:
+        InputError: the address cannot be had, or the run cannot be used.
+    """
+    assembly.clearance  # noqa: B018 - computed here once, and not in every worker
+    listener = listen(settings.host, settings.port)
+    try:
+        asyncio.run(_serve(assembly, settings, run, listener, started))
+    finally:
+        listener.close()
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A socket that listens.
+
+    Raises:
+        InputError: no such address, or it is taken.
+    """
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, kind)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+    except OSError as error:
+        reason = "is taken" if error.errno == errno.EADDRINUSE else f"cannot be had ({error.strerror or error})"
+        raise InputError(f"port {port} of {host} {reason}; choose another with --port or --host") from None
+    return listener
+
+
+async def _serve(
+    assembly: Assembly,
+    settings: ServiceSettings,
+    run: Path | None,
+    listener: socket.socket,
+    started: Callable[[str], None] | None,
+) -> None:
+    metrics = Metrics()
+    pool = Pool(assembly, settings, metrics, run=run)
+    await pool.start()  # before anybody is let in, so that what is wrong is said here
+    config = uvicorn.Config(
+        application(assembly, pool, settings, metrics),  # type: ignore[arg-type]
+        http=_protocol(settings),
+        ws="none",
+        loop="asyncio",
+        lifespan="on",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        timeout_keep_alive=_IDLE_SECONDS,
+        timeout_graceful_shutdown=_STOP_SECONDS,
+        limit_concurrency=settings.connections,
+        h11_max_incomplete_event_size=_HEADER_BYTES,
+    )
+    server = uvicorn.Server(config)
+    announcing = asyncio.create_task(_announce(server, listener, started))
+    try:
+        await server.serve(sockets=[listener])
+    finally:
+        announcing.cancel()
+        await pool.stop()
+
+
+async def _announce(server: uvicorn.Server, listener: socket.socket, started: Callable[[str], None] | None) -> None:
+    while not server.started:
+        await asyncio.sleep(0.01)
+    host, port = listener.getsockname()[:2]
+    if started is not None:
+        started(f"http://{f'[{host}]' if ':' in host else host}:{port}")
+
+
+def _protocol(settings: ServiceSettings) -> type[H11Protocol]:
+    """HTTP/1.1 with a limit on how long a client may take to say what it wants, and to take the answer."""
+    longest = settings.longest_deadline + settings.body_seconds + settings.stuck_seconds
+
+    class PatientNoLonger(H11Protocol):
+        """One connection."""
+
+        _hang_up: asyncio.TimerHandle | None = None
+
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            self._within(settings.header_seconds)
+
+        def data_received(self, data: bytes) -> None:
+            if self._hang_up is None:
+                self._within(settings.header_seconds)
+            active = self._active()
+            super().data_received(data)
+            if self._active() and not active:
+                self._within(longest)
+
+        def on_response_complete(self) -> None:
+            self._within(None)
+            super().on_response_complete()
+            if self._active():  # the next request was there already
+                self._within(longest)
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            self._within(None)
+            super().connection_lost(exc)
+
+        def _active(self) -> bool:
+            return self.cycle is not None and not self.cycle.response_complete
+
+        def _within(self, seconds: float | None) -> None:
+            if self._hang_up is not None:
+                self._hang_up.cancel()
+            self._hang_up = None
+            if seconds is not None:
+                self._hang_up = self.loop.call_later(seconds, self._end)
+
+        def _end(self) -> None:
+            logging.getLogger("falsework.service").info("hung up on a client that took too long")
+            self.transport.abort()
+
+    return PatientNoLonger

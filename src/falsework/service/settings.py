@@ -1,0 +1,78 @@
+"""What a service listens to, and the bounds on everything that comes in."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+from dataclasses import dataclass, field
+
+from falsework.errors import InputError
+
+TOKEN_VARIABLE = "FALSEWORK_TOKEN"
+SHORTEST_TOKEN = 16
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach a host's address."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True)
+class ServiceSettings:
+    """Settings of a service; times in seconds."""
+
+    host: str = "127.0.0.1"
+    port: int = 8080
+    """0 for any free one."""
+    token: str | None = field(default=None, repr=False)
+    """What clients must show; needed wherever other machines can reach the service."""
+    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """Processes that plan; one more judges stability."""
+    batch: int = 4
+    """Requests that a worker takes at a time to plan together."""
+    stability_batch: int = 64
+    """The same for requests about stability."""
+    window: float = 0.003
+    """How long the first request of a batch waits for others."""
+    queue: int = 256
+    """Requests that may wait; more are turned away."""
+    connections: int = 512
+    """Clients at a time."""
+    body_bytes: int = 1 << 20
+    """Largest request."""
+    header_seconds: float = 10.0
+    """For a client to say what it wants ..."""
+    body_seconds: float = 10.0
+    """... and to send all of it."""
+    deadline: float = 5.0
+    """For a plan, unless the request names another."""
+    longest_deadline: float = 60.0
+    stability_seconds: float = 10.0
+    """For verdicts."""
+    states: int = 256
+    """States in one request about stability."""
+    grace: float = 0.025
+    """How much later than its deadline a request is answered at the latest, if nothing holds this process up."""
+    stuck_seconds: float = 10.0
+    """After its last deadline, a worker that is still busy is replaced."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65535:
+            raise InputError(f"port {self.port} does not exist; give 0 to 65535")
+        for name in ("workers", "batch", "stability_batch", "queue", "connections", "body_bytes", "states"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}; give at least 1")
+        if self.token is None and not is_loopback(self.host):
+            raise InputError(
+                f"{self.host} can be reached from other machines; give a token with --token or {TOKEN_VARIABLE}, "
+                "or stay on 127.0.0.1"
+            )
+        if self.token is not None and (len(self.token) < SHORTEST_TOKEN or not self.token.isascii()):
+            raise InputError(
+                f"the token must have at least {SHORTEST_TOKEN} plain characters; openssl rand -hex 24 makes one"
+            )

@@ -1,0 +1,255 @@
+"""The processes that do the work: each loads the structure once and then answers batches until its pipe closes.
+
+A worker knows nothing of HTTP. It takes `(kind, items)` from its pipe and puts back one `Done` an item, as soon as it
+has it, and `None` after the last. What it sends is the text of the answer, so that nobody has to look at it again.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+from collections.abc import Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from falsework.assembly.model import Assembly
+from falsework.errors import InputError
+from falsework.search.plan_file import to_json
+from falsework.search.result import Outcome
+from falsework.stability.oracle import Stability
+from falsework.stability.settings import CpuSettings, StabilitySettings
+from falsework.stability.verdict import Proof, Verdict
+
+if TYPE_CHECKING:
+    from falsework.learn.replan import Replan, Replanner
+
+Kind = Literal["replan", "stability"]
+
+NOT_YET = "not_yet"
+"""Outcome of a request whose deadline passed before there was a plan: not a no, and not a plan."""
+REMEMBERED = 400_000
+"""States that a worker judges before it forgets what it knows, so that its memory stays bounded."""
+_BACKGROUND = 5
+"""How far planning steps back behind the process that talks to clients."""
+_MOVES = 0.05
+"""A part counts as moving at this share of the fastest part's velocity."""
+
+log = logging.getLogger("falsework.service")
+
+
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """What a worker needs to begin."""
+
+    assembly: Assembly
+    kind: Kind
+    run: Path | None = None
+    """Folder of a trained policy."""
+
+
+@dataclass(frozen=True)
+class Ready:
+    """A worker can take requests now."""
+
+    policy: str
+    """What proposes actions, in words; empty for none."""
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A worker cannot begin; somebody must do something about it."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class Item:
+    """One request."""
+
+    number: int
+    payload: Any
+    """Fields of `falsework.learn.request.Request`, or for stability `(states, explain)`."""
+    seconds: float
+    """Time that is left for it."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """One answer."""
+
+    number: int
+    status: int
+    """As in HTTP."""
+    body: bytes
+    """JSON."""
+    label: str = ""
+    """Who decided, for the statistics."""
+
+
+def work(pipe: Connection, recipe: Recipe) -> None:
+    """Answer batches until the pipe closes; what a new process runs."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that talks to clients; it closes the pipe
+    try:
+        bench = _Planner(recipe) if recipe.kind == "replan" else _Judge(recipe)
+    except InputError as error:
+        pipe.send(Failed(" ".join(str(error).split())))
+        return
+    try:
+        pipe.send(Ready(bench.policy))
+        while True:
+            items: Sequence[Item] = pipe.recv()
+            bench.answer(items, pipe)
+            pipe.send(None)
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return
+
+
+def refusal(text: str) -> bytes:
+    """An error as JSON, one line."""
+    return json.dumps({"error": " ".join(text.split())}, ensure_ascii=True).encode()
+
+
+def one_thread() -> StabilitySettings:
+    """Settings of an oracle in a worker: the processes share the cores already."""
+    return StabilitySettings(cpu=CpuSettings(threads=1))
+
+
+class _Judge:
+    """Answers what stands."""
+
+    policy = ""
+
+    def __init__(self, recipe: Recipe) -> None:
+        self._assembly = recipe.assembly
+        self._oracle = Stability(recipe.assembly, one_thread())
+        states = np.where(recipe.assembly.boundary, 2, 1).astype(np.uint8)[None]
+        self._oracle.judge(states)
+        self._oracle.check(states)
+
+    def answer(self, items: Sequence[Item], pipe: Connection) -> None:
+        """All states of all requests in one batch, but for those that are to be explained."""
+        if self._oracle.counters.cpu + self._oracle.counters.exact > REMEMBERED:
+            self._oracle = Stability(self._assembly, one_thread())
+        plain = [item for item in items if not item.payload[1]]
+        if plain:
+            verdicts = self._oracle.judge(np.concatenate([item.payload[0] for item in plain]))
+            first = 0
+            for item in plain:
+                rows = slice(first, first := first + len(item.payload[0]))
+                pipe.send(self._done(item.number, verdicts[rows], None))
+        for item in items:
+            if item.payload[1]:
+                verdicts = self._oracle.check(item.payload[0])
+                pipe.send(self._done(item.number, verdicts, verdicts.velocity))
+
+    @staticmethod
+    def _done(number: int, verdicts: Any, velocity: Any) -> Done:
+        records = []
+        for row in range(len(verdicts)):
+            verdict, residual = Verdict(verdicts.verdict[row]), float(verdicts.residual[row])
+            record: dict[str, Any] = {
+                "verdict": verdict.name.lower(),
+                "proof": Proof(verdicts.proof[row]).name.lower(),
+                "residual": float(f"{residual:.6g}") if np.isfinite(residual) else None,
+            }
+            if velocity is not None:
+                speed = np.abs(velocity[row]).max(axis=1) if verdict is Verdict.UNSTABLE else np.zeros(0)
+                order = np.argsort(-speed, kind="stable")
+                record["moving"] = order[speed[order] > _MOVES * speed.max(initial=0.0)].tolist()
+            records.append(record)
+        return Done(number, 200, _dump({"verdicts": records}), "judged")
+
+
+class _Planner:
+    """Answers with plans."""
+
+    def __init__(self, recipe: Recipe) -> None:
+        os.nice(_BACKGROUND)
+        self._assembly = recipe.assembly
+        policy, self.policy = _load_policy(recipe)
+        self._replanner = self._make(policy)
+
+    def _make(self, policy: Any) -> Replanner:
+        from falsework.learn.replan import Replanner
+
+        return Replanner(self._assembly, policy, Stability(self._assembly, one_thread()))
+
+    def answer(self, items: Sequence[Item], pipe: Connection) -> None:
+        """The requests together; if one of them breaks the batch, each by itself."""
+        from falsework.learn.request import Request
+
+        counters = self._replanner.oracle.counters
+        if counters.cpu + counters.exact > REMEMBERED:
+            self._replanner = self._make(self._replanner.policy)
+        good: list[tuple[Item, Request]] = []
+        for item in items:
+            request = Request(**item.payload, deadline=max(item.seconds, 0.001))
+            try:
+                request.task(self._assembly)
+            except InputError as error:
+                pipe.send(Done(item.number, 422, refusal(str(error)), "refused"))
+            else:
+                good.append((item, request))
+        open_items = {item.number for item, _ in good}
+
+        def finished(number: int, answer: Replan) -> None:
+            item = good[number][0]
+            open_items.discard(item.number)
+            pipe.send(Done(item.number, 200, _dump(replan_record(answer)), answer.decided_by.value))
+
+        try:
+            self._replanner.replan_many([request for _, request in good], finished=finished)
+        except Exception as error:
+            if len(items) == 1:
+                log.exception("a request failed")
+                pipe.send(
+                    Done(items[0].number, 500, refusal(f"the request failed inside ({type(error).__name__})"), "failed")
+                )
+                return
+            for item, _ in good:
+                if item.number in open_items:
+                    self.answer([item], pipe)
+
+
+def replan_record(answer: Replan) -> dict[str, Any]:
+    """An answer as JSON values, its plans as in plan files."""
+    cut = answer.outcome is Outcome.NOT_FOUND and answer.deadline_passed
+    return {
+        "outcome": NOT_YET if cut else answer.outcome.value,
+        "decided_by": answer.decided_by.value,
+        "direction": answer.direction.value,
+        "steps": answer.steps,
+        "reached": answer.reached,
+        "seconds": round(answer.seconds, 6),
+        "deadline_passed": answer.deadline_passed,
+        "reason": answer.reason,
+        "moving": list(answer.moving),
+        "plans": [to_json(plan) for plan in answer.plans],
+        "distances": np.round(answer.distance, 4).tolist(),
+    }
+
+
+def _load_policy(recipe: Recipe) -> tuple[Any, str]:
+    """The policy of a run and what it is in words."""
+    if recipe.run is None:
+        return None, ""
+    from falsework.learn.door import check_torch
+
+    check_torch()
+    import torch
+
+    from falsework.learn.checkpoint import load_run
+
+    torch.set_num_threads(1)
+    run = load_run(recipe.run, assembly=recipe.assembly)
+    return run.policy, run.settings.policy.kind
+
+
+def _dump(value: Any) -> bytes:
+    return json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":")).encode()
