@@ -26,6 +26,7 @@ COMMANDS = {
     "plan": "MakePlan",
     "check": "CheckPlan",
     "graph": "MakeGraph",
+    "serve": "Serve",
     "dataset": "MakeDataset",
 }
 """Module of each subcommand in this package, named like it, and its class there."""
