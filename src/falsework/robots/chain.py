@@ -46,7 +46,8 @@ def make_chain(model: RobotModel, base: Array) -> Chain:
     turn = turns(model)
     origin = model.origins @ turn
     origin[1:] = np.swapaxes(turn[:-1], 1, 2) @ origin[1:]
-    return Chain(np.ascontiguousarray(base[:3]), np.ascontiguousarray(origin[:, :3]), model.prismatic)
+    # Copies: compiled functions tell arrays that may be written from those that may not.
+    return Chain(np.array(base[:3], order="C"), np.array(origin[:, :3], order="C"), np.array(model.prismatic))
 
 
 def make_bodies(
@@ -184,4 +185,4 @@ def _groups(centers: Array) -> list[NDArray[np.int64]]:
 def _stack(pieces: Sequence[Array]) -> tuple[NDArray[np.int64], Array]:
     """First row of every piece, and all vertices below each other."""
     start = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])]).astype(np.int64)
-    return start, np.ascontiguousarray(np.concatenate(pieces))
+    return start, np.array(np.concatenate(pieces), order="C")

@@ -13,7 +13,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.robots.gjk import FAST, gap
+from falsework.robots.gjk import INNER, OUTER, gap
 
 Array = NDArray[np.float64]
 
@@ -87,8 +87,10 @@ class Work(NamedTuple):
     axis: Array
     self_axis: Array
     scratch: Array
-    slack: Array
-    """Extra distance that every body must keep, metres, shape (bodies,)."""
+    swept: Array
+    """How far the points of every body move along an edge at most, metres, shape (bodies,)."""
+    self_swept: Array
+    """How far the two bodies of every self pair move against each other at most, metres, shape (pairs,)."""
 
 
 def make_work(chain: Chain, bodies: Bodies, obstacles: Obstacles, rules: Rules) -> Work:
@@ -104,11 +106,12 @@ def make_work(chain: Chain, bodies: Bodies, obstacles: Obstacles, rules: Rules) 
         axis=np.zeros((count, len(obstacles.low), 3)),
         self_axis=np.zeros((len(rules.self_pairs), 3)),
         scratch=np.empty((6, 3)),
-        slack=np.zeros(count),
+        swept=np.zeros(count),
+        self_swept=np.zeros(len(rules.self_pairs)),
     )
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@nb.njit(**INNER)
 def place_frames(values, chain, frames):
     """Forward kinematics: poses of all frames in the world, shape (joints + 1, 3, 4)."""
     frames[0] = chain.base
@@ -130,7 +133,7 @@ def place_frames(values, chain, frames):
             after[r, 3] = t + slide * z
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@nb.njit(**INNER)
 def _place(body, bodies, work):
     """World vertices of one body and the box around them."""
     pose = work.frames[bodies.frame[body]]
@@ -146,7 +149,7 @@ def _place(body, bodies, work):
     work.placed[body] = True
 
 
-@nb.njit(cache=True, fastmath=FAST, inline="always")
+@nb.njit(inline="always", **INNER)
 def _outside(x, y, z, low, high, k):
     """Square of the distance of a point from box k."""
     dx = max(low[k, 0] - x, x - high[k, 0], 0.0)
@@ -155,13 +158,14 @@ def _outside(x, y, z, low, high, k):
     return dx * dx + dy * dy + dz * dz
 
 
-@nb.njit(cache=True, fastmath=FAST)
-def first_hit(values, chain, bodies, obstacles, rules, work):
+@nb.njit(**INNER)
+def first_hit(values, share, chain, bodies, obstacles, rules, work):
     """The first pair that is not proven to keep its distance, or CLEAR.
 
     Args:
         values: joint values, shape (joints,).
-        chain, bodies, obstacles, rules, work: see there; `work.slack` is added to the margin of every body.
+        share: this share of `work.swept` and `work.self_swept` is added to the margins; 0 asks about `values` alone.
+        chain, bodies, obstacles, rules, work: see there.
 
     Returns:
         With n obstacles and m bodies: `b n + o` for body b and obstacle o, `m n + b` for body b and the floor,
@@ -176,7 +180,9 @@ def first_hit(values, chain, bodies, obstacles, rules, work):
         work.placed[b] = False
     for back in range(count):
         b = count - 1 - back  # what is carried and the gripper hit first
-        margin = rules.margin + work.slack[b]
+        margin = rules.margin
+        if share > 0.0:
+            margin += share * work.swept[b]
         x, y, z = work.center[b, 0], work.center[b, 1], work.center[b, 2]
         reach = bodies.radius[b] + margin
         if rules.on_floor[b] and z - reach < rules.floor:
@@ -215,7 +221,9 @@ def first_hit(values, chain, bodies, obstacles, rules, work):
                     return b * many + o
     for k in range(len(rules.self_pairs)):
         a, b = rules.self_pairs[k, 0], rules.self_pairs[k, 1]
-        margin = max(work.slack[a], work.slack[b])
+        margin = 0.0
+        if share > 0.0:
+            margin = share * work.self_swept[k]
         dx = work.center[a, 0] - work.center[b, 0]
         dy = work.center[a, 1] - work.center[b, 1]
         dz = work.center[a, 2] - work.center[b, 2]
@@ -243,9 +251,8 @@ def first_hit(values, chain, bodies, obstacles, rules, work):
     return CLEAR
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(**OUTER)
 def check_many(configurations, chain, bodies, obstacles, rules, work, found):
     """`first_hit` for a batch, shape (batch, joints), into `found`, shape (batch,)."""
-    work.slack[:] = 0.0
     for i in range(len(configurations)):
-        found[i] = first_hit(configurations[i], chain, bodies, obstacles, rules, work)
+        found[i] = first_hit(configurations[i], 0.0, chain, bodies, obstacles, rules, work)

@@ -13,12 +13,13 @@ import numba as nb
 import numpy as np
 
 from falsework.robots.collision import CLEAR, first_hit
+from falsework.robots.gjk import INNER, OUTER
 
 INTERVALS = 4096
 """Intervals of one edge that may be open at a time; more, and the edge counts as blocked."""
 
 
-@nb.njit(cache=True)
+@nb.njit(**INNER)
 def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, opened):
     """Whether the straight edge between two configurations keeps its distances everywhere; ends included.
 
@@ -35,7 +36,16 @@ def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, o
         swept = 0.0
         for j in range(joints):
             swept += bodies.sweep[body, j] * abs(b[j] - a[j])
+        work.swept[body] = swept
         farthest = max(farthest, swept)
+    for k in range(len(rules.self_pairs)):
+        one, other = rules.self_pairs[k, 0], rules.self_pairs[k, 1]
+        if bodies.frame[one] > bodies.frame[other]:
+            one, other = other, one
+        swept = 0.0
+        for j in range(bodies.frame[one], bodies.frame[other]):  # only these joints move the two against each other
+            swept += bodies.sweep[other, j] * abs(b[j] - a[j])
+        work.self_swept[k] = swept
     pending, side, parts = 1, 0, 1
     opened[0, 0] = 0
     while pending > 0:
@@ -45,17 +55,11 @@ def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, o
             t = (index + 0.5) / parts
             for j in range(joints):
                 values[j] = a[j] + t * (b[j] - a[j])
-            for body in range(count):
-                swept = 0.0
-                for j in range(joints):
-                    swept += bodies.sweep[body, j] * abs(b[j] - a[j])
-                work.slack[body] = 0.5 * swept / parts
-            if first_hit(values, chain, bodies, obstacles, rules, work) == CLEAR:
+            if first_hit(values, 0.5 / parts, chain, bodies, obstacles, rules, work) == CLEAR:
                 continue
             if 0.5 * farthest / parts <= resolution:
                 return False
-            work.slack[:] = 0.0
-            if first_hit(values, chain, bodies, obstacles, rules, work) != CLEAR:
+            if first_hit(values, 0.0, chain, bodies, obstacles, rules, work) != CLEAR:
                 return False
             if ahead + 2 > INTERVALS:
                 return False
@@ -66,7 +70,7 @@ def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, o
     return True
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(**OUTER)
 def edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened):
     """Number of leading edges of a path that are free, shape (points, joints)."""
     values = np.empty(path.shape[1])
@@ -76,7 +80,7 @@ def edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened):
     return len(path) - 1
 
 
-@nb.njit(cache=True)
+@nb.njit(**INNER)
 def _uniform(seed):
     """Next number in [0, 1) of a generator whose state is seed[0]: splitmix64."""
     seed[0] += np.uint64(0x9E3779B97F4A7C15)
@@ -87,7 +91,7 @@ def _uniform(seed):
     return float(z >> np.uint64(11)) / 9007199254740992.0
 
 
-@nb.njit(cache=True)
+@nb.njit(**INNER)
 def _nearest(tree, size, target):
     best, found = 1e300, 0
     for i in range(size):
@@ -99,7 +103,7 @@ def _nearest(tree, size, target):
     return found, math.sqrt(best)
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(**OUTER)
 def grow(
     trees, parents, sizes, low, high, stride, rounds, resolution, seed, chain, bodies, obstacles, rules, work, opened
 ):
@@ -131,8 +135,7 @@ def grow(
         share = min(1.0, stride / max(far, 1e-12))
         for j in range(joints):
             fresh[j] = trees[one, near, j] + share * (target[j] - trees[one, near, j])
-        work.slack[:] = 0.0
-        if first_hit(fresh, chain, bodies, obstacles, rules, work) != CLEAR:
+        if first_hit(fresh, 0.0, chain, bodies, obstacles, rules, work) != CLEAR:
             continue
         if not edge_free(trees[one, near], fresh, resolution, chain, bodies, obstacles, rules, work, values, opened):
             continue
@@ -145,8 +148,7 @@ def grow(
             share = min(1.0, stride / max(far, 1e-12))
             for j in range(joints):
                 target[j] = trees[other, near, j] + share * (fresh[j] - trees[other, near, j])
-            work.slack[:] = 0.0
-            if share < 1.0 and first_hit(target, chain, bodies, obstacles, rules, work) != CLEAR:
+            if share < 1.0 and first_hit(target, 0.0, chain, bodies, obstacles, rules, work) != CLEAR:
                 break
             if not edge_free(
                 trees[other, near], target, resolution, chain, bodies, obstacles, rules, work, values, opened
@@ -166,7 +168,7 @@ def grow(
     return 0, 0, 0
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(**OUTER)
 def shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rules, work, opened):
     """Replace stretches of a path by straight edges where those are free; the number of points left.
 

@@ -9,16 +9,22 @@ simplex, no progress, the limit of iterations) can only make the answer too care
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numba as nb
 
 FAST = {"contract", "reassoc", "nsz", "arcp", "nnan", "ninf"}
 """Rounding may differ in the last digits; the bounds are compared at 1e-9 and above."""
 
+INNER: dict[str, Any] = {"cache": True, "fastmath": FAST, "error_model": "numpy", "no_cpython_wrapper": True}
+"""Options of functions that only compiled functions call: neither checks of divisions nor wrappers."""
+OUTER: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+"""Options of functions that Python calls."""
+
 ITERATIONS = 40
 
 
-@nb.njit(cache=True, fastmath=FAST, inline="always")
+@nb.njit(inline="always", **INNER)
 def _farthest(vertices, start, stop, x, y, z):
     """Vertex farthest along a direction."""
     best = start
@@ -31,7 +37,7 @@ def _farthest(vertices, start, stop, x, y, z):
     return best
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@nb.njit(**INNER)
 def _segment(s, i, j, out):
     """Closest point of segment i, j of a simplex to the origin; which of the two it needs, as bits."""
     ex, ey, ez = s[j, 0] - s[i, 0], s[j, 1] - s[i, 1], s[j, 2] - s[i, 2]
@@ -48,7 +54,7 @@ def _segment(s, i, j, out):
     return (1 << i) | (1 << j)
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@nb.njit(**INNER)
 def _triangle(s, i, j, k, out):
     """Closest point of triangle i, j, k of a simplex to the origin; which of the three it needs, as bits."""
     ux, uy, uz = s[j, 0] - s[i, 0], s[j, 1] - s[i, 1], s[j, 2] - s[i, 2]
@@ -86,7 +92,7 @@ def _triangle(s, i, j, k, out):
     return kept
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@nb.njit(**INNER)
 def _tetrahedron(s, out, spare):
     """Closest point of a tetrahedron to the origin; which corners it needs, as bits, 15 if the origin is inside."""
     best, kept = 1e300, 15
@@ -113,7 +119,7 @@ def _tetrahedron(s, out, spare):
     return kept
 
 
-@nb.njit(cache=True, fastmath=FAST)
+@nb.njit(**INNER)
 def gap(a, a_start, a_stop, b, b_start, b_stop, enough, near, axis, scratch):
     """A proven lower bound on the distance between two convex pieces, metres; 0 where they may touch.
 

@@ -9,13 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.robots.cell import CellRobot
 from falsework.robots.chain import make_chain, turns
 from falsework.robots.collision import place_frames
+from falsework.robots.gjk import OUTER
 from falsework.robots.model import RobotModel
 
 Array = NDArray[np.float64]
 
 
 def link_poses(model: RobotModel, configurations: ArrayLike, base: Array | None = None) -> Array:
-    """Poses of all links, shape (joints,) to (joints + 1, 4, 4), or batched (batch, joints) to (batch, joints + 1, 4, 4).
+    """Poses of all links, shape (joints,) to (joints + 1, 4, 4), or (batch, joints) to (batch, joints + 1, 4, 4).
 
     Args:
         model: the arm.
@@ -24,9 +25,11 @@ def link_poses(model: RobotModel, configurations: ArrayLike, base: Array | None 
     """
     values = np.ascontiguousarray(np.atleast_2d(configurations), dtype=np.float64)
     chain = make_chain(model, np.eye(4) if base is None else base)
+    frames = np.empty((len(values), model.joints + 1, 3, 4))
+    _frames(values, chain, frames)
     found = np.zeros((len(values), model.joints + 1, 4, 4))
+    found[..., :3, :] = frames
     found[..., 3, 3] = 1.0
-    _frames(values, chain, found)
     back = np.swapaxes(turns(model), 1, 2)
     found[:, 1:] = found[:, 1:] @ back
     return found[0] if np.ndim(configurations) == 1 else found
@@ -64,8 +67,8 @@ def jacobian(model: RobotModel, configurations: ArrayLike, tool: Array | None = 
     return found[0] if np.ndim(configurations) == 1 else found
 
 
-@nb.njit(cache=True)
+@nb.njit(**OUTER)
 def _frames(values, chain, found):
-    """`place_frames` for a batch into homogeneous matrices, shape (batch, joints + 1, 4, 4)."""
+    """`place_frames` for a batch, shape (batch, joints + 1, 3, 4)."""
     for i in range(len(values)):
-        place_frames(values[i], chain, found[i, :, :3])
+        place_frames(values[i], chain, found[i])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.robots.collision import CLEAR
-from falsework.robots.connect import INTERVALS, edge_free, edges_free, grow, shorten
+from falsework.robots.connect import INTERVALS, edges_free, grow, shorten
 from falsework.robots.world import View
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ def plan_free(
 ) -> Motion:
     """A path from one configuration to another that keeps the margin of the view everywhere.
 
-    The straight edge is tried first, then two trees grow towards each other (RRT-Connect), then shortcuts. Every edge is
+    The straight edge is tried first, then two trees grow (RRT-Connect), then shortcuts follow. Every edge is
     proven free between its ends too (`connect.edge_free`). Same seed, same path, whatever the clock says, unless the
     deadline strikes.
 
@@ -102,8 +102,9 @@ def plan_free(
     resolution = resolution_of(view, settings)
     arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
     opened = np.empty((2, INTERVALS), np.int64)
-    if edge_free(a, b, resolution, *arrays, np.empty(model.joints), opened):
-        return Motion("found", np.stack([a, b]))
+    direct = np.stack([a, b])
+    if edges_free(direct, resolution, *arrays, opened) == 1:
+        return Motion("found", direct)
     nodes = settings.nodes
     trees = np.empty((2, nodes, model.joints))
     trees[0, 0], trees[1, 0] = a, b

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from falsework.errors import InputError
 
@@ -19,30 +19,33 @@ SIDES = 12
 """Sides of the prism that stands for a cylinder."""
 
 
-def block(low: ArrayLike, high: ArrayLike, axis: str = "z", bevels: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)) -> Array:
-    """A box whose four edges along one axis are bevelled by 45 degrees.
+def block(low: ArrayLike, high: ArrayLike, **bevels: tuple[float, float, float, float]) -> Array:
+    """A box whose edges may be bevelled by 45 degrees.
 
     Args:
         low, high: opposite corners, metres.
-        axis: the edges along it are bevelled: x, y or z.
-        bevels: how far each bevel reaches, metres. With `u`, `v` the other two axes in the order of the alphabet:
-            at low u and low v, high u and low v, high u and high v, low u and high v.
+        bevels: `x`, `y` or `z`: how far the bevels of the four edges along that axis reach, metres. With `u`, `v` the
+            other two axes in the order of the alphabet: at low u and low v, high u and low v, high u and high v, low u
+            and high v.
 
     Returns:
-        Shape (8 to 16, 3).
+        Its corners, shape (8 or more, 3).
     """
     low, high = np.asarray(low, float), np.asarray(high, float)
-    along = "xyz".index(axis)
-    u, v = (k for k in range(3) if k != along)
-    corners = ((low[u], low[v], 1, 1), (high[u], low[v], -1, 1), (high[u], high[v], -1, -1), (low[u], high[v], 1, -1))
-    outline = []
-    for (x, y, right, up), bevel in zip(corners, bevels, strict=True):
-        outline += [(x + right * bevel, y), (x, y + up * bevel)] if bevel else [(x, y)]
-    flat = np.array(outline)
-    points = np.empty((2 * len(flat), 3))
-    points[:, u], points[:, v] = np.tile(flat[:, 0], 2), np.tile(flat[:, 1], 2)
-    points[:, along] = np.repeat((low[along], high[along]), len(flat))
-    return _frozen(points)
+    planes = [np.append(-np.eye(3)[k], low[k]) for k in range(3)] + [
+        np.append(np.eye(3)[k], -high[k]) for k in range(3)
+    ]
+    for along, sizes in bevels.items():
+        u, v = (k for k in range(3) if k != "xyz".index(along))
+        for (right, up), size in zip(((-1, -1), (1, -1), (1, 1), (-1, 1)), sizes, strict=True):
+            if size > 0:
+                plane = np.zeros(4)
+                plane[u], plane[v] = right, up
+                corner = right * (high if right > 0 else low)[u] + up * (high if up > 0 else low)[v]
+                plane[3] = size - corner
+                planes.append(plane)
+    inner = HalfspaceIntersection(np.array(planes), (low + high) / 2).intersections
+    return hull(np.unique(np.round(inner, 9), axis=0))
 
 
 def cylinder(radius: float, low: float, high: float, sides: int = SIDES) -> Array:
