@@ -22,7 +22,7 @@ _DEFAULTS: dict[str, dict[str, int]] = {
 class PolicySettings:
     """A kind of network and its sizes; a size of 0 is the default of the kind."""
 
-    kind: Kind = "parts"
+    kind: Kind = "residual"
     """`residual`: layers over the plain state, quick; `parts`: attention between parts; `graph`: the paper's force-torque
     graph; `mlp`: the paper's baseline."""
     two_states: bool = False

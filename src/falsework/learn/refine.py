@@ -230,7 +230,7 @@ class Refinement:
         count = max(size, 1)
         surrogate = -torch.minimum(ratio * gain, ratio.clamp(low, high) * gain).sum() / count
         entropy = -(logs.exp() * torch.where(moves.mask, logs, 0.0)).sum() / count
-        chance = (0.5 + 0.5 * value[:size]).clamp(1e-4, 1.0 - 1e-4)
+        chance = 0.5 + 0.4999 * value[:size]  # never 0 nor 1, whose logarithm would be infinite
         error = torch.nn.functional.binary_cross_entropy(chance, moves.chance, reduction="sum") / count
         loss = surrogate - settings.entropy * entropy + settings.value * error
         if imitate:
