@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from contextlib import nullcontext
+from pathlib import Path
 from typing import Any
 
 import torch
 
 from falsework.errors import InputError
 from falsework.learn.distributed import average_gradients
+from falsework.learn.nan_guard import NanGuard
 from falsework.learn.policy import Policy, masked_log_probabilities
 from falsework.learn.rules import Rules
 from falsework.learn.settings import ImitationSettings
@@ -96,6 +98,7 @@ class Imitation:
         precision: str = "float32",
         compiled: bool = False,
         shards: Shards = Shards(),
+        folder: Path | str | None = None,
     ) -> None:
         """Begin with the weights that the policy has.
 
@@ -107,6 +110,7 @@ class Imitation:
             precision: of the network.
             compiled: compile the network.
             shards: processes that share every batch and average their gradients.
+            folder: where the batch goes whose loss is not finite.
         """
         if settings.batch < shards.size:
             raise InputError(f"a batch of {settings.batch} cannot be shared by {shards.size} processes; make it larger")
@@ -127,6 +131,12 @@ class Imitation:
         self._generator = torch.Generator(self._device).manual_seed(seed * 1009 + shards.rank)
         self._average = [weight.detach().clone() for weight in self._weights]
         self._sums = torch.zeros(4, device=self._device)
+        """Of losses, norms of the gradient, steps, and steps left out."""
+        self._one = torch.ones((), device=self._device)
+        self._left_out = torch.tensor([0.0, 0.0, 0.0, 1.0], device=self._device)
+        self._guard = NanGuard(folder, rank=shards.rank)
+        self._odd: torch.Tensor | None = None
+        """States of the first batch since the last report whose gradient was not finite, if there was one."""
 
     def run(
         self,
@@ -160,13 +170,16 @@ class Imitation:
             rate = self.settings.learning_rate * self.schedule(self.steps, place)
             for group in self._optimizer.param_groups:
                 group["lr"] = rate
-            self._optimizer.found_inf = (~norm.isfinite()).float()  # a step that is not finite is left out
+            odd = ~norm.isfinite()
+            self._optimizer.found_inf = odd.float()  # a step that is not finite is left out
             self._optimizer.step()
+            self._note(odd)
             self.steps += 1
             # The first averages are over few steps, or they would remember the random weights of the beginning.
             keep = min(self.settings.average, (1 + self.steps) / (10 + self.steps))
             torch._foreach_lerp_(self._average, [weight.detach() for weight in self._weights], 1.0 - keep)
-            self._sums += torch.stack([loss.detach(), norm.detach(), torch.ones_like(norm), norm.isfinite().float()])
+            numbers = torch.stack([loss.detach(), norm.detach(), self._one, odd.float()])
+            self._sums += torch.where(odd, self._left_out, numbers)
         self.policy.eval()
 
     def schedule(self, step: int, progress: float) -> float:
@@ -178,10 +191,23 @@ class Imitation:
         return rise * (least + (1 - least) * 0.5 * (1 + math.cos(math.pi * fallen)))
 
     def report(self) -> dict[str, float]:
-        """Means since the last report; waits for the device."""
-        loss, norm, count, finite = self._sums.tolist()
+        """Means since the last report; waits for the device.
+
+        Raises:
+            TrainingError: the loss or its gradient was not finite in between; these steps were left out.
+        """
+        loss, norm, count, odd = self._sums.tolist()
         self._sums.zero_()
-        return {"loss": loss / max(count, 1), "gradient_norm": norm / max(count, 1), "broken": count - finite}
+        if odd and self._odd is not None:
+            self._guard.watch(torch.tensor(torch.nan), {"states": self._odd}, f"step {self.steps}")
+            self._guard.check()
+        return {"loss": loss / max(count, 1), "gradient_norm": norm / max(count, 1)}
+
+    def adopt(self, policy: Policy) -> None:
+        """Begin with the weights of another policy of the same kind."""
+        self.policy.load_state_dict(policy.state_dict())
+        with torch.no_grad():
+            torch._foreach_copy_(self._average, [weight.detach() for weight in self._weights])
 
     def averaged(self, policy: Policy) -> Policy:
         """Write the moving average of the weights into another policy of the same kind."""
@@ -227,6 +253,13 @@ class Imitation:
         """Draw other random numbers from now on."""
         self._generator.manual_seed(seed)
 
+    def _note(self, odd: torch.Tensor) -> None:
+        """Keep the batch if its step was not finite and it is the first such since the last report."""
+        if self._odd is None or self._odd.shape != self._batch.shape:
+            self._odd = self._batch.clone()
+        first = odd & (self._sums[3] == 0)
+        self._odd = torch.where(first, self._batch, self._odd)
+
     def _loss(
         self,
         solved: SolvedStates,
@@ -254,6 +287,7 @@ class Imitation:
             value = outcomes.draw(max(settings.mistakes // self.shards.size, 1), self._generator)
             states = torch.cat([states, value["states"]])
             sizes.append(len(value["states"]))
+        self._batch = states
         logits, estimate = self._network(states, aims)
         logit_parts, estimate_parts = list(logits.split(sizes)), list(estimate.split(sizes))
         loss = imitation_loss(logit_parts.pop(0), mask, valid)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, Protocol
 
 import torch
 
+from falsework.learn.curriculum import Curriculum
 from falsework.learn.distributed import gather_rows, summed
 from falsework.learn.imitation import Imitation, Network, TargetSamples
 from falsework.learn.policy import Policy
+from falsework.learn.ppo import PPO
+from falsework.learn.ppo_settings import PpoSettings
 from falsework.learn.settings import TrainSettings
 from falsework.learn.solved import SolvedStates
 from falsework.learn.watch import WatchedEnvironment
@@ -27,6 +33,10 @@ class Learner(Protocol):
 
     def best(self, policy: Policy) -> Policy:
         """Write the weights to be evaluated into another policy of the same kind, and return it."""
+        ...
+
+    def adopt(self, policy: Policy) -> None:
+        """Begin with the weights of another policy of the same kind, such as what imitation arrived at."""
         ...
 
     def tensors(self) -> dict[str, torch.Tensor]:
@@ -56,6 +66,7 @@ class SearchLearner:
         compiled: bool = False,
         shards: Shards = Shards(),
         targets: TargetSamples | None = None,
+        folder: Path | None = None,
     ) -> None:
         """Begin.
 
@@ -68,6 +79,7 @@ class SearchLearner:
             compiled: compile the network.
             shards: processes.
             targets: samples with targets, in place of `solved`.
+            folder: for the batch of a loss that is not finite.
         """
         self.exhausted = False
         self._environment, self._solved, self._settings = environment, solved, settings
@@ -80,6 +92,7 @@ class SearchLearner:
             precision=settings.precision,
             compiled=compiled,
             shards=shards,
+            folder=folder,
         )
         self._network = Network(policy, settings.precision)
         self._generator = environment.generator(settings.seed * 1009 + 500 + shards.rank)
@@ -107,6 +120,10 @@ class SearchLearner:
         """As `Learner`."""
         return self._imitation.averaged(policy)
 
+    def adopt(self, policy: Policy) -> None:
+        """As `Learner`."""
+        self._imitation.adopt(policy)
+
     def tensors(self) -> dict[str, torch.Tensor]:
         """As `Learner`."""
         counts = torch.tensor([self._blocks, self._perfect, int(self.exhausted)])
@@ -125,7 +142,7 @@ class SearchLearner:
         self._blocks, self._perfect, exhausted = tensors["counts"].tolist()
         self.exhausted = bool(exhausted)
         prefix = "imitation."
-        self._imitation.load({n[len(prefix) :]: t for n, t in tensors.items() if n.startswith(prefix)})
+        self._imitation.load(names(tensors, prefix))
         if own is None:  # other processes than before: they draw other numbers, and have made no mistakes yet
             seed = (self._settings.seed * 1009 + self._shards.rank) * 100_003 + self._imitation.steps
             self._imitation.reseed(seed)
@@ -134,7 +151,7 @@ class SearchLearner:
         self._imitation.set_generator_state(own["batches"])
         self._generator.set_state(own["rollouts"].cpu())
         for name, memory in (("mistakes", self._environment.mistakes), ("outcomes", self._environment.outcomes)):
-            memory.load({n[len(name) + 1 :]: t for n, t in own.items() if n.startswith(name + ".")})
+            memory.load(names(own, name + "."))
 
     def _round(self) -> dict[str, float]:
         """Play from states that are known to be solvable, search where that fails, and learn what was found."""
@@ -152,6 +169,82 @@ class SearchLearner:
         self._perfect = self._perfect + 1 if tried == succeeded else 0
         self.exhausted = 0 < settings.patience <= self._perfect
         return {"round_success": succeeded / tried, "round_new": float(len(solved) - known)}
+
+
+class PpoLearner:
+    """Reinforcement learning, with start states drawn by a curriculum or always the complete structure."""
+
+    def __init__(
+        self,
+        environment: WatchedEnvironment,
+        policy: Policy,
+        starts: torch.Tensor,
+        settings: TrainSettings,
+        *,
+        targets: torch.Tensor | None = None,
+        shards: Shards = Shards(),
+        folder: Path | None = None,
+    ) -> None:
+        """Begin with the weights that the policy has.
+
+        Args:
+            environment: rules and verdicts.
+            policy: what is trained, in place.
+            starts: states known to be solvable, shape (count, parts).
+            settings: filled in.
+            targets: of each start, shape (count, parts), or None.
+            shards: processes.
+            folder: for the batch of a loss that is not finite.
+        """
+        self.exhausted = False
+        self._policy, self._settings, self._shards = policy, settings, shards
+        self._rollouts = max(settings.ppo.rollouts // shards.size, 1)
+        options, seed = settings.ppo.settings, settings.seed * 1009 + shards.rank
+        network = Network(policy, settings.precision)
+        self._ppo = PPO(network, environment, options, environment.generator(seed + 300), shards=shards, folder=folder)
+        drawing = environment.generator(seed + 400)
+        self._curriculum = Curriculum(
+            starts, environment.rules, options.curriculum, drawing, targets=targets, shards=shards
+        )
+
+    def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
+        """As `Learner`: updates until about so many steps of the optimizer are taken."""
+        taken, numbers = 0, {}
+        options = self._settings.ppo.settings
+        while taken < steps:
+            numbers = self._ppo.learn(self._curriculum, self._rollouts)
+            taken += options.epochs * math.ceil(max(numbers["steps"], 1.0) / options.batch)
+        return {"updates": float(self._ppo.updates), **numbers}
+
+    def best(self, policy: Policy) -> Policy:
+        """As `Learner`."""
+        policy.load_state_dict(self._policy.state_dict())
+        return policy.eval()
+
+    def adopt(self, policy: Policy) -> None:
+        """As `Learner`."""
+        self._policy.load_state_dict(policy.state_dict())
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """As `Learner`."""
+        saved = {f"ppo.{name}": tensor for name, tensor in self._ppo.tensors().items()}
+        return saved | {f"curriculum.{name}": tensor for name, tensor in self._curriculum.tensors().items()}
+
+    def own_tensors(self) -> dict[str, torch.Tensor]:
+        """As `Learner`."""
+        saved = {f"ppo.{name}": tensor for name, tensor in self._ppo.own_tensors().items()}
+        return saved | {f"curriculum.{name}": tensor for name, tensor in self._curriculum.own_tensors().items()}
+
+    def load(self, tensors: dict[str, torch.Tensor], own: dict[str, torch.Tensor] | None) -> None:
+        """As `Learner`."""
+        for prefix, what in (("ppo.", self._ppo), ("curriculum.", self._curriculum)):
+            what.load(names(tensors, prefix), None if own is None else names(own, prefix))
+
+
+def without_curriculum(settings: PpoSettings) -> PpoSettings:
+    """The same reinforcement learning, with all start states alike and no more exploration where it fails."""
+    plain = replace(settings.curriculum, growing=False, rank_power=0.0, entropy_rise=0.0)
+    return replace(settings, curriculum=plain)
 
 
 def merged(own: dict[str, torch.Tensor], shards: Shards, device: torch.device) -> dict[str, torch.Tensor]:

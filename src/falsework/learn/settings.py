@@ -9,8 +9,10 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from falsework.errors import InputError
 from falsework.learn.policy_settings import PolicySettings
+from falsework.learn.ppo_settings import PpoSettings
+from falsework.learn.refine_settings import RefineSettings
 
-Method = Literal["search", "imitation", "ppo", "imitation+ppo", "ppo-complete"]
+Method = Literal["search", "refine", "imitation", "ppo", "imitation+ppo", "ppo-complete"]
 Data = Literal["wide", "width64"]
 
 METHODS: tuple[str, ...] = get_args(Method)
@@ -68,20 +70,31 @@ class PpoPhase:
 
     rollouts: int = 0
     """Rollouts an update, over all processes; 0: 1,024 on a GPU, 64 on a processor."""
-    learning_rate: float = 0.0
-    """Step of Adam; 0: the default of the method."""
-    imitation_share: float = 0.4
-    """Share of the time for imitation, where it goes before."""
+    imitation: float = 0.4
+    """Share of the training that is imitation, where that goes before."""
+    settings: PpoSettings = field(default_factory=PpoSettings)
+    """Of the method."""
+
+
+@dataclass(frozen=True)
+class RefinePhase:
+    """Policy gradients from many rollouts that start where searches found states."""
+
+    imitation: float = 0.3
+    """Share of the training that is imitation, before."""
+    settings: RefineSettings = field(default_factory=RefineSettings)
+    """Of the method."""
 
 
 @dataclass(frozen=True)
 class TrainSettings:
     """A whole training run."""
 
-    method: Method = "search"
-    """`search`: imitation of wide searches, then rounds of rollouts whose failures are searched; `imitation`: of the
-    data alone; `ppo`: reinforcement learning with a curriculum; `imitation+ppo`: one, then the other; `ppo-complete`:
-    reinforcement learning that always starts from the complete structure, as a baseline."""
+    method: Method = "refine"
+    """`search`: imitation of wide searches, then rounds of rollouts whose failures are searched; `refine`: imitation,
+    then policy gradients from many rollouts; `imitation`: of the data alone; `ppo`: reinforcement learning with a
+    curriculum; `imitation+ppo`: one, then the other; `ppo-complete`: reinforcement learning that always starts from the
+    complete structure, as a baseline."""
     robots: int = 2
     """Parts held at a time."""
     policy: PolicySettings = field(default_factory=PolicySettings)
@@ -106,8 +119,10 @@ class TrainSettings:
     """Learning from verified search."""
     ppo: PpoPhase = PpoPhase()
     """Reinforcement learning."""
+    refine: RefinePhase = RefinePhase()
+    """Policy gradients."""
     block: int = 0
-    """Steps between two looks at clock and curve; 0: 200 on a GPU, 50 on a processor."""
+    """Steps between two looks at the clock; 0: 200 on a GPU, 20 on a processor."""
     evaluate_every: int = 5
     """Blocks from one point of the curve to the next."""
     evaluation_states: int = 512
@@ -148,7 +163,7 @@ class TrainSettings:
         batch = imitation.batch or (1024 if gpu else 128)
         return replace(
             self,
-            policy=self.policy.resolved(),
+            policy=_policy(self.policy, gpu).resolved(),
             minutes=self.minutes or default_minutes(parts, device),
             widths=self.widths or default_widths(parts, device),
             imitation=replace(
@@ -159,9 +174,17 @@ class TrainSettings:
             ),
             improve=replace(self.improve, starts=self.improve.starts or (4096 if gpu else 256)),
             ppo=replace(self.ppo, rollouts=self.ppo.rollouts or (1024 if gpu else 64)),
-            block=self.block or (200 if gpu else 50),
+            refine=replace(self.refine, settings=self.refine.settings.resolved(device)),
+            block=self.block or (200 if gpu else 20),
             precision=("bfloat16" if gpu else "float32") if self.precision == "auto" else self.precision,
         )
+
+
+def _policy(policy: PolicySettings, gpu: bool) -> PolicySettings:
+    """A quick network as large as the device can play with at leisure."""
+    if policy.kind == "residual" and not policy.channels:
+        return replace(policy, channels=1024 if gpu else 256)
+    return policy
 
 
 def default_minutes(parts: int, device: str) -> float:
@@ -171,10 +194,10 @@ def default_minutes(parts: int, device: str) -> float:
 
 
 def default_widths(parts: int, device: str) -> tuple[int, ...]:
-    """Widths of the searches that make data beyond the paper's."""
+    """Widths of the searches that make data beyond the paper's: one wide one, and narrow ones that stray further."""
     if device == "cuda":
-        return (4096,)
-    return (1024,) if parts <= 20 else (256,)
+        return (*[128] * (4 if parts <= 20 else 8 if parts <= 50 else 16), 1024 if parts <= 20 else 4096)
+    return (128, 128, 256) if parts <= 20 else (128, 256)
 
 
 def as_json(settings: Any) -> dict[str, Any]:

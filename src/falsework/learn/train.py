@@ -32,10 +32,11 @@ from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
 from falsework.learn.distributed import decided, same_weights
 from falsework.learn.evaluate import Success, greedy_success, sample, throughput
 from falsework.learn.imitation import Network
-from falsework.learn.learners import Learner, SearchLearner, merged, names, own_of
+from falsework.learn.learners import Learner, PpoLearner, SearchLearner, merged, names, own_of, without_curriculum
 from falsework.learn.log import Journal
 from falsework.learn.pace import Pace
 from falsework.learn.policy import describe, make_policy
+from falsework.learn.refine import Refinement
 from falsework.learn.settings import TrainSettings, as_json, from_json
 from falsework.learn.solved import SolvedStates
 from falsework.learn.watch import WatchedEnvironment
@@ -200,6 +201,7 @@ class _Trainer:
         self.report: Report = lambda done, text: None
         self.notes: list[str] = []
         self.steps = 0
+        self._phase = 0
         self.data_seconds = 0.0
         self.pace = Pace(minutes=settings.minutes, steps=settings.steps, shards=shards, device=device)
         self._structure = describe_structure(assembly, source)
@@ -237,7 +239,10 @@ class _Trainer:
         self._environment.solved = self._solved
         if saved is None:
             self._solved.add(put(np.concatenate([data.train, data.more]), self.device))
-        learner = self._learner()
+        self._make = lambda: self._learner(self._phases()[self._phase][0], self._begin_of_phase(), data)
+        if saved is not None:
+            self._phase = saved[1]["phase"]
+        learner = self._make()
         if saved is not None:
             self._load(learner, *saved)
         if not len(self._solved):
@@ -265,6 +270,8 @@ class _Trainer:
                 interrupted = 1
                 break
             steps, progress = self.pace.stretch(self.steps, settings.block)
+            if progress[0] >= self._phases()[self._phase][1]:
+                learner = self._next_phase(learner)
             numbers = learner.block(steps, progress)
             self.steps += steps
             blocks += 1
@@ -311,20 +318,66 @@ class _Trainer:
         self.data_seconds = time.perf_counter() - begun
         return data
 
-    def _learner(self) -> Learner:
+    def _phases(self) -> tuple[tuple[str, float], ...]:
+        """Ways to learn one after the other, each with the progress at which it ends."""
         settings = self.settings
+        first = {"refine": settings.refine.imitation, "imitation+ppo": settings.ppo.imitation}.get(settings.method)
+        if first is None:
+            return ((settings.method, 1.0),)
+        return ("imitation", first), (settings.method.removeprefix("imitation+"), 1.0)
+
+    def _learner(self, way: str, begin: float, data: Dataset) -> Learner:
+        """What learns in one phase.
+
+        Args:
+            way: which.
+            begin: progress of the run at which it begins.
+            data: states that searches found.
+        """
+        settings, shards = self.settings, self.shards
         compiled = settings.compile == "on" or (
             settings.compile == "auto" and self.device.type == "cuda" and settings.minutes >= _COMPILE_FROM
         )
-        return SearchLearner(
-            self._environment,
-            self._policy,
-            self._solved,
-            settings,
-            rounds=settings.method == "search",
-            compiled=compiled,
-            shards=self.shards,
-        )
+        if way in ("search", "imitation"):
+            return SearchLearner(
+                self._environment,
+                self._policy,
+                self._solved,
+                settings,
+                rounds=way == "search",
+                compiled=compiled,
+                shards=shards,
+                folder=self.folder,
+            )
+        starts = put(np.concatenate([data.train, data.more]), self.device)
+        if way == "refine":
+            return Refinement(
+                self._environment,
+                self._policy,
+                self._solved,
+                starts,
+                settings.refine.settings,
+                begin=begin,
+                seed=settings.seed,
+                precision=settings.precision,
+                compiled=compiled,
+                shards=shards,
+            )
+        if way == "ppo-complete":
+            starts = self._environment.rules.complete()
+            settings = replace(settings, ppo=replace(settings.ppo, settings=without_curriculum(settings.ppo.settings)))
+        return PpoLearner(self._environment, self._policy, starts, settings, shards=shards, folder=self.folder)
+
+    def _begin_of_phase(self) -> float:
+        return self._phases()[self._phase - 1][1] if self._phase else 0.0
+
+    def _next_phase(self, learner: Learner) -> Learner:
+        """Go on another way with the weights that the last one arrived at."""
+        learner.best(self._best)
+        self._phase += 1
+        following = self._make()
+        following.adopt(self._best)
+        return following
 
     def _evaluate(self, learner: Learner, samples: dict[str, torch.Tensor]) -> dict[str, Success]:
         learner.best(self._best)
@@ -354,7 +407,12 @@ class _Trainer:
             return
         tensors = {f"learner.{name}": tensor for name, tensor in learner.tensors().items()}
         tensors |= {f"solved.{name}": tensor for name, tensor in self._solved.tensors().items()}
-        state = {"steps": self.steps, "pace": self.pace.state(), "data_seconds": self.data_seconds}
+        state = {
+            "steps": self.steps,
+            "phase": self._phase,
+            "pace": self.pace.state(),
+            "data_seconds": self.data_seconds,
+        }
         problem = self._checkpoint.save({**tensors, **own}, state)
         if problem:
             self.notes.append(f"no checkpoint at step {self.steps}: {problem}")
