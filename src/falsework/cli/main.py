@@ -28,6 +28,9 @@ COMMANDS = {
     "graph": "MakeGraph",
     "serve": "Serve",
     "dataset": "MakeDataset",
+    "train": "Train",
+    "evaluate": "Evaluate",
+    "replan": "MakeReplan",
 }
 """Module of each subcommand in this package, named like it, and its class there."""
 

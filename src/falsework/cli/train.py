@@ -11,10 +11,15 @@ from tyro.conf import arg
 from falsework.cli.command import UNSET, Command, Exit, StructureOptions
 from falsework.cli.planning import refuse_unstable
 from falsework.errors import InputError
+from falsework.learn.policy_settings import Kind, PolicySettings
+from falsework.learn.settings import Method, TrainSettings
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.learn.train import TrainResult
+
+
+_DEFAULTS = TrainSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,10 +47,12 @@ class Train(Command):
     """Steps in place of a time: the run then depends on the seed alone."""
     resume: bool = False
     """Go on with the run in the folder; of the other options only --minutes, --steps, --device and --log count."""
-    method: Literal["search", "imitation", "ppo", "imitation+ppo", "ppo-complete"] = "search"
-    """Way to learn; `ppo` is that of the paper, `ppo-complete` the same without its curriculum."""
-    policy: Literal["parts", "graph", "mlp"] = "parts"
-    """Network: attention between parts, the paper's force-torque graph, or the paper's baseline."""
+    method: Method = _DEFAULTS.method
+    """Way to learn: imitation of searches, then policy gradients (`refine`) or searches where the policy fails
+    (`search`) or neither (`imitation`); `ppo` as in the paper, `imitation+ppo`, `ppo-complete` without curriculum."""
+    policy: Kind = _DEFAULTS.policy.kind
+    """Network: quick layers over the state (`residual`), attention between parts (`parts`), the paper's force-torque
+    graph (`graph`) or its baseline (`mlp`). Those of parts and graph carry over to other structures."""
     two_states: bool = False
     """Tell the policy a target state."""
     removable_only_if_clear: bool = False
@@ -62,7 +69,6 @@ class Train(Command):
     def run(self, output: Output) -> Exit:
         """Search, learn, save."""
         from falsework.learn.door import check_torch
-        from falsework.learn.settings import PolicySettings, TrainSettings
 
         check_torch()
         from falsework.learn.data import task_for

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from falsework.learn.distributed import summed
 from falsework.learn.environment import Environment
 from falsework.learn.rollout import Policy
 from falsework.search.shards import Shards
+from falsework.search.tensors import put
 
 Report = Callable[[int, int, str], None]
 """Told what is done, what there is to do, and words."""
@@ -83,3 +84,55 @@ def throughput(environment: Environment, seconds: float, shards: Shards = Shards
         "asked": int(asked),
         **shares,
     }
+
+
+@dataclass(frozen=True)
+class EvaluateSettings:
+    """What to evaluate on, and how hard to try."""
+
+    states: int = 0
+    """Most states of each set, a fixed sample; 0: all."""
+    search: bool = False
+    """Search where the most probable actions fail, so that every state gets a proven plan if one is found."""
+    seed: int = 0
+    """Of drawn rollouts in the search."""
+
+
+def evaluate(
+    environment: Environment,
+    policy: Policy,
+    sets: Mapping[str, States],
+    settings: EvaluateSettings = EvaluateSettings(),
+    *,
+    shards: Shards = Shards(),
+    report: Report | None = None,
+) -> dict[str, Any]:
+    """Greedy success on sets of states and, if asked for, what verified search on top of it finds.
+
+    Args:
+        environment: rules and verdicts.
+        policy: what is evaluated.
+        sets: states by the name of the set, such as `train` and `test`, each of shape (count, parts).
+        settings: how many states, and whether to search.
+        shards: processes that share the greedy rollouts.
+        report: told how far it is.
+
+    Returns:
+        For each set `states` and `success`; with search for `test` also `search`: the `share` of states with a proven
+        plan, who decided how many, and seconds.
+    """
+    from falsework.learn.improve import solve_all
+
+    results: dict[str, Any] = {}
+    for number, (name, states) in enumerate(sets.items()):
+        if report is not None:
+            report(number, len(sets), f"{len(states)} {name} states")
+        chosen = put(sample(states, settings.states), environment.device)
+        success, _ = greedy_success(environment, policy, chosen, shards=shards)
+        results[name] = success.as_json()
+        if settings.search and name == "test":
+            if report is not None:
+                report(number, len(sets), f"search from {name} states")
+            generator = environment.generator(settings.seed)
+            results[name]["search"] = solve_all(environment, policy, chosen, generator=generator).record()
+    return results

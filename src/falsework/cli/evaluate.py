@@ -1,0 +1,126 @@
+"""`falsework evaluate`: how often a policy succeeds, on states that it has learned from and on others."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from tyro.conf import Positional, arg
+
+from falsework.cli.command import UNSET, Command, Exit
+from falsework.errors import InputError
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.cli.output import Output
+    from falsework.learn.checkpoint import Run
+    from falsework.learn.data import Dataset
+    from falsework.learn.policy import Policy
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(Command):
+    """Follow the most probable actions of a trained policy from many states, and count how often they reach the end.
+
+    A rollout succeeds only if every state on the way is proven stable. The training set is that of a narrow search, the
+    test set what a wider one finds beyond it; test states are never learned from.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework train arch:blocks=7 --out run --minutes 0.1",
+        "falsework evaluate run --search",
+    )
+
+    folder: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder that `falsework train` wrote."""
+    structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
+    """Ask the policy about another structure, which it was not trained for."""
+    search: bool = False
+    """Search where the policy fails, and say for what share of the test states there is a proven plan then."""
+    targets: bool = False
+    """Go to target states drawn at random in place of the empty structure, for policies trained with two states."""
+    states: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
+    """States of each set, a fixed sample."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to evaluate; `auto` takes a GPU if there is one."""
+    seed: int = 0
+    """Of samples and of rollouts that are drawn in a search."""
+
+    def run(self, output: Output) -> Exit:
+        """Load, play, count."""
+        from falsework.learn.door import check_torch
+
+        check_torch()
+        from falsework.learn.checkpoint import load_run
+        from falsework.learn.environment import Environment
+        from falsework.learn.evaluate import EvaluateSettings, evaluate
+        from falsework.learn.imitation import Network
+        from falsework.search.shards import joined
+
+        if self.states is not None and self.states < 1:
+            raise InputError(f"--states {self.states} leaves nothing to evaluate; give at least 1")
+        begun = time.perf_counter()
+        with joined(self.device) as (shards, device):
+            trained = load_run(self.folder, device)
+            settings = trained.settings
+            assembly, policy = self._subject(trained)
+            data = self._data(trained, assembly, str(device))
+            environment = Environment(
+                assembly, settings.robots, device=device, clearance=settings.removable_only_if_clear
+            )
+            network = Network(policy, settings.precision if device.type == "cuda" else "float32")
+            options = EvaluateSettings(states=self.states or 0, search=self.search, seed=self.seed)
+            with output.bar("evaluating") as show:
+                found = evaluate(
+                    environment,
+                    network,
+                    {"train": data.train, "test": data.test},
+                    options,
+                    shards=shards,
+                    report=show,
+                )
+            if not shards.first:
+                return Exit.DONE
+        record = {
+            "run": str(self.folder),
+            "structure": assembly.name,
+            "trained_on": trained.assembly.name,
+            "robots": settings.robots,
+            "method": settings.method,
+            "policy": settings.policy.kind,
+            **found,
+            "seconds": round(time.perf_counter() - begun, 3),
+            "device": str(device),
+        }
+        output.record(record)
+        for name, result in found.items():
+            output.say(f"{name}: {100 * result['success']:.1f} % of {result['states']} states succeed")
+        if self.search:
+            searched = found["test"]["search"]
+            output.say(f"with search: {100 * searched['share']:.2f} % of the test states have a proven plan")
+        return Exit.DONE
+
+    def _subject(self, trained: Run) -> tuple[Assembly, Policy]:
+        """Structure and policy: those of the run, or the policy carried over to another structure."""
+        from falsework.assembly import load_structure
+        from falsework.learn.policy import transfer
+
+        if self.structure is None:
+            return trained.assembly, trained.policy
+        assembly = load_structure(self.structure)
+        device = next(trained.policy.parameters()).device
+        policy = transfer(trained.policy.state_dict(), trained.settings.policy, assembly, device)
+        return assembly, policy.eval()
+
+    def _data(self, trained: Run, assembly: Assembly, device: str) -> Dataset:
+        """States of the run if they are there and of this structure, else found by the same searches."""
+        from falsework.learn.checkpoint import DATA
+        from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
+
+        if self.structure is None and (self.folder / DATA).is_file():
+            return Dataset.load(self.folder / DATA, assembly)
+        settings: Any = trained.settings
+        task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
+        return build_dataset(assembly, task, DataSettings(seed=settings.data_seed), device=device)
