@@ -154,7 +154,7 @@ def evaluate(
         for rows in (slice(begin, begin + rows_at_once) for begin in range(0, len(states), rows_at_once))
     ]
     logits, value = (torch.cat(column) if len(pieces) > 1 else column[0] for column in zip(*pieces, strict=True))
-    return logits.float(), value.float()
+    return logits.detach().float(), value.detach().float()
 
 
 def roll_out(
