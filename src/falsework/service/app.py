@@ -16,7 +16,7 @@ from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.service import description
-from falsework.service.guard import App, Guard
+from falsework.service.guard import INSIDE, App, Guard
 from falsework.service.metrics import Metrics
 from falsework.service.page import page_of
 from falsework.service.pool import Pool, Reply
@@ -69,11 +69,13 @@ def application(assembly: Assembly, pool: Pool, settings: ServiceSettings, metri
         docs_url=None,
         redoc_url=None,
         openapi_url=None,
+        redirect_slashes=False,
     )
     models = description.models_of(assembly, settings)
     _add_questions(app, assembly, pool, settings, models)
     _add_reports(app, assembly, pool, metrics)
     app.add_exception_handler(HTTPException, _refuse)
+    app.add_exception_handler(Exception, _admit)
     app.openapi = _describe(app, models, settings)  # type: ignore[method-assign]
     _add_pages(app)
     return Guard(app, settings, metrics)
@@ -249,3 +251,8 @@ async def _refuse(_: Request, error: Exception) -> Response:
     text = {404: "there is nothing here; / says what there is", 405: "not this way; / says how"}
     body = refusal(text.get(error.status_code, "this request cannot be served"))
     return Response(body, error.status_code, headers=error.headers, media_type=_JSON)
+
+
+async def _admit(_: Request, __: Exception) -> Response:
+    """What went wrong inside; the guard writes it to the log."""
+    return _response(Reply(500, refusal(INSIDE)))

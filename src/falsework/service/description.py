@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, create_model
 from pydantic.json_schema import models_json_schema
 
 from falsework.assembly.model import Assembly
@@ -23,6 +23,20 @@ MOST_ROBOTS, MOST_ALTERNATIVES = 64, 8
 _SHOWN = 160
 """Characters of a complaint that quote what came in."""
 _REF = "#/components/schemas/{model}"
+
+
+def _whole(value: Any) -> Any:
+    """2.0 is the number 2 in JSON; 2.5, "2" and true are not."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def _whole_values(value: Any) -> Any:
+    return [_whole(entry) for entry in value] if isinstance(value, list) else value
+
+
+def whole(least: int, most: int) -> Any:
+    """A whole number between two bounds; the bounds come first, or the description would not have them."""
+    return Annotated[int, Field(ge=least, le=most), BeforeValidator(_whole)]
 
 
 class Strict(BaseModel):
@@ -49,10 +63,11 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
     parts = assembly.part_count
     values = Annotated[
         list[Literal[0, 1, 2]],
+        BeforeValidator(_whole_values),
         Field(min_length=parts, max_length=parts, description="one value a part: 0 removed, 1 installed, 2 held"),
     ]
     state = values | Literal["complete", "empty"]
-    numbers = Annotated[list[Annotated[int, Field(ge=0, lt=parts)]], Field(max_length=parts)]
+    numbers = Annotated[list[whole(0, parts - 1)], Field(max_length=parts, json_schema_extra={"uniqueItems": True})]
     longest = round(1000 * settings.longest_deadline)
     replan: dict[str, Any] = {
         "state": (state, Field(default="complete", description="where things stand; boundary parts are always 2")),
@@ -73,19 +88,17 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
             Field(default=[], description="parts not delivered yet, done without longest"),
         ),
         "fixed": (numbers, Field(default=[], description="parts that nobody must touch")),
-        "robots": (int, Field(default=2, ge=1, le=MOST_ROBOTS, description="parts that can be held at a time")),
-        "alternatives": (int, Field(default=1, ge=1, le=MOST_ALTERNATIVES, description="plans wanted")),
+        "robots": (whole(1, MOST_ROBOTS), Field(default=2, description="parts that can be held at a time")),
+        "alternatives": (whole(1, MOST_ALTERNATIVES), Field(default=1, description="plans wanted")),
         "removable_only_if_clear": (
             bool,
             Field(default=False, description="move parts along free straight ways only"),
         ),
-        "seed": (int, Field(default=0, ge=0, lt=2**31)),
+        "seed": (whole(0, 2**31 - 1), Field(default=0)),
         "deadline": (
-            int,
+            whole(SHORTEST_DEADLINE, longest),
             Field(
                 default=round(1000 * settings.deadline),
-                ge=SHORTEST_DEADLINE,
-                le=longest,
                 description="milliseconds until the answer: the best proven one so far",
             ),
         ),

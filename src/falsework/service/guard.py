@@ -22,6 +22,7 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 OPEN_PATHS = frozenset({"/health"})
 """Answered without a token: whoever watches the service need not be able to use it."""
+INSIDE = "the request failed inside; the log of the service says why"
 _HOSTS = frozenset({b"localhost", b"127.0.0.1", b"[::1]"})
 _HEADERS = [
     (b"cache-control", b"no-store"),
@@ -84,12 +85,15 @@ class Guard:
         except Exception:
             log.exception("a request failed")
             if not status:
-                await _respond(watch, 500, "the request failed inside; the log of the service says why")
+                await _respond(watch, 500, INSIDE)
         finally:
             self._metrics.answered(scope["path"], status, time.perf_counter() - begun)
 
     def _check(self, scope: Scope) -> None:
         headers = dict(scope["headers"])
+        if sum(len(name) + len(value) for name, value in scope["headers"]) > self._settings.header_bytes:
+            close = ((b"connection", b"close"),)
+            raise _Refused(431, f"the header is larger than {self._settings.header_bytes} bytes; send less", close)
         if self._digest is None:
             host = headers.get(b"host", b"").lower()
             name = host.partition(b"]")[0] + b"]" if host.startswith(b"[") else host.partition(b":")[0]

@@ -20,9 +20,6 @@ from falsework.service.metrics import Metrics
 from falsework.service.pool import Pool
 from falsework.service.settings import ServiceSettings
 
-_IDLE_SECONDS = 15
-"""Between two requests on one connection."""
-_HEADER_BYTES = 16 * 1024
 _STOP_SECONDS = 3
 
 
@@ -69,16 +66,15 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-async def _serve(
-    assembly: Assembly,
-    settings: ServiceSettings,
-    run: Path | None,
-    listener: socket.socket,
-    started: Callable[[str], None] | None,
-) -> None:
-    metrics = Metrics()
-    pool = Pool(assembly, settings, metrics, run=run)
-    await pool.start()  # before anybody is let in, so that what is wrong is said here
+def server_of(assembly: Assembly, pool: Pool, settings: ServiceSettings, metrics: Metrics) -> uvicorn.Server:
+    """A server that is not running yet; it keeps clients to the bounds of the settings.
+
+    Args:
+        assembly: the structure.
+        pool: does the work.
+        settings: bounds.
+        metrics: counts.
+    """
     config = uvicorn.Config(
         application(assembly, pool, settings, metrics),  # type: ignore[arg-type]
         http=_protocol(settings),
@@ -89,12 +85,25 @@ async def _serve(
         access_log=False,
         server_header=False,
         proxy_headers=False,
-        timeout_keep_alive=_IDLE_SECONDS,
+        timeout_keep_alive=settings.idle_seconds,
         timeout_graceful_shutdown=_STOP_SECONDS,
         limit_concurrency=settings.connections,
-        h11_max_incomplete_event_size=_HEADER_BYTES,
+        h11_max_incomplete_event_size=settings.header_bytes,
     )
-    server = uvicorn.Server(config)
+    return uvicorn.Server(config)
+
+
+async def _serve(
+    assembly: Assembly,
+    settings: ServiceSettings,
+    run: Path | None,
+    listener: socket.socket,
+    started: Callable[[str], None] | None,
+) -> None:
+    metrics = Metrics()
+    pool = Pool(assembly, settings, metrics, run=run)
+    await pool.start()  # before anybody is let in, so that what is wrong is said here
+    server = server_of(assembly, pool, settings, metrics)
     announcing = asyncio.create_task(_announce(server, listener, started))
     try:
         await server.serve(sockets=[listener])

@@ -45,6 +45,10 @@ class ServiceSettings:
     """Clients at a time."""
     body_bytes: int = 1 << 20
     """Largest request."""
+    header_bytes: int = 16 * 1024
+    """Largest header."""
+    idle_seconds: int = 15
+    """Between two requests on one connection."""
     header_seconds: float = 10.0
     """For a client to say what it wants ..."""
     body_seconds: float = 10.0

@@ -1,0 +1,150 @@
+"""What a service answers is true: plans hold by the exact solver, verdicts agree with it, and a no is a no."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from falsework.assembly.state import complete_state, empty_state
+from falsework.search.plan import Plan
+from falsework.search.plan_file import from_json, plan_schema
+from falsework.stability import Stability, StabilitySettings
+
+HALF = [1, 2, 0, 2, 1, 2, 2]
+"""The keystone is not in, and robots hold its neighbours."""
+
+
+def plans_of(answer: dict[str, Any]) -> list[Plan]:
+    """The plans in an answer, each as its published schema has it."""
+    for plan in answer["plans"]:
+        jsonschema.validate(plan, plan_schema())
+    return [Plan(**from_json(plan)) for plan in answer["plans"]]
+
+
+@pytest.mark.parametrize(
+    ("question", "first", "last", "direction"),
+    [
+        ({}, "complete", "empty", "disassembly"),
+        ({"state": "empty", "direction": "assembly"}, "empty", "complete", "assembly"),
+        ({"state": [0, 0, 1, 1, 1, 2, 2], "target": "complete"}, None, None, None),
+        ({"state": HALF}, HALF, "empty", "disassembly"),
+        (
+            {"state": [1, 2, 0, 2, 1, 2, 2], "target": "complete", "robots": 3},
+            [1, 2, 0, 2, 1, 2, 2],
+            "complete",
+            "assembly",
+        ),
+    ],
+)
+def test_a_plan_leads_where_it_shall_and_every_state_stands(
+    question: dict[str, Any], first: Any, last: Any, direction: str | None, live: Any
+) -> None:
+    reply = live.post("/replan", {"robots": 2, **question})
+    assert reply.status_code == 200
+    answer = reply.json()
+    if direction is None:  # two blocks of an arch are gone and nobody holds the others: that state has fallen
+        assert answer["outcome"] == "proved_impossible"
+        assert answer["moving"]
+        return
+    (plan,) = plans_of(answer)
+    words = {"complete": complete_state(live.assembly.boundary), "empty": empty_state(live.assembly.boundary)}
+    assert answer["outcome"] == "found"
+    assert answer["direction"] == plan.direction == direction
+    assert np.array_equal(plan.states[0], words.get(first, first) if isinstance(first, str) else first)
+    assert np.array_equal(plan.states[-1], words[last])
+    assert plan.source is None
+    assert plan.validate(live.assembly).good
+
+
+def test_alternatives_differ(live: Any) -> None:
+    answer = live.post("/replan", {"alternatives": 3, "robots": 3}).json()
+    plans = plans_of(answer)
+    assert len(plans) == 3
+    assert len({plan.actions.tobytes() for plan in plans}) == 3
+    assert np.array(answer["distances"])[np.triu_indices(3, 1)].min() > 0
+
+
+def test_fixed_and_missing_parts(live: Any) -> None:
+    answer = live.post("/replan", {"fixed": [0], "robots": 3}).json()
+    (plan,) = plans_of(answer)
+    assert 0 not in plan.actions % live.assembly.part_count
+    answer = live.post("/replan", {"state": "empty", "direction": "assembly", "missing": [4], "robots": 3}).json()
+    (plan,) = plans_of(answer)
+    (need,) = plan.needs
+    assert need.part == 4
+    assert need.after_parts == 4  # the last of five
+
+
+def test_one_robot_cannot_build_an_arch_and_that_is_proved(live: Any) -> None:
+    answer = live.post("/replan", {"robots": 1}).json()
+    assert answer["outcome"] == "proved_impossible"
+    assert answer["plans"] == []
+    assert answer["reason"]
+
+
+def test_verdicts_agree_with_the_exact_solver(live: Any) -> None:
+    random = np.random.default_rng(0)
+    states = random.integers(0, 3, (60, live.assembly.part_count))
+    states[:, live.assembly.boundary] = 2
+    truth = Stability(live.assembly, StabilitySettings(solver="exact")).check(states)
+    for explain in (False, True):
+        found = live.post("/stability", {"states": states.tolist(), "explain": explain}).json()["verdicts"]
+        assert [record["verdict"] == "stable" for record in found] == truth.stable.tolist()
+        for record, stable in zip(found, truth.stable, strict=True):
+            assert ("moving" in record) == explain
+            if explain:
+                assert bool(record["moving"]) != stable
+                assert not set(record["moving"]) & set(np.flatnonzero(live.assembly.boundary).tolist())
+
+
+def test_clients_that_come_together_are_served_together(live: Any) -> None:
+    def one(seed: int) -> int:
+        kind = ("/replan", {"seed": seed}) if seed % 2 else ("/stability", {"states": ["complete", "empty"]})
+        return live.post(*kind).status_code
+
+    with ThreadPoolExecutor(24) as clients:
+        assert set(clients.map(one, range(72))) == {200}
+    counts = {
+        sample.name + "".join(sorted(sample.labels.values())): sample.value
+        for family in text_string_to_metric_families(live.client.get("/metrics").text)
+        for sample in family.samples
+    }
+    assert counts["falsework_requests_total/replan200"] >= 36
+    assert counts["falsework_batch_size_sumreplan"] > counts["falsework_batch_size_countreplan"]
+    assert counts["falsework_batch_size_sumstability"] > counts["falsework_batch_size_countstability"]
+    assert counts["falsework_workers_ready"] == 2
+
+
+def test_the_structure_says_which_number_is_which_part(live: Any) -> None:
+    record = live.client.get("/structure").json()
+    assert record["identity"] == live.assembly.identity
+    assert [part["name"] for part in record["parts"]] == list(live.assembly.names)
+    assert sum(part["mass"] for part in record["parts"]) == pytest.approx(live.assembly.mass.mass.sum(), rel=1e-5)
+
+
+def test_the_page_describes_everything_and_loads_nothing(live: Any) -> None:
+    document = live.client.get("/openapi.json").json()
+    page = live.client.get("/docs")
+    assert page.headers["content-type"].startswith("text/html")
+    assert page.text == live.client.get("/").text
+    for path in document["paths"]:
+        assert path in page.text
+    for name in document["components"]["schemas"]:
+        assert f'id="{name}"' in page.text
+    assert "<script" not in page.text
+    assert "src=" not in page.text
+    assert 'href="http' not in page.text
+
+
+def test_every_reference_in_the_description_leads_somewhere(live: Any) -> None:
+    document = live.client.get("/openapi.json").json()
+    names = set(document["components"]["schemas"])
+    found = json.dumps(document).split('"#/components/schemas/')[1:]
+    assert {text.partition('"')[0] for text in found} <= names
+    assert "#/$defs" not in json.dumps(document)

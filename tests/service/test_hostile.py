@@ -1,0 +1,236 @@
+"""Whatever comes in, the answer is one line of JSON with the right status and says nothing about the inside."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import time
+from typing import Any
+
+import pytest
+
+JSON = {"Content-Type": "application/json"}
+STATE = [1, 1, 1, 1, 1, 2, 2]
+
+
+def expect(reply: Any, status: int, *hints: str) -> None:
+    """An error as it must be."""
+    assert reply.status_code == status, reply.text
+    assert reply.headers["content-type"] == "application/json"
+    content = reply.json()
+    assert list(content) == ["error"]
+    text = content["error"]
+    assert "\n" not in text
+    assert text
+    for hint in hints:
+        assert hint in text, text
+    for leak in ("Traceback", ".py", "/work", "/home", os.getcwd(), "File "):
+        assert leak not in text, text
+
+
+@pytest.mark.parametrize(
+    ("content", "hints"),
+    [
+        (b"", ("JSON",)),
+        (b"{", ("JSON",)),
+        (b"[]", ("JSON",)),
+        (b"null", ("JSON",)),
+        (b'{"state": "complete"', ("JSON",)),
+        (b"\xff\xfe\x00", ("JSON",)),
+        (b'{"state": "\\ud800"}', ()),
+        (b"[" * 9000, ("JSON",)),
+        (b'{"state":' * 2000, ("JSON",)),
+        (b'{"robots": 1e400}', ("robots",)),
+        (b'{"robots": NaN}', ("robots",)),
+        (b'{"robots": 0}', ("robots",)),
+        (b'{"robots": 2.5}', ("robots",)),
+        (b'{"robots": "2"}', ("robots",)),
+        (b'{"robots": true}', ("robots",)),
+        (b'{"robots": ' + b"9" * 5000 + b"}", ("JSON",)),
+        (b'{"deadline": -1}', ("deadline",)),
+        (b'{"deadline": 10000000}', ("deadline",)),
+        (b'{"missing": [99]}', ("missing",)),
+        (b'{"missing": [-1]}', ("missing",)),
+        (b'{"missing": [1, 1]}', ("1", "twice")),
+        (b'{"missing": [5]}', ("5", "boundary")),
+        (b'{"state": [1, 1]}', ("state", "7 values")),
+        (b'{"state": [1, 1, 1, 1, 1, 2, 3]}', ("state", "7 values")),
+        (b'{"state": [1, 1, 1, 1, 1, 2, 1]}', ("6", "boundary")),
+        (b'{"state": [2, 2, 2, 1, 1, 2, 2]}', ("3", "held")),
+        (b'{"state": "half"}', ("complete", "empty")),
+        (b'{"sate": "complete"}', ("sate",)),
+        (b'{"\\u001b[31m\\n": 1}', ()),
+        (b'{"target": "complete", "direction": "disassembly", "state": "empty"}', ("part",)),
+        (b'{"direction": "sideways"}', ("direction",)),
+    ],
+)
+def test_malformed_requests_for_plans(content: bytes, hints: tuple[str, ...], live: Any) -> None:
+    reply = live.client.post("/replan", content=content, headers=JSON)
+    expect(reply, 422, *hints)
+
+
+@pytest.mark.parametrize(
+    ("content", "hints"),
+    [
+        ({}, ("states",)),
+        ({"states": []}, ("states",)),
+        ({"states": STATE}, ("states",)),
+        ({"states": [STATE[:-1]]}, ("states 0", "7 values")),
+        ({"states": [STATE, [1, 1, 1, 1, 1, 0, 2]]}, ("states 1", "boundary")),
+        ({"states": ["complete"] * 257}, ("states",)),
+        ({"states": ["complete"], "explain": "yes"}, ("explain",)),
+    ],
+)
+def test_malformed_requests_for_verdicts(content: Any, hints: tuple[str, ...], live: Any) -> None:
+    expect(live.post("/stability", content), 422, *hints)
+
+
+def test_other_content_types_and_methods_and_places(live: Any) -> None:
+    expect(live.client.post("/replan", content=b"{}"), 415, "application/json")
+    expect(live.client.post("/replan", data={"state": "complete"}), 415, "application/json")
+    reply = live.client.get("/replan")
+    expect(reply, 405)
+    assert reply.headers["allow"] == "POST"
+    expect(live.client.get("/../../etc/passwd"), 404)
+    expect(live.client.get("/%2e%2e/%00"), 404)
+    expect(live.client.get("/replan/"), 404)
+
+
+def test_a_page_under_another_name_cannot_use_the_browser_to_get_in(live: Any) -> None:
+    expect(live.client.get("/structure", headers={"Host": "evil.example"}), 400, "localhost")
+
+
+def test_large_requests_are_refused_whether_they_say_so_or_not(live: Any) -> None:
+    large = json.dumps({"states": [STATE] * 5000}).encode()
+    expect(live.client.post("/stability", content=large, headers=JSON), 413, str(live.settings.body_bytes))
+
+    def pieces() -> Any:
+        for first in range(0, len(large), 1000):
+            yield large[first : first + 1000]
+
+    expect(live.client.post("/stability", content=pieces(), headers=JSON), 413)
+
+
+def talk(live: Any, sent: bytes, wait: float) -> tuple[bytes, float]:
+    """What comes back on a bare connection until it is closed, and after how long."""
+    begun = time.monotonic()
+    answer = b""
+    with socket.create_connection(live.address, timeout=wait) as connection:
+        connection.sendall(sent)
+        try:
+            while piece := connection.recv(65536):
+                answer += piece
+        except TimeoutError:
+            pytest.fail(f"the connection was still open after {wait} s")
+        except ConnectionResetError:
+            pass
+    return answer, time.monotonic() - begun
+
+
+@pytest.mark.parametrize("sent", [b"", b"POST /replan HTTP/1.1\r\nHost: local", b"GET /health HTTP/1.1\r\nX-A: "])
+def test_who_does_not_finish_a_header_is_hung_up_on(sent: bytes, live: Any) -> None:
+    answer, seconds = talk(live, sent, wait=20 * live.settings.header_seconds)
+    assert answer == b""
+    assert seconds >= 0.9 * live.settings.header_seconds
+
+
+def test_a_header_that_trickles_in_does_not_keep_a_connection_open(live: Any) -> None:
+    begun = time.monotonic()
+    with socket.create_connection(live.address, timeout=10) as connection:
+        connection.sendall(b"GET /health HTTP/1.1\r\n")
+        try:
+            for number in range(1000):
+                connection.sendall(f"X-{number}: a\r\n".encode())
+                time.sleep(0.05)
+        except OSError:
+            pass
+    assert time.monotonic() - begun < 20 * live.settings.header_seconds
+
+
+def test_who_does_not_finish_a_body_is_told_so(live: Any) -> None:
+    head = b"POST /replan HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 100\r\n\r\n{"
+    answer, _ = talk(live, head, wait=20 * live.settings.body_seconds)
+    assert answer.startswith(b"HTTP/1.1 408 ")
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + bytes(200),
+        b"GET / HTTP/9.9\r\n\r\n",
+        b"GET /health HTTP/1.1\r\nHost: localhost\r\n" + b"X: " + b"a" * 100_000 + b"\r\n\r\n",
+        b"POST /replan HTTP/1.1\r\nHost: localhost\r\nContent-Length: -5\r\n\r\n",
+        b"POST /replan HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n",
+        b"POST /replan HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\nZZ\r\n",
+    ],
+)
+def test_what_is_no_http_is_refused(sent: bytes, live: Any) -> None:
+    answer, _ = talk(live, sent, wait=20 * live.settings.body_seconds)
+    assert answer == b"" or answer.split()[1] in (b"400", b"408", b"415", b"431")
+    assert b"Traceback" not in answer
+    assert live.client.get("/health").status_code == 200
+
+
+def test_a_deadline_is_kept_while_the_planner_hangs(live: Any) -> None:
+    live.wait_until_well()
+    (planner,) = live.pool.pids["replan"]
+    os.kill(planner, signal.SIGSTOP)
+    try:
+        begun = time.monotonic()
+        answer = live.post("/replan", {"deadline": 200}).json()
+        seconds = time.monotonic() - begun
+    finally:
+        os.kill(planner, signal.SIGCONT)
+    assert answer["outcome"] == "not_yet"
+    assert answer["plans"] == []
+    assert answer["deadline_passed"]
+    assert "200 ms" in answer["reason"]
+    assert 0.2 <= seconds < 0.25 + 0.25  # the last quarter for machines that do other things besides
+    assert live.post("/replan", {}).json()["outcome"] == "found"
+
+
+def deadly(live: Any, monkeypatch: pytest.MonkeyPatch, times: int) -> list[int]:
+    """Have so many workers end right after they have taken a request; the list fills with their ids."""
+    send, victims = live.pool._send, []
+
+    def send_and_kill(worker: Any, batch: list[Any]) -> None:
+        if len(victims) < times:
+            victims.append(worker.process.pid)
+            os.kill(worker.process.pid, signal.SIGSTOP)  # so that it cannot answer before it dies
+            send(worker, batch)
+            os.kill(worker.process.pid, signal.SIGKILL)
+        else:
+            send(worker, batch)
+
+    monkeypatch.setattr(live.pool, "_send", send_and_kill)
+    return victims
+
+
+def test_a_request_survives_the_worker_that_had_it(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    live.wait_until_well()
+    victims = deadly(live, monkeypatch, 1)
+    reply = live.post("/replan", {"deadline": 60_000})
+    assert reply.status_code == 200
+    assert reply.json()["outcome"] == "found"
+    assert len(victims) == 1
+    assert not set(victims) & set(live.pool.pids["replan"])
+
+
+def test_a_request_that_takes_two_workers_with_it_is_refused(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    live.wait_until_well()
+    victims = deadly(live, monkeypatch, 2)
+    expect(live.post("/replan", {"deadline": 60_000}), 503, "lost")
+    assert len(set(victims)) == 2
+    live.wait_until_well()
+    assert live.post("/replan", {}).json()["outcome"] == "found"
+
+
+def test_verdicts_come_back_after_the_judge_is_lost(live: Any) -> None:
+    live.wait_until_well()
+    (judge,) = live.pool.pids["stability"]
+    os.kill(judge, signal.SIGKILL)
+    reply = live.post("/stability", {"states": ["complete"]})
+    assert reply.status_code == 200
+    assert reply.json()["verdicts"][0]["verdict"] == "stable"
