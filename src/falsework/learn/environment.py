@@ -247,7 +247,11 @@ class Environment:
 
 
 def _tensor_oracle(oracle: Oracle, device: torch.device) -> TensorOracle:
-    """The solver on the device, unless the oracle was told to use another one or is of another kind."""
-    if device.type == "cuda" and isinstance(oracle, Stability) and oracle.settings.solver in ("auto", "gpu"):
+    """The solver on the device, unless the oracle was told to be exact or is of another kind.
+
+    An oracle for the processor, which is the default, says nothing about where rollouts are to be judged: states would
+    leave the device at every step, and a GPU would wait for two cores.
+    """
+    if device.type == "cuda" and isinstance(oracle, Stability) and oracle.settings.solver in ("auto", "cpu", "gpu"):
         return oracle_on(oracle, device)
     return HostOracle(oracle)
