@@ -31,6 +31,8 @@ COMMANDS = {
     "train": "Train",
     "evaluate": "Evaluate",
     "replan": "MakeReplan",
+    "picture": "MakePicture",
+    "animate": "Animate",
 }
 """Module of each subcommand in this package, named like it, and its class there."""
 

@@ -1,0 +1,224 @@
+"""`falsework replan`: another plan from where things stand now."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from tyro.conf import arg
+
+from falsework.cli.arguments import parse_parts, parse_state
+from falsework.cli.command import UNSET, Command, Exit, StructureOptions
+from falsework.cli.planning import writable
+from falsework.errors import InputError
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.cli.output import Output
+    from falsework.learn.answer import Replan
+    from falsework.learn.request import Request
+    from falsework.search.plan import Plan
+    from falsework.stability import Stability
+
+SHOWN = 8
+"""Steps that are printed for people; `falsework check --steps` shows all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeReplan(Command):
+    """Plan again from where things stand: a part is late, a robot is down, somebody was faster.
+
+    STRUCTURE may also be a run, the folder that `falsework train` wrote: its policy then proposes the steps. Searches
+    step in where it fails, and every state of the answer is proven stable. With --direction assembly the plan goes on
+    building from the state, with disassembly it takes down what is there. Exit code 1 if there is no plan or none
+    was found.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework replan arch:blocks=5 --state complete --out replan.json",
+        "falsework replan arch:blocks=5 --state 2100022 --missing 3 --robots 3 --out replan.json",
+    )
+
+    structure: StructureOptions
+    state: Annotated[str, arg(metavar="STATE")] = "complete"
+    """Where things stand: `complete`, `empty`, digits such as 2110 (0 removed, 1 installed, 2 held), or a file."""
+    target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete or empty)")] = None
+    """Where they shall go; if not given, the complete structure in assembly, the empty one in disassembly."""
+    direction: Literal["auto", "assembly", "disassembly"] = "auto"
+    """`assembly` adds parts, `disassembly` takes them away; `auto` goes where the target is, builds on where parts are
+    missing that the state does not have, and takes down otherwise."""
+    missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
+    """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
+    fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
+    """Parts that are not to be touched, such as 7."""
+    robots: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2, or those of the run)")] = None
+    """Parts that can be held at a time."""
+    removable_only_if_clear: bool = False
+    """Move a part only if it has a straight way in or out; a run that was trained so does it anyway."""
+    alternatives: int = 1
+    """Number of plans wanted, as different from each other as possible."""
+    seed: int = 0
+    """Same seed, same machine, same answer, unless a deadline cuts the work short."""
+    deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
+    """Hand back the best proven answer after so many seconds, loading not counted."""
+    compare: Annotated[Path | None, arg(metavar="PLAN", help_behavior_hint=UNSET)] = None
+    """Old plan: say what changes."""
+    confidences: bool = False
+    """Say what the policy thinks of the actions, with --json."""
+    out: Annotated[Path, arg(metavar="FILE")] = Path("replan.json")
+    """File to write; alternatives get -2, -3, ... added to its name."""
+    device: Literal["auto", "cpu", "cuda"] = "cpu"
+    """Where the policy of a run is asked; `auto` takes a GPU if there is one."""
+    solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
+    """Who judges; `auto` takes a GPU where there is one and it is faster."""
+
+    def run(self, output: Output) -> Exit:
+        """Ask, prove, compare, save."""
+        from falsework.learn.difference import difference
+        from falsework.learn.replan import Replanner
+        from falsework.search.plan import Plan
+        from falsework.stability import Stability, StabilitySettings
+
+        writable(self.out)
+        old = None if self.compare is None else Plan.load(self.compare)
+        assembly, policy, source, robots, clear = self._load()
+        if old is not None and old.identity != assembly.identity:
+            raise InputError(f"{self.compare} is a plan for another structure, {old.name}; compare plans of one")
+        if self.confidences and policy is None:
+            raise InputError("--confidences needs a policy: give a run, the folder that falsework train wrote")
+        request = self._request(assembly, robots, clear)
+        request.task(assembly)  # refuse bad input before anything is loaded
+        oracle = Stability(assembly, StabilitySettings(solver=self.solver))
+        answer = Replanner(assembly, policy, oracle).replan_many([request])[0]
+        if not answer.found:
+            self._refuse(assembly, oracle, request, answer, output)
+            return Exit.NO
+        paths = self._save(answer, source)
+        record = {"plan": str(paths[0]), "alternatives": [str(path) for path in paths[1:]], **answer.record()}
+        if self.confidences:
+            record["confidences"] = [_probabilities(row, assembly) for row in answer.confidences[0]]
+        changes = None if old is None else difference(old, answer.plans[0])
+        output.record(record if changes is None else {**record, "difference": changes.record()})
+        self._tell(answer, paths, output)
+        if changes is not None:
+            output.say(f"compared with {self.compare}: {changes.text}")
+        return Exit.DONE
+
+    def _load(self) -> tuple[Assembly, Any, dict[str, Any], int, bool]:
+        """Structure, policy if there is one, where the structure came from, robots, and whether ways must be clear."""
+        folder = Path(self.structure.spec)
+        if not (folder / "run.json").is_file():
+            robots = 2 if self.robots is None else self.robots
+            return self.structure.load(), None, self.structure.source(self.out), robots, self.removable_only_if_clear
+        if self.structure.given():
+            option = next(iter(self.structure.given()))
+            raise InputError(f"--{option}: a run is for one structure as it was trained; leave the option out")
+        from falsework.learn.door import check_torch
+
+        check_torch()
+        import torch
+
+        from falsework.learn.checkpoint import load_run
+
+        # Single states make for small matrices, which threads only get in each other's way with.
+        torch.set_num_threads(1)
+        run = load_run(folder, self.device)
+        source = dict(run.metadata["structure"]["source"])
+        if "path" in source:
+            path = (folder.resolve() / source["path"]).resolve()
+            source["path"] = Path(os.path.relpath(path, self.out.resolve().parent)).as_posix()
+        robots = run.settings.robots if self.robots is None else self.robots
+        clear = self.removable_only_if_clear or run.settings.removable_only_if_clear
+        return run.assembly, run.policy, source, robots, clear
+
+    def _request(self, assembly: Assembly, robots: int, clear: bool) -> Request:
+        from falsework.learn.request import Request
+        from falsework.search.task import Direction
+
+        return Request(
+            parse_state(self.state, "--state", assembly),
+            target=None if self.target is None else parse_state(self.target, "--target", assembly),
+            direction=None if self.direction == "auto" else Direction(self.direction),
+            robots=robots,
+            missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
+            fixed=() if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names),
+            alternatives=self.alternatives,
+            seed=self.seed,
+            deadline=self.deadline,
+            removable_only_if_clear=clear,
+            confidences=self.confidences,
+        )
+
+    def _save(self, answer: Replan, source: dict[str, Any]) -> list[Path]:
+        paths = []
+        for number, plan in enumerate(answer.plans, 1):
+            path = self.out if number == 1 else self.out.with_stem(f"{self.out.stem}-{number}")
+            replace(plan, source=source).save(path)
+            paths.append(path)
+        return paths
+
+    def _tell(self, answer: Replan, paths: list[Path], output: Output) -> None:
+        plan = answer.plans[0]
+        output.say(
+            f"{paths[0]}: {len(plan)} steps of {answer.direction.value} with {plan.robots} robots, every state proven "
+            f"stable (decided by {answer.decided_by.value}, {answer.seconds:.2f} s, {answer.verdicts} verdicts)"
+        )
+        output.say(_first_steps(plan))
+        for need in plan.needs:
+            output.say(f"{plan.part_names[need.part]} is needed after {need.after_parts} other parts are placed")
+        if len(paths) > 1:
+            least = answer.distance[~np.eye(len(paths), dtype=bool)].min()
+            others = ", ".join(str(path) for path in paths[1:])
+            output.say(f"alternatives in {others}; the two plans most alike differ by {least:.2f} of 1")
+        if len(paths) < self.alternatives:
+            output.note(f"{len(paths)} different plans were found of the {self.alternatives} asked for")
+        if answer.deadline_passed:
+            output.note("the deadline cut the work short; more time may give more plans, or missing parts later")
+
+    def _refuse(self, assembly: Assembly, oracle: Stability, request: Request, answer: Replan, output: Output) -> None:
+        """Say why there is no plan, and what moves where the search broke off."""
+        from falsework.cli.failure import explain
+        from falsework.cli.motion import describe, motions
+        from falsework.learn.answer import Decider
+        from falsework.search.result import Outcome
+
+        moving = []
+        word = "no plan exists" if answer.outcome is Outcome.PROVED_IMPOSSIBLE else "no plan was found"
+        text = f"{word}: {answer.reason}"
+        if answer.decided_by is Decider.RULES:
+            task = request.task(assembly)
+            verdicts = oracle.check(np.stack([task.start, task.target]))
+            row = int(np.argmin(verdicts.stable))
+            if verdicts.velocity is not None and verdicts.unstable[row]:
+                moving = motions(assembly, verdicts.velocity[row])
+        elif answer.search is not None and not answer.deadline_passed:
+            failure = explain(assembly, oracle, answer.search)
+            moving, text = failure.moving, failure.text
+        record = {**answer.record(), "plan": None, "moving": [motion.record(assembly) for motion in moving]}
+        output.record(record)
+        if moving and answer.decided_by is Decider.RULES:
+            text = f"{text}; {describe(assembly, moving, limit=3)}"
+        output.note(f"falsework: {text}")
+
+
+def _first_steps(plan: Plan) -> str:
+    """What to do next, in words."""
+    if len(plan) == 0:
+        return "nothing is left to do"
+    words = [plan.describe(step) for step in range(min(len(plan), SHOWN))]
+    rest = len(plan) - len(words)
+    return f"from here on: {', '.join(words)}{f', and {rest} steps more' if rest else ''}"
+
+
+def _probabilities(row: Any, assembly: Assembly) -> dict[str, float]:
+    """Actions that a policy may take in a state, with their probabilities."""
+    parts = assembly.part_count
+    words = ("hold", "remove")
+    return {
+        f"{words[action >= parts]} {assembly.names[action % parts]}": round(float(row[action]), 6)
+        for action in np.argsort(-row, kind="stable").tolist()
+        if row[action] > 0
+    }

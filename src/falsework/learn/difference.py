@@ -1,0 +1,177 @@
+"""How a new plan differs from an old one: for people who have prepared the old one, and as JSON."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import PlanError
+from falsework.search.plan import Plan
+from falsework.search.task import Direction
+
+_NAMED = 5
+"""Parts that the text names one by one, at most."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """A part whose place in the order has changed."""
+
+    part: int
+    name: str
+    before: int
+    """Place in the old plan among the parts that both plans place, from 1 on."""
+    now: int
+    """Place in the new plan."""
+
+    @property
+    def places(self) -> int:
+        """How many places later; earlier if negative."""
+        return self.now - self.before
+
+
+@dataclass(frozen=True)
+class Difference:
+    """What changes for somebody who had prepared for the old plan."""
+
+    direction: Direction
+    """In which both plans are compared: that of the new one."""
+    same: bool
+    """Whether the new plan is the rest of the old one, step by step."""
+    common_steps: int
+    """Steps that are the same in both, from where the new plan begins."""
+    first_old: str
+    """First step of the old plan that is different now, in words; empty if there is none."""
+    first_new: str
+    """First step of the new plan that is different, in words; empty if there is none."""
+    old_steps: int
+    """Steps of the old plan that were left to do where the new one begins."""
+    new_steps: int
+    begins_on_the_way: bool
+    """Whether the new plan begins in a state that the old one passes through; if not, it is compared from its start."""
+    moved: tuple[Move, ...]
+    """Parts that both plans place, at another place in their order: those that moved farthest first."""
+    added: tuple[str, ...]
+    """Parts that only the new plan places."""
+    dropped: tuple[str, ...]
+    """Parts that only what is left of the old plan places."""
+    order_kept: float
+    """Share of pairs of parts that come in the same order in both plans, between 0 and 1."""
+
+    @property
+    def steps_saved(self) -> int:
+        """Steps that the new plan has less than what is left of the old one; negative if it has more."""
+        return self.old_steps - self.new_steps
+
+    @property
+    def text(self) -> str:
+        """All of it in a few words for people."""
+        if self.same:
+            return f"the plan stays as it was: {self.new_steps} steps are left"
+        pieces = []
+        if not self.begins_on_the_way:
+            pieces.append("the old plan does not pass through this state")
+        elif self.common_steps:
+            pieces.append(f"the first {self.common_steps} steps stay as they were")
+        if self.first_new or self.first_old:
+            pieces.append(f"then {self.first_new or 'nothing'} instead of {self.first_old or 'nothing'}")
+        for move in self.moved[:_NAMED]:
+            far, places = abs(move.places), "place" if abs(move.places) == 1 else "places"
+            pieces.append(f"{move.name} comes {far} {places} {'later' if move.places > 0 else 'earlier'}")
+        if len(self.moved) > _NAMED:
+            pieces.append(f"{len(self.moved) - _NAMED} more parts change their place")
+        if self.added:
+            pieces.append(f"new: {', '.join(self.added)}")
+        if self.dropped:
+            pieces.append(f"no longer: {', '.join(self.dropped)}")
+        if self.steps_saved:
+            pieces.append(f"{abs(self.steps_saved)} steps {'fewer' if self.steps_saved > 0 else 'more'}")
+        return "; ".join(pieces)
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        moved = [
+            {"part": move.part, "name": move.name, "before": move.before, "now": move.now, "places": move.places}
+            for move in self.moved
+        ]
+        return {
+            "direction": self.direction.value,
+            "same": self.same,
+            "begins_on_the_way": self.begins_on_the_way,
+            "common_steps": self.common_steps,
+            "first_old": self.first_old,
+            "first_new": self.first_new,
+            "old_steps": self.old_steps,
+            "new_steps": self.new_steps,
+            "steps_saved": self.steps_saved,
+            "moved": moved,
+            "added": list(self.added),
+            "dropped": list(self.dropped),
+            "order_kept": round(self.order_kept, 4),
+            "text": self.text,
+        }
+
+
+def difference(old: Plan, new: Plan) -> Difference:
+    """What changes when a new plan takes the place of an old one.
+
+    The old plan is read in the direction of the new one, from the state on in which the new one begins, if it passes
+    through that.
+
+    Args:
+        old: the plan so far.
+        new: the plan from now on.
+
+    Raises:
+        PlanError: the plans are of different structures.
+    """
+    if old.identity != new.identity:
+        raise PlanError(f"the plans are of different structures, {old.name} and {new.name}; compare plans of one")
+    if old.direction is not new.direction:
+        old = old.reverse()
+    here = np.flatnonzero((old.states == new.states[0]).all(axis=1))
+    begin = int(here[0]) if len(here) else 0
+    left, now = old.actions[begin:], new.actions
+    shared = min(len(left), len(now))
+    differs = np.flatnonzero(left[:shared] != now[:shared])
+    common = int(differs[0]) if len(differs) else shared
+    before, after = _placed(left, new), _placed(now, new)
+    both = [part for part in after if part in set(before)]
+    place = {part: number for number, part in enumerate((part for part in before if part in set(after)), 1)}
+    moves = [
+        Move(part, new.part_names[part], place[part], number)
+        for number, part in enumerate(both, 1)
+        if place[part] != number
+    ]
+    return Difference(
+        direction=new.direction,
+        same=len(here) > 0 and len(left) == len(now) == common,
+        common_steps=common if len(here) else 0,
+        first_old=old.describe(begin + common) if common < len(left) else "",
+        first_new=new.describe(common) if common < len(now) else "",
+        old_steps=len(left),
+        new_steps=len(now),
+        begins_on_the_way=len(here) > 0,
+        moved=tuple(sorted(moves, key=lambda move: (-abs(move.places), move.now))),
+        added=tuple(new.part_names[part] for part in after if part not in set(before)),
+        dropped=tuple(new.part_names[part] for part in before if part not in set(after)),
+        order_kept=_order_kept([place[part] for part in both]),
+    )
+
+
+def _placed(actions: NDArray[np.int64], plan: Plan) -> list[int]:
+    """Parts in the order in which they are inserted, or removed."""
+    parts = len(plan.boundary)
+    return (actions[actions >= parts] - parts).tolist()
+
+
+def _order_kept(places: list[int]) -> float:
+    count = len(places)
+    if count < 2:
+        return 1.0
+    row = np.array(places)
+    first, second = np.triu_indices(count, 1)
+    return float((row[first] < row[second]).mean())
