@@ -1,0 +1,72 @@
+"""`falsework animate`: a plan as a film."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from tyro.conf import arg
+
+from falsework.cli.command import Command, Exit
+from falsework.cli.planning import writable
+from falsework.cli.subject import SubjectOptions
+from falsework.errors import InputError
+
+if TYPE_CHECKING:
+    from falsework.cli.output import Output
+
+
+@dataclass(frozen=True, kw_only=True)
+class Animate(Command):
+    """Play a plan as a film, MP4 or GIF, as the ending of the file says.
+
+    Needs no display and no graphics driver.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework animate plan.json --out plan.mp4",
+        "falsework animate plan.json --width 320 --out plan.gif",
+    )
+
+    subject: SubjectOptions
+    out: Annotated[Path, arg(metavar="FILE")] = Path("plan.mp4")
+    """File to write; it ends in .mp4 or .gif."""
+    seconds: float = 0.5
+    """Length of a step."""
+    rate: float = 12.0
+    """Pictures a second."""
+    width: int = 800
+    """Pixels across."""
+    azimuth: float = -58.0
+    """Degrees from which to look, about the vertical."""
+    elevation: float = 24.0
+    """Degrees above the horizon."""
+
+    def run(self, output: Output) -> Exit:
+        """Open, draw every picture, write."""
+        from falsework.viewer.film import KINDS, frame_places, write_film
+        from falsework.viewer.render import Camera
+
+        if self.out.suffix.lower() not in KINDS:
+            raise InputError(f"{self.out}: films are written as {' or '.join(KINDS)}; name such a file")
+        if not 80 <= self.width <= 4000:
+            raise InputError(f"a film {self.width} pixels across cannot be drawn; give 80 to 4000")
+        frame_places(0, self.seconds, self.rate)  # refuse before anything is loaded
+        writable(self.out)
+        subject = self.subject.open()
+        if len(subject.timeline) == 0:
+            raise InputError(f"{self.subject.spec} has no steps to play; give a plan, as `falsework plan` writes it")
+        camera = Camera(self.azimuth, self.elevation, self.width, 2 * round(0.35 * self.width), 0.95)
+        with output.bar("drawing") as show:
+            count = write_film(
+                self.out,
+                subject.timeline,
+                seconds=self.seconds,
+                rate=self.rate,
+                camera=camera,
+                progress=lambda done, total: show(done, total, f"picture {done} of {total}"),
+            )
+        output.record({"out": str(self.out), "pictures": count, "steps": len(subject.timeline)})
+        output.say(f"{self.out}: {len(subject.timeline)} steps in {count} pictures")
+        return Exit.DONE

@@ -1,0 +1,125 @@
+"""`falsework picture`: a plan, a structure or a state graph as a picture, without a screen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+from tyro.conf import arg
+
+from falsework.cli.command import UNSET, Command, Exit
+from falsework.cli.planning import writable
+from falsework.cli.subject import Subject, SubjectOptions
+from falsework.errors import InputError
+
+if TYPE_CHECKING:
+    from falsework.cli.output import Output
+    from falsework.viewer.arrows import Arrows
+    from falsework.viewer.render import Camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakePicture(Command):
+    """Draw a contact sheet of a plan, one step of it, a structure, or a state graph.
+
+    Needs no display and no graphics driver. A two-dimensional structure, such as an arch, can be drawn as lines
+    (--svg). With --forces the proof of a state is drawn in: contact forces in blue, friction in red, gravity in
+    orange, and where the state does not stand, the motion of the parts.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework picture plan.json --out sheet.png",
+        "falsework picture plan.json --step 12 --out step.png",
+        "falsework picture arch:blocks=9 --svg --forces --out arch.svg",
+    )
+
+    subject: SubjectOptions
+    out: Annotated[Path, arg(metavar="FILE", help_behavior_hint=UNSET)] = Path("picture.png")
+    """File to write, PNG, or SVG with --svg."""
+    step: Annotated[int | None, arg(metavar="N", help_behavior_hint=UNSET)] = None
+    """Draw the state after this step alone; 0 is the beginning."""
+    svg: bool = False
+    """Line drawing of a two-dimensional structure, or the state graph, as SVG."""
+    forces: bool = False
+    """Draw the proof of a single state."""
+    frames: int = 12
+    """Pictures of a contact sheet."""
+    columns: int = 4
+    """Pictures in a row."""
+    width: int = 0
+    """Pixels of a picture across; 0 chooses."""
+    azimuth: float = -58.0
+    """Degrees from which to look, about the vertical."""
+    elevation: float = 24.0
+    """Degrees above the horizon."""
+    title: str = ""
+    """A line above."""
+
+    def run(self, output: Output) -> Exit:
+        """Open, draw, write."""
+        if not (self.width == 0 or 80 <= self.width <= 8000):
+            raise InputError(f"a picture {self.width} pixels across cannot be drawn; give 80 to 8000")
+        writable(self.out)
+        out = self.out.with_suffix(".svg") if self.svg and self.out == Path("picture.png") else self.out
+        if self.svg != (out.suffix.lower() == ".svg"):
+            raise InputError(f"{out} and {'--svg' if self.svg else 'no --svg'} do not fit; name a file that does")
+        subject = self.subject.open()
+        drawn = self._draw(subject, out)
+        output.record({"out": str(out), "kind": subject.kind, **drawn})
+        output.say(f"{out}: {drawn['shows']}")
+        return Exit.DONE
+
+    def _draw(self, subject: Subject, out: Path) -> dict[str, Any]:
+        from falsework.viewer.drawing import drawing, write_svg
+        from falsework.viewer.sheet import check_places, contact_sheet, one_state, write_png
+        from falsework.viewer.timeline import interesting
+
+        timeline = subject.timeline
+        if subject.graph is not None and self.step is None:
+            from falsework.viewer.graph_picture import graph_figure, write_figure
+
+            route = timeline.states if len(timeline) else None
+            write_figure(out, graph_figure(subject.graph, subject.assembly, route=route, title=self.title))
+            return {"shows": f"{len(subject.graph)} states and {len(subject.graph.source)} actions"}
+        single = self.step if self.step is not None else (0 if len(timeline) == 0 else None)
+        if self.forces and single is None:
+            raise InputError("forces are drawn for one state at a time; name it with --step")
+        if single is not None:
+            check_places(timeline, [single])
+        arrows, note, key = self._proof(subject, single) if single is not None and self.forces else ([], "", None)
+        if self.svg:
+            places = [single] if single is not None else list(interesting(timeline, self.frames))
+            columns = min(self.columns, len(places))
+            width = float(self.width or (260 if single is None else 640))
+            write_svg(out, drawing(timeline, places, columns=columns, width=width, arrows=arrows, key=key))
+        elif single is not None:
+            words = self.title or None
+            write_png(out, one_state(timeline, single, self._camera(1200, 2 / 3), arrows=arrows, key=key, words=words))
+            places = [single]
+        else:
+            sheet = contact_sheet(
+                timeline, frames=self.frames, columns=self.columns, camera=self._camera(480, 5 / 8), title=self.title
+            )
+            write_png(out, sheet)
+            places = list(interesting(timeline, self.frames))
+        shows = f"{len(places)} of {len(timeline) + 1} states" if len(timeline) else f"{subject.assembly.name}"
+        return {"shows": shows + note, "steps": places}
+
+    def _camera(self, width: int, share: float) -> Camera:
+        from falsework.viewer.render import Camera
+
+        across = self.width or width
+        return Camera(self.azimuth, self.elevation, across, round(across * share), 0.96)
+
+    def _proof(self, subject: Subject, place: int) -> tuple[list[Arrows], str, list[tuple[str, str]]]:
+        """Arrows of one state, what to say about them, and the legend."""
+        from falsework.stability import Stability
+        from falsework.viewer.proof import proof_of_state
+
+        timeline = subject.timeline
+        row = timeline.row(place)
+        proof = proof_of_state(Stability(subject.assembly), timeline.states[row])
+        arrows = [some for some in proof.arrows.values() if len(some)]
+        key = [(some.color, kind) for kind, some in proof.arrows.items() if len(some)]
+        return arrows, f"; {proof.words}", key

@@ -1,0 +1,168 @@
+"""Arrows that show a proof: contact forces, friction and weight of a stable state, motion of an unstable one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import INSTALLED, REMOVED, States
+from falsework.viewer.look import diagonal
+from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, MOTION
+from falsework.viewer.render import Solid
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+
+Array = NDArray[np.float64]
+
+LONGEST = 0.14
+"""Length of the largest arrow, in diagonals of the structure."""
+SHORTEST = 0.02
+"""Arrows below this share of the largest are left out."""
+KINDS = {"contact forces": FORCE, "friction": FRICTION, "gravity": GRAVITY, "motion": MOTION}
+"""What arrows show, and their colour."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arrows:
+    """Arrows of one kind."""
+
+    ends: Array
+    """Tail and tip, shape (arrows, 2, 3), metres."""
+    color: str
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+    def solids(self, thickness: float) -> list[Solid]:
+        """The arrows as meshes.
+
+        Args:
+            thickness: diameter of a shaft, metres.
+        """
+        color = tuple(int(self.color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+        return [Solid(*arrow_mesh(tail, tip, thickness), color) for tail, tip in self.ends]
+
+
+def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[str, Arrows]:
+    """Contact forces, friction and gravity in one state, all on one scale.
+
+    The force of each contact is drawn as it acts on the part of the two that is free to move (on the second if both
+    are), split into what presses and what rubs, at the point where the pressure acts in total.
+
+    Args:
+        assembly: the structure.
+        state: shape (parts,).
+        forces: `(n, t1, t2)` in N, shape (points, 3).
+    """
+    contacts = assembly.contacts
+    a, b = contacts.parts.T
+    acts = (state[a] != REMOVED) & (state[b] != REMOVED) & ((state[a] == INSTALLED) | (state[b] == INSTALLED))
+    owner = contacts.contact_of_point
+    pressing = np.bincount(owner, forces[:, 0], len(contacts))
+    acts &= pressing > 0
+    weight = np.maximum(pressing, 1e-300)
+    center = np.stack([np.bincount(owner, forces[:, 0] * contacts.points[:, k], len(contacts)) for k in range(3)], 1)
+    center /= weight[:, None]
+    tangent = np.stack([np.bincount(owner, forces[:, k], len(contacts)) for k in (1, 2)], axis=1)
+    sign = np.where(state[b] == INSTALLED, 1.0, -1.0)[:, None]
+    pushes = sign * pressing[:, None] * contacts.normals
+    rubs = sign * (tangent[:, :1] * contacts.frames[:, 1] + tangent[:, 1:] * contacts.frames[:, 2])
+    free = state == INSTALLED
+    weights = np.zeros((int(free.sum()), 3))
+    weights[:, 2] = -9.81 * assembly.mass.mass[free]
+    largest = max(
+        float(np.linalg.norm(vectors, axis=1).max(initial=0.0)) for vectors in (pushes[acts], rubs[acts], weights)
+    )
+    scale = LONGEST * diagonal(assembly) / max(largest, 1e-300)
+    return {
+        "contact forces": _arrows(center[acts], pushes[acts] * scale, "contact forces", assembly),
+        "friction": _arrows(center[acts], rubs[acts] * scale, "friction", assembly),
+        "gravity": _arrows(assembly.mass.center[free], weights * scale, "gravity", assembly),
+    }
+
+
+def arrows_of_motion(assembly: Assembly, state: States, velocity: Array) -> Arrows:
+    """How the centres of mass of the free parts move in an unstable state; the size means nothing.
+
+    Args:
+        assembly: the structure.
+        state: shape (parts,).
+        velocity: `(linear, angular)` about the centres of mass, shape (parts, 6).
+    """
+    free = state == INSTALLED
+    vectors = velocity[free, :3]
+    largest = float(np.linalg.norm(vectors, axis=1).max(initial=0.0))
+    scale = LONGEST * diagonal(assembly) / max(largest, 1e-300)
+    return _arrows(assembly.mass.center[free], vectors * scale, "motion", assembly)
+
+
+def moved_parts(assembly: Assembly, state: States, velocity: Array, share: float = 0.06) -> dict[int, Array]:
+    """Vertices of the free parts that move, a little further along their motion.
+
+    Args:
+        assembly: the structure.
+        state: shape (parts,).
+        velocity: `(linear, angular)` about the centres of mass, shape (parts, 6).
+        share: way of the fastest point, in diagonals of the structure.
+
+    Returns:
+        By part, shape (vertices, 3), metres.
+    """
+    center = assembly.mass.center
+    ways = {}
+    for part in np.flatnonzero(state == INSTALLED):
+        arm = assembly.meshes[part].vertices - center[part]
+        ways[int(part)] = velocity[part, :3] + np.cross(velocity[part, 3:], arm)
+    fastest = max((float(np.linalg.norm(way, axis=1).max()) for way in ways.values()), default=0.0)
+    if not fastest > 0:
+        return {}
+    scale = share * diagonal(assembly) / fastest
+    return {
+        part: assembly.meshes[part].vertices + scale * way
+        for part, way in ways.items()
+        if float(np.linalg.norm(way, axis=1).max()) > SHORTEST * fastest
+    }
+
+
+def arrow_mesh(tail: Array, tip: Array, thickness: float, sides: int = 8) -> tuple[Array, NDArray[np.int64]]:
+    """A closed arrow: shaft and head. Vertices of shape (count, 3), faces of shape (count, 3)."""
+    tail, tip = np.asarray(tail, dtype=float), np.asarray(tip, dtype=float)
+    along = tip - tail
+    length = float(np.linalg.norm(along))
+    along = along / length if length > 0 else np.array([0.0, 0.0, 1.0])
+    side = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.7 else [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    other = np.cross(along, side)
+    angle = np.arange(sides) * 2 * np.pi / sides
+    ring = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other
+    neck = tip - along * min(2.6 * thickness, 0.6 * length)
+    shaft, head = ring * thickness / 2, ring * thickness * 1.15
+    vertices = np.concatenate([[tail], tail + shaft, neck + shaft, neck + head, [tip]])
+    here, there = np.arange(sides), (np.arange(sides) + 1) % sides
+    first, second, third, last = 1, 1 + sides, 1 + 2 * sides, 1 + 3 * sides
+    faces = [np.stack([np.zeros_like(here), first + there, first + here], axis=1)]
+    for low, high in ((first, second), (second, third)):
+        faces.append(np.stack([low + here, low + there, high + there], axis=1))
+        faces.append(np.stack([low + here, high + there, high + here], axis=1))
+    faces.append(np.stack([third + here, third + there, np.full_like(here, last)], axis=1))
+    return vertices, np.concatenate(faces)
+
+
+def merged(solids: Sequence[Solid]) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices and faces of several meshes as one."""
+    if not solids:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    first = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
+    faces = [np.asarray(solid.faces, dtype=np.int64) + start for solid, start in zip(solids, first, strict=False)]
+    return np.concatenate([solid.vertices for solid in solids]), np.concatenate(faces)
+
+
+def _arrows(tails: Array, vectors: Array, kind: str, assembly: Assembly) -> Arrows:
+    least = SHORTEST * LONGEST * diagonal(assembly)
+    long = np.linalg.norm(vectors, axis=1) > least
+    return Arrows(np.stack([tails[long], tails[long] + vectors[long]], axis=1), KINDS[kind])

@@ -1,0 +1,131 @@
+"""What has gone wrong on site, marked by clicking, and the question to the planner that it makes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from falsework.assembly.state import INSTALLED, REMOVED, States, complete_state, empty_state
+from falsework.errors import InputError
+from falsework.search.task import Direction
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+
+
+class Tool(StrEnum):
+    """What a click on a part does."""
+
+    LOOK = "look at it"
+    MISSING = "mark as missing"
+    THERE = "mark as already there"
+    FIXED = "mark as not to be touched"
+    TARGET = "put in or out of the target"
+
+
+@dataclass(frozen=True)
+class Disruption:
+    """How things on site differ from the plan."""
+
+    missing: frozenset[int] = frozenset()
+    """Parts that have not been delivered."""
+    there: frozenset[int] = frozenset()
+    """Parts that somebody has placed already."""
+    fixed: frozenset[int] = frozenset()
+    """Parts that are not to be touched."""
+    target: frozenset[int] = frozenset()
+    """Parts that the target has otherwise than usual: in assembly they are left out, in disassembly they stay."""
+    robots: int = 2
+
+    def toggled(self, tool: Tool, part: int, assembly: Assembly) -> Disruption:
+        """The same with one mark set, or taken away where it was set.
+
+        Raises:
+            InputError: the part is boundary, which nothing can happen to.
+        """
+        if tool is Tool.LOOK:
+            return self
+        if assembly.boundary[part]:
+            raise InputError(f"{assembly.names[part]} is boundary, which never changes; click another part")
+        field = {Tool.MISSING: "missing", Tool.THERE: "there", Tool.FIXED: "fixed", Tool.TARGET: "target"}[tool]
+        marked: frozenset[int] = getattr(self, field)
+        changed = replace(self, **{field: marked ^ {part}})
+        if tool is Tool.MISSING:  # what is missing is not there, and the other way round
+            return replace(changed, there=changed.there - changed.missing)
+        if tool is Tool.THERE:
+            return replace(changed, missing=changed.missing - changed.there)
+        return changed
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is marked."""
+        return not (self.missing or self.there or self.fixed or self.target)
+
+    def on(self, state: States) -> States:
+        """State as it is on site: without what is missing, with what is there already. Shape (parts,)."""
+        site = state.copy()
+        site[list(self.missing)] = REMOVED
+        for part in self.there:
+            if site[part] == REMOVED:
+                site[part] = INSTALLED
+        return site
+
+    def question(self, assembly: Assembly, state: States, direction: Direction) -> dict[str, Any]:
+        """Arguments for `falsework.learn.replan.replan`.
+
+        Args:
+            assembly: the structure.
+            state: where the plan has come to, shape (parts,).
+            direction: whether parts are being added or taken away.
+        """
+        missing = self.missing
+        if direction is Direction.ASSEMBLY:
+            site = self.on(state)
+            target = complete_state(assembly.boundary)
+            target[list(self.target)] = REMOVED
+            missing = frozenset(part for part in missing if target[part] != REMOVED)
+        else:
+            # What is taken apart cannot wait for a delivery: a missing part is simply gone.
+            site, missing = self.on(state), frozenset()
+            target = empty_state(assembly.boundary)
+            kept = [part for part in self.target if site[part] != REMOVED]
+            target[kept] = site[kept]
+        fixed = [part for part in sorted(self.fixed) if part not in self.missing]
+        target[fixed] = site[fixed]
+        return {
+            "state": site,
+            "target": target,
+            "direction": direction,
+            "robots": self.robots,
+            "missing": tuple(sorted(missing)),
+            "fixed": tuple(fixed),
+        }
+
+    def words(self, assembly: Assembly) -> str:
+        """What is marked, for people; empty if nothing is."""
+        texts = []
+        for word, parts in (
+            ("missing", self.missing),
+            ("already there", self.there),
+            ("not to be touched", self.fixed),
+            ("target changed", self.target),
+        ):
+            if parts:
+                texts.append(f"{word}: {', '.join(assembly.names[part] for part in sorted(parts))}")
+        return "; ".join(texts)
+
+
+def chance_of_parts(probabilities: np.ndarray) -> np.ndarray:
+    """Probability of the action on each part, NaN where none is legal.
+
+    Args:
+        probabilities: of all actions, illegal ones zero, shape (2 parts,).
+
+    Returns:
+        Shape (parts,).
+    """
+    both = probabilities.reshape(2, -1).sum(axis=0).astype(float)
+    return np.where(both > 0, both, np.nan)

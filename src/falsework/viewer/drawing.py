@@ -1,0 +1,174 @@
+"""Line drawings of two-dimensional structures as SVG: arches, walls and stacks, seen from the front."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.sax.saxutils import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import InputError
+from falsework.search.archive import write_whole
+from falsework.viewer.arrows import Arrows
+from falsework.viewer.look import look_at
+from falsework.viewer.palette import INK
+from falsework.viewer.sheet import caption, check_places, legend
+from falsework.viewer.timeline import Timeline
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+
+Array = NDArray[np.float64]
+
+_FLAT = 1e-3
+"""How much a normal may lean along the axis of a two-dimensional structure."""
+_MARGIN = 12.0
+_TEXT = 13.0
+_LINE = 24.0
+
+
+def flat_axis(assembly: Assembly) -> int:
+    """Axis, 0 for x or 1 for y, along which nothing about a structure changes.
+
+    Raises:
+        InputError: there is none; the structure is not two-dimensional.
+    """
+    for axis in (1, 0):
+        if all(_is_prism(mesh.triangles, axis) for mesh in assembly.meshes):
+            return axis
+    raise InputError(
+        f"{assembly.name} is not two-dimensional, so it has no line drawing; leave --svg out for a picture in three"
+    )
+
+
+def outlines(assembly: Assembly, axis: int) -> list[list[Array]]:
+    """Closed lines around each part, seen along an axis; holes are lines of their own.
+
+    Args:
+        assembly: a structure that is flat along the axis.
+        axis: 0 for x, 1 for y.
+
+    Returns:
+        For each part lines of shape (corners, 2): across and up, metres.
+    """
+    import shapely
+
+    kept = [1 - axis, 2]
+    # Seen along +y, x runs to the right; seen along -x, y does.
+    drawn = []
+    for mesh in assembly.meshes:
+        triangles = shapely.polygons(mesh.triangles[:, :, kept])
+        area = shapely.unary_union(triangles[shapely.area(triangles) > 0])
+        pieces = [area] if area.geom_type == "Polygon" else list(area.geoms)
+        drawn.append([np.asarray(ring.coords)[:-1] for piece in pieces for ring in (piece.exterior, *piece.interiors)])
+    return drawn
+
+
+def drawing(
+    timeline: Timeline,
+    places: Sequence[int],
+    *,
+    columns: int = 4,
+    width: float = 260.0,
+    arrows: Sequence[Arrows] = (),
+    key: Sequence[tuple[str, str]] | None = None,
+) -> str:
+    """Line drawings of some states, with the legend, as SVG.
+
+    Args:
+        timeline: what is shown.
+        places: states to show.
+        columns: drawings in a row.
+        width: of each, pixels.
+        arrows: drawn into each.
+        key: the legend, colour and words; of the timeline if not given.
+
+    Raises:
+        InputError: the structure is not two-dimensional, or a state is not there.
+    """
+    check_places(timeline, places)
+    if columns < 1:
+        raise InputError(f"{columns} columns show nothing; give at least 1")
+    assembly = timeline.assembly
+    axis = flat_axis(assembly)
+    lines = outlines(assembly, axis)
+    seen = [line for part in lines for line in part]
+    seen += [some.ends[:, :, [1 - axis, 2]].reshape(-1, 2) for some in arrows]
+    points = np.concatenate(seen)
+    low, high = points.min(axis=0), points.max(axis=0)
+    scale = (width - 2 * _MARGIN) / max(float((high - low).max()), 1e-12)
+    height = float((high - low)[1]) * scale + 2 * _MARGIN
+    columns = min(columns, len(places))
+    rows = -(-len(places) // columns)
+    entries = legend(timeline) if key is None else key
+    whole = max(columns * width, sum(40 + 6.6 * len(words) for _, words in entries))
+    left_edge = (whole - columns * width) / 2
+    body = []
+    for number, place in enumerate(places):
+        x, y = left_edge + (number % columns) * width, (number // columns) * (height + _LINE)
+
+        def at(line: Array, x: float = x, y: float = y) -> str:
+            across = x + (width - (high - low)[0] * scale) / 2 + (line[:, 0] - low[0]) * scale
+            down = y + _LINE + height - _MARGIN - (line[:, 1] - low[1]) * scale
+            return " ".join(f"{u:.2f},{v:.2f}" for u, v in zip(across, down, strict=True))
+
+        look = look_at(timeline, place, travelling=False)
+        body.append(_text(x + width / 2, y + _LINE - 8, caption(timeline, place)))
+        for part in np.flatnonzero(look.opacity > 0):
+            red, green, blue = look.color[part].tolist()
+            path = " ".join(f"M{at(line)}Z" for line in lines[part])
+            body.append(
+                f'<path d="{path}" fill="#{red:02x}{green:02x}{blue:02x}" fill-rule="evenodd" '
+                f'stroke="{INK}" stroke-width="0.9" stroke-linejoin="round"><title>{escape(assembly.names[part])}'
+                "</title></path>"
+            )
+        for some in arrows:
+            kept = [1 - axis, 2]
+            for ends in some.ends[:, :, kept]:
+                if np.linalg.norm(ends[1] - ends[0]) * scale > 1.0:
+                    body.append(
+                        f'<polyline points="{at(ends)}" fill="none" stroke="{some.color}" stroke-width="2" '
+                        f'marker-end="url(#tip{some.color[1:]})"/>'
+                    )
+    top = rows * (height + _LINE) + _LINE / 2
+    x = (whole - sum(40 + 6.6 * len(words) for _, words in entries)) / 2
+    for color, words in entries:
+        body.append(f'<rect x="{x + 6:.1f}" y="{top - 7:.1f}" width="18" height="14" fill="{color}"/>')
+        body.append(_text(x + 30, top + 4.5, words, anchor="start"))
+        x += 40 + 6.6 * len(words)
+    tips = "".join(
+        f'<marker id="tip{some.color[1:]}" viewBox="0 0 8 8" refX="6" refY="4" markerWidth="5" markerHeight="5" '
+        f'orient="auto"><path d="M0,0L8,4L0,8Z" fill="{some.color}"/></marker>'
+        for some in arrows
+    )
+    size = f"{whole:.0f} {top + _LINE / 2 + 4:.0f}"
+    wide, tall = size.split()
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide}" height="{tall}" viewBox="0 0 {size}" '
+        f'font-family="sans-serif" font-size="{_TEXT}">\n<defs>{tips}</defs>\n'
+        '<rect width="100%" height="100%" fill="white"/>\n' + "\n".join(body) + "\n</svg>\n"
+    )
+
+
+def write_svg(path: Path | str, text: str) -> None:
+    """Write an SVG, whole or not at all.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    write_whole(path, lambda file: file.write(text.encode()))
+
+
+def _is_prism(triangles: Array, axis: int) -> bool:
+    """Whether every face of a mesh is parallel or square to an axis."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    along = np.abs(normals[lengths > 0, axis]) / lengths[lengths > 0]
+    return bool(((along < _FLAT) | (along > 1 - _FLAT)).all())
+
+
+def _text(x: float, y: float, words: str, anchor: str = "middle") -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{INK}">{escape(words)}</text>'

@@ -1,0 +1,157 @@
+"""A timeline as a film: MP4 through the ffmpeg that imageio-ffmpeg brings, or GIF."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from falsework.errors import DependencyError, InputError
+from falsework.search.archive import write_whole
+from falsework.viewer.render import Camera
+from falsework.viewer.sheet import Pixels, bounds_with_ways, import_pillow, one_state
+from falsework.viewer.timeline import Timeline
+
+HOLD = 1.0
+"""Seconds that the first and the last picture stay."""
+KINDS = (".mp4", ".gif")
+FILM = Camera(width=800, height=560, zoom=0.95)
+
+
+def frames_of(
+    timeline: Timeline, *, seconds: float, rate: float, camera: Camera = FILM, samples: int = 2
+) -> Iterator[Pixels]:
+    """Pictures of a film, one after the other.
+
+    Args:
+        timeline: what is shown, in its order.
+        seconds: length of a step.
+        rate: pictures a second.
+        camera: how to look at it.
+        samples: as for `render`.
+    """
+    box = bounds_with_ways(timeline)
+    # The step is written as soon as it begins.
+    still = max(round(HOLD * rate), 1)
+    for place in frame_places(len(timeline), seconds, rate):
+        step = int(np.ceil(place)) if place % 1 else int(place)
+        words = None if len(timeline) == 0 else _words(timeline, step)
+        picture = one_state(timeline, place, camera, bounds=box, words=words, samples=samples)
+        repeat = still if place in (0.0, float(len(timeline))) else 1
+        for _ in range(repeat):
+            yield picture
+
+
+def frame_places(steps: int, seconds: float, rate: float) -> list[float]:
+    """Places of a timeline that are shown, in steps.
+
+    Raises:
+        InputError: a step of no length, or no pictures a second.
+    """
+    if not (np.isfinite(seconds) and seconds > 0):
+        raise InputError(f"a step of {seconds:g} seconds cannot be seen; give a number above zero")
+    if not (np.isfinite(rate) and 1 <= rate <= 120):
+        raise InputError(f"{rate:g} pictures a second make no film; give 1 to 120")
+    each = max(round(seconds * rate), 1)
+    return [min(number / each, float(steps)) for number in range(steps * each + 1)]
+
+
+def write_film(
+    path: Path | str,
+    timeline: Timeline,
+    *,
+    seconds: float = 0.5,
+    rate: float = 12.0,
+    camera: Camera = FILM,
+    progress: Callable[[int, int], None] | None = None,
+) -> int:
+    """Write a film, whole or not at all.
+
+    Args:
+        path: file that ends in .mp4 or .gif.
+        timeline: what is shown.
+        seconds: length of a step.
+        rate: pictures a second.
+        camera: how to look at it.
+        progress: called with the number of pictures drawn and of all.
+
+    Returns:
+        Number of pictures.
+
+    Raises:
+        InputError: another ending, or a file that cannot be written.
+        DependencyError: the package that writes such files is missing.
+    """
+    path = Path(path)
+    kind = path.suffix.lower()
+    if kind not in KINDS:
+        raise InputError(f"{path} ends in {kind or 'nothing'}; films are written as {' or '.join(KINDS)}")
+    even = replace(camera, width=camera.width + camera.width % 2)
+    total = len(frame_places(len(timeline), seconds, rate)) + 2 * (max(round(HOLD * rate), 1) - 1)
+    pictures = frames_of(timeline, seconds=seconds, rate=rate, camera=even)
+
+    def counted() -> Iterator[Pixels]:
+        for number, picture in enumerate(pictures):
+            if progress is not None:
+                progress(number, total)
+            yield picture
+
+    return _write_gif(path, counted(), rate) if kind == ".gif" else _write_mp4(path, counted(), rate)
+
+
+def _write_gif(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
+    pillow = import_pillow()
+    frames: list[Any] = []
+    lengths: list[int] = []
+    last: Pixels | None = None
+    for picture in pictures:
+        if last is not None and picture is last:
+            lengths[-1] += round(1000 / rate)
+            continue
+        frames.append(pillow.Image.fromarray(picture).quantize(64, dither=pillow.Image.Dither.NONE))
+        lengths.append(round(1000 / rate))
+        last = picture
+
+    def save(file: Any) -> None:
+        frames[0].save(
+            file, format="GIF", save_all=True, append_images=frames[1:], duration=lengths, loop=0, optimize=True
+        )
+
+    write_whole(path, save)
+    return len(frames)
+
+
+def _write_mp4(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise DependencyError(
+            "MP4 needs imageio-ffmpeg; install it with pip install 'falsework[picture]', or write a .gif"
+        ) from None
+    count = 0
+    with tempfile.TemporaryDirectory() as folder:
+        draft = Path(folder) / "film.mp4"
+        writer = None
+        for picture in pictures:
+            if writer is None:
+                height, width = picture.shape[:2]
+                writer = imageio_ffmpeg.write_frames(
+                    str(draft), (width, height), fps=rate, macro_block_size=2, quality=7, ffmpeg_log_level="error"
+                )
+                writer.send(None)
+            writer.send(np.ascontiguousarray(picture))
+            count += 1
+        if writer is not None:
+            writer.close()
+        content = draft.read_bytes()
+    write_whole(path, lambda file: file.write(content))
+    return count
+
+
+def _words(timeline: Timeline, step: int) -> str:
+    doing = f": {timeline.words(step - 1)}" if step else ""
+    return f"step {step} of {len(timeline)}{doing}"

@@ -1,0 +1,212 @@
+"""The state graph as a picture: one column a step, one row a state, and what a policy covers of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import States
+from falsework.errors import DependencyError
+from falsework.search.archive import write_whole
+from falsework.search.graph import StateGraph
+from falsework.viewer.look import look_at
+from falsework.viewer.palette import INK, ROBOTS
+from falsework.viewer.timeline import Timeline
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+
+Array = NDArray[np.float64]
+
+ICONS_UP_TO = 60
+"""States up to which each is drawn as a small picture of the structure."""
+_SWEEPS = 6
+"""How often rows are put in order by their neighbours."""
+EDGE, USELESS, ROUTE, SEEN = "#b9bbbf", "#d8dadd", ROBOTS[1], ROBOTS[0]
+
+
+def places_of(graph: StateGraph) -> Array:
+    """Column and row of every state: columns by steps of assembly, rows such that actions cross little.
+
+    Returns:
+        Shape (states, 2); rows are spread about 0.
+    """
+    level = graph.level
+    column = level.max(initial=0) - level
+    row = np.zeros(len(graph))
+    members = [np.flatnonzero(column == step) for step in range(int(column.max(initial=0)) + 1)]
+    for states in members:
+        row[states] = np.arange(len(states)) - (len(states) - 1) / 2
+    # Order each column by the mean row of its neighbours in the column before it, forwards and backwards in turn.
+    for sweep in range(_SWEEPS):
+        forwards = sweep % 2 == 0
+        here, there = (graph.source, graph.target) if forwards else (graph.target, graph.source)
+        for states in members if forwards else members[::-1]:
+            total = np.zeros(len(graph))
+            count = np.zeros(len(graph))
+            mine = np.isin(here, states)
+            np.add.at(total, here[mine], row[there[mine]])
+            np.add.at(count, here[mine], 1)
+            mean = np.where(count[states] > 0, total[states] / np.maximum(count[states], 1), row[states])
+            order = states[np.argsort(mean, kind="stable")]
+            row[order] = np.arange(len(states)) - (len(states) - 1) / 2
+    return np.stack([column.astype(float), row], axis=1)
+
+
+def covered(graph: StateGraph, visited: States) -> NDArray[np.bool_]:
+    """Which states of a graph are among those that somebody visited.
+
+    Args:
+        graph: the graph.
+        visited: shape (count, parts), repeated or not.
+    """
+    seen = np.zeros(len(graph), dtype=bool)
+    if len(visited):
+        found = graph.index.find(np.unique(visited, axis=0))
+        seen[found[found >= 0]] = True
+    return seen
+
+
+def graph_figure(
+    graph: StateGraph,
+    assembly: Assembly | None = None,
+    *,
+    route: States | None = None,
+    visited: States | None = None,
+    title: str = "",
+    labels: tuple[str, str] = ("a plan", "visited by the policy"),
+) -> Any:
+    """Figure of a state graph for Matplotlib.
+
+    Args:
+        graph: what is drawn.
+        assembly: its structure; a graph of few states of a two-dimensional one gets small pictures of them.
+        route: states of a plan, drawn as a thick line, shape (steps + 1, parts).
+        visited: states that a policy came through, drawn in blue, shape (count, parts).
+        title: a line above.
+        labels: what the legend calls route and visited states.
+
+    Raises:
+        DependencyError: Matplotlib is not installed.
+    """
+    figures, collections = _matplotlib()
+    place = places_of(graph)
+    useful = graph.solvable & graph.reachable
+    on_route = covered(graph, route) if route is not None else np.zeros(len(graph), dtype=bool)
+    seen = covered(graph, visited) if visited is not None else np.zeros(len(graph), dtype=bool)
+    icons = assembly is not None and len(graph) <= ICONS_UP_TO and _is_flat(assembly)
+    spread = float(np.ptp(place[:, 1])) + 1
+    height = 0.62 * (spread + 0.6) if icons else 5.2
+    figure = figures.Figure(figsize=(9.6, max(height, 2.2)))
+    axis = figure.add_axes((0.02, 0.10, 0.96, 0.82 if title else 0.88))
+    lines = np.stack([place[graph.source], place[graph.target]], axis=1)
+    chosen = on_route[graph.source] & on_route[graph.target]
+    gap = 0.3 if icons else 0.0
+    lines[:, 0, 0] -= gap
+    lines[:, 1, 0] += gap
+    many = len(graph) > 800
+    axis.add_collection(
+        collections.LineCollection(
+            list(lines[~chosen]), colors=EDGE, linewidths=0.25 if many else 0.8, alpha=0.35 if many else 1.0, zorder=1
+        )
+    )
+    axis.add_collection(collections.LineCollection(list(lines[chosen]), colors=ROUTE, linewidths=2.6, zorder=2))
+    if icons:
+        assert assembly is not None
+        _draw_icons(axis, assembly, graph, place, useful, seen)
+    else:
+        size = 3.0 if many else 16.0
+        for mask, color, order in ((~useful, USELESS, 3), (useful & ~seen, "#6d7076", 3), (seen, SEEN, 4)):
+            axis.scatter(*place[mask].T, s=size, color=color, linewidths=0, zorder=order)
+        axis.scatter(*place[on_route].T, s=1.6 * size, color=ROUTE, linewidths=0, zorder=5)
+    axis.set_xlim(-0.8, place[:, 0].max(initial=0.0) + 0.8)
+    low, high = place[:, 1].min(initial=0.0), place[:, 1].max(initial=0.0)
+    axis.set_ylim(low - 0.7, high + 0.7)
+    axis.set_yticks([])
+    for side in ("left", "right", "top"):
+        axis.spines[side].set_visible(False)
+    axis.set_xlabel("steps of assembly", fontsize=9, color=INK)
+    axis.tick_params(labelsize=8, colors=INK)
+    _legend(axis, route is not None, visited is not None, bool((~useful).any()), labels)
+    if title:
+        axis.set_title(title, fontsize=10, color=INK)
+    return figure
+
+
+def write_figure(path: Path | str, figure: Any) -> None:
+    """Write a figure as PNG or SVG, as the ending says, whole or not at all.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    kind = "svg" if Path(path).suffix.lower() == ".svg" else "png"
+    write_whole(path, lambda file: figure.savefig(file, format=kind, dpi=150, bbox_inches="tight", pad_inches=0.08))
+
+
+def figure_pixels(figure: Any, dpi: int = 110) -> NDArray[np.uint8]:
+    """A figure as an array, shape (height, width, 3)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure.set_dpi(dpi)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _draw_icons(
+    axis: Any, assembly: Assembly, graph: StateGraph, place: Array, useful: NDArray[np.bool_], seen: NDArray[np.bool_]
+) -> None:
+    from falsework.viewer.drawing import flat_axis, outlines
+
+    lines = outlines(assembly, flat_axis(assembly))
+    points = np.concatenate([line for part in lines for line in part])
+    low, high = points.min(axis=0), points.max(axis=0)
+    scale = np.array([0.54, 0.8]) / (high - low).max() * np.array([1.0, 1.0])
+    for node, state in enumerate(graph.states):
+        look = look_at(Timeline.still(assembly, state, graph.task.robots), 0)
+        for part in np.flatnonzero(look.opacity > 0):
+            moved = (lines[part][0] - (low + high) / 2) * scale + place[node]
+            axis.fill(
+                *moved.T, facecolor=look.color[part] / 255, edgecolor=INK, linewidth=0.4,
+                alpha=1.0 if useful[node] else 0.35, zorder=3,
+            )  # fmt: skip
+        if seen[node]:
+            axis.plot(place[node, 0], place[node, 1] - 0.42, "o", color=SEEN, markersize=3.5, zorder=4)
+
+
+def _legend(axis: Any, route: bool, visited: bool, useless: bool, labels: tuple[str, str]) -> None:
+    entries = []
+    if route:
+        entries.append((ROUTE, labels[0]))
+    if visited:
+        entries.append((SEEN, labels[1]))
+    if useless:
+        entries.append((USELESS, "no way on from here, or none to here"))
+    for color, words in entries:
+        axis.plot([], [], "o", color=color, label=words, markersize=6)
+    if entries:
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=len(entries), frameon=False, fontsize=9)
+
+
+def _is_flat(assembly: Assembly) -> bool:
+    from falsework.errors import InputError
+    from falsework.viewer.drawing import flat_axis
+
+    try:
+        flat_axis(assembly)
+    except InputError:
+        return False
+    return True
+
+
+def _matplotlib() -> tuple[Any, Any]:
+    try:
+        from matplotlib import collections, figure
+    except ImportError:
+        raise DependencyError(
+            "pictures of state graphs need Matplotlib; install it with pip install 'falsework[picture]'"
+        ) from None
+    return figure, collections

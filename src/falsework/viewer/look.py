@@ -1,0 +1,143 @@
+"""What is seen at a place of a timeline: colour, opacity and position of every part."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import REMOVED, States
+from falsework.viewer.palette import BOUNDARY, INSTALLED, ramp, rgb, robot_color
+from falsework.viewer.timeline import NOBODY, Timeline
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+
+Array = NDArray[np.float64]
+
+FADE = 2.0
+"""Steps that a part takes to leave the picture."""
+TRAVEL = 0.45
+"""How far it comes meanwhile, in diagonals of the structure."""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """All parts as they are to be drawn."""
+
+    state: States
+    """State that is shown, shape (parts,)."""
+    color: NDArray[np.uint8]
+    """Red, green, blue, shape (parts, 3)."""
+    opacity: Array
+    """0 for what is not seen, shape (parts,)."""
+    shift: Array
+    """From the place of each part, metres, shape (parts, 3)."""
+    holder: NDArray[np.int64]
+    """Robot that holds each part, `NOBODY` where none does, shape (parts,)."""
+
+    @property
+    def solid(self) -> NDArray[np.bool_]:
+        """Parts that are there in full and in their place, shape (parts,)."""
+        return (self.opacity >= 1) & ~self.shift.any(axis=1)
+
+    @property
+    def ghosts(self) -> NDArray[np.int64]:
+        """Parts that are on their way."""
+        return np.flatnonzero((self.opacity > 0) & ~self.solid)
+
+
+def look_at(
+    timeline: Timeline,
+    place: float,
+    *,
+    state: States | None = None,
+    chances: Array | None = None,
+    marks: Mapping[int, str] | None = None,
+    travelling: bool = True,
+) -> Look:
+    """What is seen at a place.
+
+    Args:
+        timeline: states and who holds what.
+        place: step in the order shown; between whole numbers parts are on their way.
+        state: shown instead of the state there, such as one with parts missing; shape (parts,).
+        chances: probability of the action that concerns each part, NaN where none does; coloured on a scale, shape
+            (parts,).
+        marks: colours of parts that stand out.
+        travelling: show parts on their way in or out.
+    """
+    assembly = timeline.assembly
+    done, row = timeline.at(place), timeline.row(place)
+    shown = timeline.states[row] if state is None else state
+    holder = np.where(shown == 2, timeline.holders[row], NOBODY)
+    color = np.broadcast_to(np.array(rgb(INSTALLED), dtype=np.uint8), (assembly.part_count, 3)).copy()
+    for part in np.flatnonzero(holder != NOBODY):
+        color[part] = rgb(robot_color(int(holder[part])))
+    color[assembly.boundary] = rgb(BOUNDARY)
+    opacity = (shown != REMOVED).astype(float)
+    shift = np.zeros((assembly.part_count, 3))
+    if travelling:
+        # A part leaves during the two steps after the action that removes it.
+        gone = done - timeline.removal_step
+        leaving = (timeline.removal_step >= 0) & (gone > 0) & (gone < FADE)
+        if state is not None:
+            leaving &= timeline.states[row] == state
+        for part in np.flatnonzero(leaving):
+            share = float(gone[part]) / FADE
+            opacity[part] = 1 - share
+            shift[part] = TRAVEL * diagonal(assembly) * share * timeline.ways[part]
+            last = int(timeline.holders[timeline.removal_step[part], part])
+            if last != NOBODY:
+                color[part] = rgb(robot_color(last))
+    if chances is not None:
+        asked = np.isfinite(chances)
+        color[asked] = ramp(chances[asked])
+    for part, mark in (marks or {}).items():
+        color[part] = rgb(mark)
+    return Look(shown, color, opacity, shift, holder)
+
+
+def bounds_of(assembly: Assembly) -> Array:
+    """Lowest and highest coordinates of all parts, shape (2, 3), metres."""
+    boxes = np.array([mesh.bounds for mesh in assembly.meshes])
+    return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+
+
+def diagonal(assembly: Assembly) -> float:
+    """Length of the diagonal of the box around all parts, metres."""
+    return float(np.linalg.norm(np.ptp(bounds_of(assembly), axis=0)))
+
+
+def pick(assembly: Assembly, look: Look, origin: Array, direction: Array) -> int | None:
+    """The part that a ray hits first, or None.
+
+    Args:
+        assembly: the structure.
+        look: where the parts are; what is not seen is not hit.
+        origin: of the ray, metres, shape (3,).
+        direction: of the ray, any length, shape (3,).
+    """
+    seen = np.flatnonzero(look.opacity > 0)
+    if len(seen) == 0:
+        return None
+    origin, direction = np.asarray(origin, dtype=float), np.asarray(direction, dtype=float)
+    triangles = np.concatenate([assembly.meshes[part].triangles + look.shift[part] for part in seen])
+    owner = np.repeat(seen, [len(assembly.meshes[part].faces) for part in seen])
+    edge, other = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    across = np.cross(direction, other)
+    volume = (edge * across).sum(axis=1)
+    hit = np.abs(volume) > 1e-14
+    scale = np.divide(1.0, volume, out=np.zeros_like(volume), where=hit)
+    offset = origin - triangles[:, 0]
+    u = (offset * across).sum(axis=1) * scale
+    turned = np.cross(offset, edge)
+    v = (turned @ direction) * scale
+    distance = (other * turned).sum(axis=1) * scale
+    hit &= (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
+    if not hit.any():
+        return None
+    return int(owner[np.argmin(np.where(hit, distance, np.inf))])

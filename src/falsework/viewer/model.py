@@ -1,0 +1,324 @@
+"""What the page shows and what a click does, without any browser: place, selection, marks, proofs, new plans."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, REMOVED, States, action_mask
+from falsework.search.task import Direction
+from falsework.stability.oracle import Stability
+from falsework.viewer.disruption import Disruption, Tool, chance_of_parts
+from falsework.viewer.look import Look, look_at, pick
+from falsework.viewer.palette import FIXED, SELECTED
+from falsework.viewer.proof import StateProof, proof_of_state
+from falsework.viewer.timeline import NOBODY, Timeline
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.learn.guide import PolicyGuide
+    from falsework.search.graph import StateGraph
+    from falsework.search.plan import Plan
+
+_PROOFS = 64
+"""Proofs of states that are remembered."""
+
+
+@dataclass(frozen=True, eq=False)
+class NewPlan:
+    """What became of a question to the planner."""
+
+    found: bool
+    words: str
+    """Who decided, how long it took, and how the plan differs from the old one; or why there is none."""
+    seconds: float
+    decided_by: str
+    plan: Plan | None = None
+
+
+class Model:
+    """State of one page. Its methods may be called from several threads; each takes the lock for itself."""
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        *,
+        plan: Plan | None = None,
+        policy: Any = None,
+        graph: StateGraph | None = None,
+        oracle: Stability | None = None,
+        deadline: float | None = 60.0,
+    ) -> None:
+        """Show a timeline.
+
+        Args:
+            timeline: states and actions.
+            plan: the plan that it shows, to compare new ones with.
+            policy: proposes actions, a `torch.nn.Module`; None if there is none.
+            graph: state graph to show beside it.
+            oracle: decides stability.
+            deadline: seconds that a new plan may take; None for as long as it takes.
+        """
+        self.timeline = timeline
+        self.plan = plan
+        self.policy = policy
+        self.graph = graph
+        self.place = 0.0
+        self.tool = Tool.LOOK
+        self.selected: int | None = None
+        self.disruption = Disruption(robots=timeline.robots)
+        self.show_chances = policy is not None
+        self.deadline = deadline
+        self.lock = threading.RLock()
+        self._oracle = oracle
+        self._proofs: OrderedDict[bytes, StateProof] = OrderedDict()
+        self._replanner: Any = None
+        self._guide: PolicyGuide | None = None
+        self._before: list[tuple[Timeline, Plan | None, Disruption, float]] = []
+
+    @property
+    def assembly(self) -> Assembly:
+        """The structure."""
+        return self.timeline.assembly
+
+    @property
+    def oracle(self) -> Stability:
+        """Decides stability; made at the first use."""
+        if self._oracle is None:
+            self._oracle = Stability(self.assembly)
+        return self._oracle
+
+    @property
+    def direction(self) -> Direction:
+        """Order in which the plan is shown."""
+        return self.timeline.direction
+
+    @property
+    def state(self) -> States:
+        """State that the plan has reached, shape (parts,)."""
+        return self.timeline.states[self.timeline.row(self.place)]
+
+    @property
+    def site(self) -> States:
+        """State as it is marked to be on site, shape (parts,)."""
+        return self.disruption.on(self.state)
+
+    def go_to(self, place: float) -> None:
+        """Show another place; beyond the ends is the end."""
+        with self.lock:
+            self.place = min(max(float(place), 0.0), float(len(self.timeline)))
+
+    def turn(self, direction: Direction) -> None:
+        """Show the other order; the state that is shown stays."""
+        with self.lock:
+            if direction is not self.direction:
+                self.timeline = self.timeline.turned(direction)
+                self.place = len(self.timeline) - self.place
+
+    def look(self) -> Look:
+        """How all parts are seen now."""
+        with self.lock:
+            disrupted = bool(self.disruption.missing or self.disruption.there)
+            marks = dict.fromkeys(self.disruption.fixed, FIXED)
+            if self.selected is not None:
+                marks[self.selected] = SELECTED
+            return look_at(
+                self.timeline,
+                self.place,
+                state=self.site if disrupted else None,
+                chances=self.chances() if self.show_chances else None,
+                marks=marks,
+            )
+
+    def ghosts_of_target(self) -> Sequence[int]:
+        """Parts whose place in the target is not the usual one."""
+        return sorted(self.disruption.target)
+
+    def labels(self, look: Look) -> dict[int, str]:
+        """Short words at parts: who holds them, and what is marked."""
+        labels = {int(part): f"R{look.holder[part] + 1}" for part in np.flatnonzero(look.holder != NOBODY)}
+        for word, parts in (
+            ("missing", self.disruption.missing),
+            ("there", self.disruption.there),
+            ("fixed", self.disruption.fixed),
+            ("not in target" if self.direction is Direction.ASSEMBLY else "stays", self.disruption.target),
+        ):
+            for part in parts:
+                labels[part] = f"{labels[part]}, {word}" if part in labels else word
+        return labels
+
+    def click(self, origin: NDArray[np.float64], ray: NDArray[np.float64]) -> int | None:
+        """Click along a ray: select the part that it hits, and set or take away its mark if a tool is chosen.
+
+        Returns:
+            The part, or None if the ray hits nothing.
+
+        Raises:
+            InputError: the part cannot be marked.
+        """
+        with self.lock:
+            look = self.look()
+            # What is marked as missing is drawn as wires and can be clicked again.
+            opacity = look.opacity.copy()
+            opacity[list(self.disruption.missing)] = 1.0
+            if self.tool is Tool.THERE:
+                opacity[:] = np.where(look.state == REMOVED, 1.0, 0.0) if self._absent_first(look) else 1.0
+            part = pick(self.assembly, replace(look, opacity=opacity), origin, ray)
+            if part is not None:
+                self.click_part(part)
+            elif self.tool is Tool.LOOK:
+                self.selected = None
+            return part
+
+    def click_part(self, part: int) -> None:
+        """Select a part, and set or take away its mark if a tool is chosen.
+
+        Raises:
+            InputError: the part cannot be marked.
+        """
+        with self.lock:
+            self.selected = part
+            self.disruption = self.disruption.toggled(self.tool, part, self.assembly)
+
+    def clear_marks(self) -> None:
+        """Forget what is marked; the number of robots stays."""
+        with self.lock:
+            self.disruption = Disruption(robots=self.disruption.robots)
+
+    def set_robots(self, robots: int) -> None:
+        """Change the number of robots of the next plan."""
+        with self.lock:
+            self.disruption = replace(self.disruption, robots=int(robots))
+
+    def about(self, part: int) -> list[tuple[str, str]]:
+        """What there is to know of a part, as pairs of words."""
+        assembly, timeline = self.assembly, self.timeline
+        contacts = assembly.contacts
+        mine = np.flatnonzero((contacts.parts == part).any(axis=1))
+        others = sorted({int(other) for other in contacts.parts[mine].ravel()} - {part})
+        touching = ", ".join(assembly.names[other] for other in others[:8])
+        touching += f" and {len(others) - 8} more" if len(others) > 8 else ""
+        value = int(self.site[part])
+        now = "boundary" if assembly.boundary[part] else ("not there", "stands by itself", "held")[value]
+        who = self.look().holder[part]
+        if who != NOBODY:
+            now = f"held by robot {who + 1}"
+        spans = [
+            f"robot {robot + 1}, " + (f"state {first}" if first == last else f"states {first} to {last}")
+            for robot, first, last in timeline.held_when(part)
+        ]
+        facts = [
+            ("part", f"{assembly.names[part]} (number {part})"),
+            ("mass", f"{assembly.mass.mass[part]:.4g} kg"),
+            ("now", now),
+            ("contacts", f"{len(mine)}, {contacts.areas[mine].sum():.3g} m2, with {touching or 'nothing'}"),
+            ("held by", "; ".join(spans) if spans else "nobody"),
+        ]
+        chance = self.chances()[part] if self.policy is not None else np.nan
+        if np.isfinite(chance):
+            verb = "remove" if self.state[part] == HELD else "hold"
+            facts.append(("policy", f"{verb} it with {100 * chance:.1f} %"))
+        return facts
+
+    def proof(self) -> StateProof:
+        """Verdict on the state as it is marked, with its proof."""
+        site = self.site
+        key = site.tobytes()
+        with self.lock:
+            known = self._proofs.get(key)
+            if known is None:
+                known = proof_of_state(self.oracle, site)
+                self._proofs[key] = known
+                while len(self._proofs) > _PROOFS:
+                    self._proofs.popitem(last=False)
+            return known
+
+    def chances(self) -> NDArray[np.float64]:
+        """Probability that the policy takes the action that concerns each part in the state shown; shape (parts,).
+
+        NaN where no action is legal; all NaN without a policy.
+        """
+        parts = self.assembly.part_count
+        if self.policy is None:
+            return np.full(parts, np.nan)
+        with self.lock:
+            if self._guide is None:
+                from falsework.learn.guide import PolicyGuide
+
+                self._guide = PolicyGuide(self.policy)
+            site = self.site[None]
+            legal = action_mask(site, self.assembly.boundary, self.disruption.robots)
+            target = np.where(self.assembly.boundary, HELD, REMOVED).astype(np.uint8)[None]
+            scores = self._guide.log_probabilities(site, legal, target)
+            return chance_of_parts(np.exp(scores[0]))
+
+    def visited(self, rollouts: int = 32) -> States:
+        """States that the policy comes through from the start, greedily and at random. Shape (count, parts)."""
+        from falsework.viewer.coverage import visited_states
+
+        assert self._guide is not None or self.policy is not None
+        self.chances()
+        assert self._guide is not None
+        return visited_states(self._guide, self.oracle, self.timeline.states[0], self.timeline.robots, rollouts)
+
+    def replan(self) -> NewPlan:
+        """Plan anew from the state as it is marked, and show the new plan if there is one.
+
+        Raises:
+            InputError: what is marked makes no sense; the message says what to do.
+        """
+        from falsework.learn.replan import Replanner
+
+        begun = time.perf_counter()
+        with self.lock:
+            question = self.disruption.question(self.assembly, self.state, self.direction)
+            old = self.plan
+            if self._replanner is None:
+                self._replanner = Replanner(self.assembly, self.policy, self.oracle)
+        answer = self._replanner.replan(**question, deadline=self.deadline)
+        seconds = time.perf_counter() - begun
+        decided = answer.decided_by.value
+        if answer.plan is None:
+            kind = "there is no plan" if answer.outcome.value == "proved_impossible" else "no plan was found"
+            words = f"{kind} ({seconds:.2f} s, {decided}): {answer.reason}"
+            return NewPlan(False, words, seconds, decided)
+        words = f"{len(answer.plan)} steps in {seconds:.2f} s, decided by {decided}. "
+        words += self._compare(old, answer.plan)
+        with self.lock:
+            self._before.append((self.timeline, self.plan, self.disruption, self.place))
+            self.timeline = Timeline.of(answer.plan, self.assembly)
+            self.plan = answer.plan
+            self.place = 0.0
+            # What has been planned around is no longer marked: the states of the new plan show it.
+            self.disruption = Disruption(fixed=self.disruption.fixed, robots=self.disruption.robots)
+        return NewPlan(True, words, seconds, decided, answer.plan)
+
+    @property
+    def can_go_back(self) -> bool:
+        """Whether there is an older plan."""
+        return bool(self._before)
+
+    def go_back(self) -> None:
+        """Show the plan before the last one again, with the marks that were set then."""
+        with self.lock:
+            if self._before:
+                self.timeline, self.plan, self.disruption, self.place = self._before.pop()
+
+    def _compare(self, old: Plan | None, new: Plan) -> str:
+        if old is None:
+            return "There was no plan before."
+        from falsework.learn.difference import difference
+
+        text = difference(old, new).text
+        return text[:1].upper() + text[1:] + "."
+
+    def _absent_first(self, look: Look) -> bool:
+        """Whether clicks with the tool for parts that are there already should hit absent ones only."""
+        return bool((look.state == REMOVED).any())

@@ -1,0 +1,399 @@
+"""The page in the browser: what viser draws and the controls beside it; all decisions are the model's."""
+
+from __future__ import annotations
+
+import contextlib
+import html
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from falsework.errors import DependencyError, FalseworkError, InputError
+from falsework.search.task import Direction
+from falsework.viewer.arrows import KINDS
+from falsework.viewer.disruption import Tool
+from falsework.viewer.model import Model
+from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, robot_color
+from falsework.viewer.scene import SIZE, Scene
+from falsework.viewer.timeline import NOBODY
+
+LOCAL = ("localhost", "127.0.0.1", "::1")
+"""Hosts that nobody else can reach."""
+FRAMES = 15.0
+"""Frames a second of a plan that is played."""
+NO_MORE_THAN = 400.0
+"""Largest number of robots that can be asked for."""
+
+
+def import_viser() -> Any:
+    """The package that serves the page.
+
+    Raises:
+        DependencyError: it is not installed.
+    """
+    try:
+        import viser
+    except ImportError:
+        raise DependencyError("the page needs viser; install it with pip install 'falsework[viewer]'") from None
+    return viser
+
+
+class Page:
+    """One page with one model; every browser that opens it sees the same."""
+
+    def __init__(self, model: Model, *, host: str = "127.0.0.1", port: int = 8080, title: str = "") -> None:
+        """Start to serve.
+
+        Args:
+            model: what is shown.
+            host: address to listen at.
+            port: port to listen at; the next free one is taken if it is not free.
+            title: line at the top; the name of the structure if not given.
+
+        Raises:
+            DependencyError: viser is not installed.
+            InputError: the address cannot be listened at.
+        """
+        viser = import_viser()
+        try:
+            self.server = viser.ViserServer(host=host, port=port, verbose=False)
+        except OSError as error:
+            raise InputError(f"cannot listen at {host} port {port} ({error.strerror}); choose another") from None
+        self.model = model
+        self.host = host
+        self._lock = threading.RLock()
+        self._stop = threading.Event()
+        self._playing = threading.Event()
+        self._quiet = False
+        self._robot_scene: Any = None
+        self.scene = Scene(self.server.scene, model.timeline)
+        self._arrange(title or model.assembly.name)
+        self._controls()
+        self.server.scene.on_click()(self._clicked)
+        self._player = threading.Thread(target=self._play, name="falsework-player", daemon=True)
+        self._player.start()
+        self.refresh()
+
+    @property
+    def port(self) -> int:
+        """Where the page is."""
+        return int(self.server.get_port())
+
+    @property
+    def address(self) -> str:
+        """What to type into a browser."""
+        name = "localhost" if self.host in (*LOCAL, "0.0.0.0") else self.host
+        return f"http://{name}:{self.port}"
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._stop.set()
+        self._playing.set()
+        self._player.join(timeout=5)
+        self.server.stop()
+
+    def wait(self) -> None:
+        """Serve until interrupted."""
+        while not self._stop.wait(1.0):
+            pass
+
+    def refresh(self) -> None:
+        """Bring scene and words up to date with the model."""
+        with self._lock, self.server.atomic():
+            model = self.model
+            look = model.look()
+            self.scene.show(look, missing=model.disruption.missing, labels=model.labels(look))
+            self._show_proof()
+            self._say()
+
+    # What the page is made of.
+
+    def _arrange(self, title: str) -> None:
+        gui, scene = self.server.gui, self.server.scene
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=(0, 114, 178))
+        gui.set_panel_label(f"falsework: {title}")
+        scene.set_up_direction("+z")
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(enabled=True, cast_shadow=self.model.assembly.part_count <= 400)
+        scene.world_axes.visible = False
+        scene.add_grid(
+            "/floor", 3 * SIZE, 3 * SIZE, position=(0.0, 0.0, -0.002 * SIZE), cell_color=(228, 229, 231),
+            section_color=(210, 212, 215), infinite_grid=False,
+        )  # fmt: skip
+        camera = self.server.initial_camera
+        camera.position = np.array([0.72, -0.80, 0.55]) * SIZE
+        camera.look_at = np.array([0.0, 0.0, 0.16 * SIZE])
+        camera.fov = np.radians(45.0)
+
+    def _controls(self) -> None:
+        gui, model = self.server.gui, self.model
+        self._where = gui.add_markdown("")
+        steps = len(model.timeline)
+        self._slider = gui.add_slider("Step", min=0, max=max(steps, 1), step=1, initial_value=0, disabled=steps == 0)
+        self._slider.on_update(lambda event: self._guard(event, self._moved))
+        with gui.add_folder("Play"):
+            self._play_button = gui.add_button("Play", disabled=steps == 0)
+            self._play_button.on_click(lambda event: self._guard(event, self._toggle_play))
+            self._speed = gui.add_slider("Steps a second", min=0.5, max=8.0, step=0.5, initial_value=2.0)
+            words = {Direction.ASSEMBLY: "assembly", Direction.DISASSEMBLY: "disassembly"}
+            self._order = gui.add_dropdown("Order", tuple(words.values()), initial_value=words[model.direction])
+            self._order.on_update(lambda event: self._guard(event, self._turned))
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Look"):
+            self._toggles = {}
+            for kind in KINDS:
+                name = {"motion": "Motion, where unstable"}.get(kind, kind.capitalize())
+                self._toggles[kind] = gui.add_checkbox(name, initial_value=False)
+                self._toggles[kind].on_update(lambda event: self._guard(event, self.refresh))
+            if model.policy is not None:
+                self._chances = gui.add_checkbox("Probabilities of the policy", initial_value=model.show_chances)
+                self._chances.on_update(lambda event: self._guard(event, self._chances_changed))
+            self._about = gui.add_html("")
+            self._legend = gui.add_html("")
+        with tabs.add_tab("Disrupt"):
+            self._tool = gui.add_dropdown(
+                "A click will", tuple(str(tool) for tool in Tool), initial_value=str(Tool.LOOK)
+            )
+            self._tool.on_update(lambda event: self._guard(event, self._tool_changed))
+            self._robots = gui.add_number("Robots", model.disruption.robots, min=1, max=NO_MORE_THAN, step=1)
+            self._robots.on_update(lambda event: self._guard(event, self._robots_changed))
+            self._marked = gui.add_markdown("")
+            self._replan_button = gui.add_button("Replan", color=(0, 114, 178))
+            self._replan_button.on_click(lambda event: self._guard(event, self._replan))
+            self._clear = gui.add_button("Clear marks")
+            self._clear.on_click(lambda event: self._guard(event, self._cleared))
+            self._back = gui.add_button("Back to the plan before", disabled=True)
+            self._back.on_click(lambda event: self._guard(event, self._go_back))
+            self._answer = gui.add_markdown("")
+        if model.graph is not None:
+            with tabs.add_tab("Graph"):
+                self._graph_tab()
+
+    def _graph_tab(self) -> None:
+        gui, model = self.server.gui, self.model
+        graph = model.graph
+        assert graph is not None
+        gui.add_markdown(
+            f"{len(graph)} states, {len(graph.source)} actions; {int((graph.solvable & graph.reachable).sum())} states "
+            "lie on a way through."
+        )
+        self._graph_image = gui.add_image(self._graph_pixels(None), label="State graph", format="png")
+        if model.policy is not None:
+            cover = gui.add_button("What the policy covers")
+            words = gui.add_markdown("")
+
+            def show() -> None:
+                from falsework.viewer.graph_picture import covered
+
+                visited = model.visited()
+                share = covered(graph, visited)
+                self._graph_image.image = self._graph_pixels(visited)
+                words.content = f"{int(share.sum())} of {len(graph)} states ({100 * share.mean():.1f} %)."
+
+            cover.on_click(lambda event: self._guard(event, show))
+
+    def _graph_pixels(self, visited: Any) -> Any:
+        from falsework.viewer.graph_picture import figure_pixels, graph_figure
+
+        model = self.model
+        assert model.graph is not None
+        route = model.timeline.states if len(model.timeline) else None
+        return figure_pixels(graph_figure(model.graph, model.assembly, route=route, visited=visited), dpi=90)
+
+    # What happens when something is touched.
+
+    def _guard(self, event: Any, act: Callable[[], object]) -> None:
+        """Act, and say in one line what is wrong if something is; the page goes on."""
+        if self._quiet:
+            return
+        try:
+            act()
+        except FalseworkError as error:
+            text = " ".join(str(error).split())
+            self._answer.content = f"**{text}**"
+            client = getattr(event, "client", None)
+            if client is not None:
+                client.add_notification("That does not work", text, color="orange", auto_close_seconds=8.0)
+
+    def _clicked(self, event: Any) -> None:
+        origin, direction = self.scene.ray(event.ray_origin, event.ray_direction)
+
+        def act() -> None:
+            self.model.click(origin, direction)
+            self.refresh()
+
+        self._guard(event, act)
+
+    def _moved(self) -> None:
+        self.model.go_to(self._slider.value)
+        self.refresh()
+
+    def _turned(self) -> None:
+        self.model.turn(Direction(self._order.value))
+        self._set_slider()
+        self.refresh()
+
+    def _toggle_play(self) -> None:
+        if self._playing.is_set():
+            self._playing.clear()
+        else:
+            if self.model.place >= len(self.model.timeline):
+                self.model.go_to(0)
+            self._playing.set()
+        self._play_button.label = "Pause" if self._playing.is_set() else "Play"
+
+    def _tool_changed(self) -> None:
+        self.model.tool = Tool(self._tool.value)
+
+    def _robots_changed(self) -> None:
+        self.model.set_robots(int(self._robots.value))
+        self.refresh()
+
+    def _chances_changed(self) -> None:
+        self.model.show_chances = bool(self._chances.value)
+        self.refresh()
+
+    def _cleared(self) -> None:
+        self.model.clear_marks()
+        self._answer.content = ""
+        self.refresh()
+
+    def _replan(self) -> None:
+        self._playing.clear()
+        self._play_button.label = "Play"
+        self._replan_button.disabled = True
+        self._answer.content = "planning ..."
+        try:
+            answer = self.model.replan()
+            self._answer.content = html.escape(answer.words, quote=False)
+            self._plan_changed()
+        finally:
+            self._replan_button.disabled = False
+
+    def _go_back(self) -> None:
+        self.model.go_back()
+        self._answer.content = "This is the plan before."
+        self._plan_changed()
+
+    def _plan_changed(self) -> None:
+        self.scene.order(self.model.timeline)
+        self._back.disabled = not self.model.can_go_back
+        steps = len(self.model.timeline)
+        self._quiet = True
+        try:
+            self._slider.max = max(steps, 1)
+            self._slider.disabled = self._play_button.disabled = steps == 0
+            self._order.value = self.model.direction.value
+        finally:
+            self._quiet = False
+        self._set_slider()
+        self.refresh()
+
+    def _set_slider(self) -> None:
+        self._quiet = True
+        try:
+            self._slider.value = round(self.model.place)
+        finally:
+            self._quiet = False
+
+    def _play(self) -> None:
+        while not self._stop.is_set():
+            if not self._playing.wait(0.5) or self._stop.is_set():
+                continue
+            begun = time.perf_counter()
+            model = self.model
+            before = int(model.place)
+            model.go_to(model.place + float(self._speed.value) / FRAMES)
+            if int(model.place) != before:
+                self._set_slider()
+                self.refresh()
+            else:
+                with self._lock, self.server.atomic():
+                    look = model.look()
+                    self.scene.show(look, missing=model.disruption.missing, labels=model.labels(look))
+            if model.place >= len(model.timeline):
+                self._playing.clear()
+                self._play_button.label = "Play"
+            time.sleep(max(1 / FRAMES - (time.perf_counter() - begun), 0.005))
+
+    # What is written.
+
+    def _show_proof(self) -> None:
+        kinds = [kind for kind, toggle in self._toggles.items() if toggle.value]
+        if not kinds:
+            self.scene.show_arrows({}, {})
+            return
+        proof = self.model.proof()
+        chosen = {kind: some for kind, some in proof.arrows.items() if kind in kinds}
+        self.scene.show_arrows(chosen, proof.moved if "motion" in kinds else {})
+
+    def _say(self) -> None:
+        model, steps = self.model, len(self.model.timeline)
+        place = int(model.place)
+        doing = f": **{model.timeline.words(place - 1)}**" if place and steps else ""
+        lines = [f"step {place} of {steps}{doing}" if steps else f"**{model.assembly.name}**"]
+        # A plan has proven its states; what is marked on top has not been asked about yet.
+        if not model.disruption.empty or any(toggle.value for toggle in self._toggles.values()) or not steps:
+            lines.append(f"*{model.proof().words}*")
+        self._where.content = "<br/>".join(lines)
+        words = model.disruption.words(model.assembly)
+        self._marked.content = f"Marked {words}." if words else "Nothing is marked: choose what a click does."
+        self._about.content = self._about_text()
+        self._legend.content = self._legend_text()
+
+    def _about_text(self) -> str:
+        model = self.model
+        if model.selected is None:
+            return "<div style='margin:0.5em 1em;color:#666'>Click a part to learn about it.</div>"
+        rows = "".join(
+            f"<tr><td style='color:#666;padding-right:1em;vertical-align:top'>{html.escape(name)}</td>"
+            f"<td>{html.escape(value)}</td></tr>"
+            for name, value in model.about(model.selected)
+        )
+        return f"<table id='falsework-part' style='margin:0.5em 1em;font-size:0.85em'>{rows}</table>"
+
+    def _legend_text(self) -> str:
+        model = self.model
+        entries = [(BOUNDARY, "boundary"), (INSTALLED, "stands by itself")]
+        holding = int(model.timeline.holders.max(initial=NOBODY)) + 1
+        entries += [(robot_color(robot), f"held by robot {robot + 1} (R{robot + 1})") for robot in range(holding)]
+        if holding > len(ROBOTS):
+            entries.append(("#ffffff", "colours repeat: labels say which robot"))
+        entries += [(SELECTED, "selected"), (MISSING, "missing (wires)"), (FIXED, "not to be touched")]
+        entries += [(color, kind) for kind, color in KINDS.items() if self._toggles[kind].value]
+        boxes = "".join(
+            f"<div><span style='display:inline-block;width:1.2em;height:0.8em;background:{color};"
+            f"border:1px solid #999;margin-right:0.5em'></span>{html.escape(words)}</div>"
+            for color, words in entries
+        )
+        if model.show_chances:
+            boxes += (
+                f"<div style='height:0.8em;margin-top:0.5em;background:linear-gradient(to right,{','.join(RAMP)})'></div>"
+                "<div style='display:flex;justify-content:space-between'><span>0 %</span>"
+                "<span>probability of the action on a part</span><span>100 %</span></div>"
+            )
+        return f"<div id='falsework-legend' style='margin:0.5em 1em;font-size:0.85em'>{boxes}</div>"
+
+
+def check_host(host: str, given: bool) -> str | None:
+    """A warning if others can reach the page, None if not.
+
+    Raises:
+        InputError: the host is empty.
+    """
+    if not host.strip():
+        raise InputError("--host is empty; leave it out to serve this machine alone")
+    if host in LOCAL:
+        return None
+    assert given
+    return f"everybody who can reach {host} can see and steer this page; there is no password"
+
+
+def serve(page: Page) -> None:
+    """Serve until interrupted by the keyboard."""
+    with contextlib.suppress(KeyboardInterrupt):
+        page.wait()
+    page.close()

@@ -1,0 +1,115 @@
+"""One colour scheme for page and pictures, told apart by colour-blind people too.
+
+The robots' colours are those of Okabe and Ito (2008). `difference` measures how far two colours stay apart for eyes
+without the medium-wave or the long-wave cones, by the matrices of Machado, Oliveira and Fernandes (2009).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+INSTALLED = "#dccdb2"
+BOUNDARY = "#56585c"
+ROBOTS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9")
+"""By robot, counted from 0; from the seventh on they repeat, and the label says which."""
+SELECTED = "#fffb8f"
+MISSING = "#b2182b"
+"""Drawn as wires: a part that is not there."""
+FIXED = "#14241c"
+"""Not to be touched: darker than boundary."""
+INK = "#22252a"
+PAPER = "#ffffff"
+
+FORCE = "#1f4fd8"
+FRICTION = "#d7263d"
+GRAVITY = "#f08c00"
+MOTION = "#00c08b"
+
+RAMP = ("#dccdb2", "#d98aa5", "#a34a8f", "#5f2276", "#2a0845")
+"""From an action that a policy never takes to one it is sure of; its lightness falls all the way."""
+
+# Linear RGB as seen without medium-wave or without long-wave cones, severity 1.
+_DEUTERANOPE = np.array(
+    [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+)
+_PROTANOPE = np.array(
+    [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+)
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """Red, green, blue from 0 to 255 of a colour such as `#0072b2`."""
+    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
+
+
+def unit_rgb(color: str) -> tuple[float, float, float]:
+    """Red, green, blue from 0 to 1."""
+    red, green, blue = rgb(color)
+    return red / 255, green / 255, blue / 255
+
+
+def robot_color(robot: int) -> str:
+    """Colour of a robot, counted from 0."""
+    return ROBOTS[robot % len(ROBOTS)]
+
+
+def ramp(values: ArrayLike) -> NDArray[np.uint8]:
+    """Colours on the scale of probabilities.
+
+    Args:
+        values: from 0 to 1, any shape; what lies outside counts as the end.
+
+    Returns:
+        Red, green, blue from 0 to 255, shape (..., 3).
+    """
+    stops = np.array([rgb(color) for color in RAMP], dtype=float)
+    place = np.clip(np.asarray(values, dtype=float), 0.0, 1.0) * (len(stops) - 1)
+    below = np.minimum(place.astype(int), len(stops) - 2)
+    share = (place - below)[..., None]
+    return np.rint((1 - share) * stops[below] + share * stops[below + 1]).astype(np.uint8)
+
+
+def mix(color: str, other: str, share: float) -> str:
+    """A colour with a share of another in it."""
+    mixed = (1 - share) * np.array(rgb(color)) + share * np.array(rgb(other))
+    return "#" + "".join(f"{round(float(value)):02x}" for value in mixed)
+
+
+def seen_by_deuteranope(color: ArrayLike) -> Array:
+    """Linear RGB that somebody without medium-wave cones sees; `color` is red, green, blue from 0 to 255."""
+    return np.clip(_DEUTERANOPE @ _linear(color), 0.0, 1.0)
+
+
+def seen_by_protanope(color: ArrayLike) -> Array:
+    """Linear RGB that somebody without long-wave cones sees; `color` is red, green, blue from 0 to 255."""
+    return np.clip(_PROTANOPE @ _linear(color), 0.0, 1.0)
+
+
+def difference(one: str, other: str) -> float:
+    """How far apart two colours are for the eyes that tell them apart least (CIE 1976, about 2 is just visible)."""
+    eyes = (_linear, seen_by_deuteranope, seen_by_protanope)
+    return min(float(np.linalg.norm(_lab(eye(rgb(one))) - _lab(eye(rgb(other))))) for eye in eyes)
+
+
+def lightness(color: Sequence[int] | NDArray[np.uint8]) -> float:
+    """CIE lightness from 0 to 100 of red, green, blue from 0 to 255."""
+    return float(_lab(_linear(color))[0])
+
+
+def _linear(color: ArrayLike) -> Array:
+    """Linear RGB from 0 to 1 of sRGB from 0 to 255."""
+    value = np.asarray(color, dtype=float) / 255
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def _lab(linear: Array) -> Array:
+    """CIE L*a*b* of linear RGB, white point D65."""
+    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+    x, y, z = (to_xyz @ linear) / to_xyz.sum(axis=1)
+    fx, fy, fz = (value ** (1 / 3) if value > 216 / 24389 else (24389 / 27 * value + 16) / 116 for value in (x, y, z))
+    return np.array([116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz)])

@@ -1,0 +1,253 @@
+"""Parts, arrows and arms as nodes of a viser scene: few merged meshes, and only what changed is sent.
+
+A node a part would be thousands of draw calls. Instead the parts that stand by themselves are merged by the order in
+which they leave, some dozens to a mesh, so that a step changes one or two meshes and a jump mostly shows and hides
+them; all other parts are merged by colour. Parts on their way are nodes of their own, since they move every frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.viewer.arrows import KINDS, Arrows
+from falsework.viewer.look import Look, bounds_of, diagonal
+from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, rgb
+from falsework.viewer.timeline import Timeline
+
+if TYPE_CHECKING:
+    pass
+
+Array = NDArray[np.float64]
+
+SIZE = 4.0
+"""Length to which the diagonal of every structure is scaled, so that camera and lines fit millimetres and bridges."""
+CHUNK = 32
+"""Parts in one merged mesh."""
+EDGES_UP_TO = 400
+"""Parts up to which sharp edges are drawn as lines; above, parts are drawn a little smaller instead."""
+_SHRUNK = 0.985
+_SHARP = np.cos(np.radians(25.0))
+
+
+class Scene:
+    """What the browser draws; `show` brings it up to date."""
+
+    def __init__(self, scene: Any, timeline: Timeline) -> None:
+        """Fill a scene.
+
+        Args:
+            scene: `viser.SceneApi`.
+            timeline: what is shown.
+        """
+        assembly = timeline.assembly
+        self._scene = scene
+        self.assembly = assembly
+        self.scale = SIZE / diagonal(assembly)
+        low, high = bounds_of(assembly)
+        self.origin = np.array([*(low + high)[:2] / 2, low[2]])
+        shrink = _SHRUNK if assembly.part_count > EDGES_UP_TO else 1.0
+        self._vertices = [
+            self.place(center + shrink * (mesh.vertices - center)).astype(np.float32)
+            for mesh, center in zip(assembly.meshes, assembly.mass.center, strict=True)
+        ]
+        self._faces = [mesh.faces.astype(np.uint32) for mesh in assembly.meshes]
+        self._lined = assembly.part_count <= EDGES_UP_TO
+        self._edges = [sharp_edges(v, f) for v, f in zip(self._vertices, self._faces, strict=True)]
+        self._chunk = np.zeros(assembly.part_count, dtype=np.int64)
+        self._shown: dict[str, bytes] = {}
+        self._nodes: dict[str, Any] = {}
+        self._ghosts: dict[int, tuple[bytes, Any]] = {}
+        self._labels: dict[int, tuple[str, Any]] = {}
+        self.order(timeline)
+
+    def order(self, timeline: Timeline) -> None:
+        """Merge parts by the order in which a timeline takes them away; to be called when the plan changes."""
+        step = timeline.removal_step
+        rank = np.empty(len(step), dtype=np.int64)
+        rank[np.argsort(np.where(step < 0, len(timeline) + 1, step), kind="stable")] = np.arange(len(step))
+        self._chunk = rank // CHUNK
+
+    def place(self, points: Array) -> Array:
+        """From metres to the coordinates of the scene."""
+        return (points - self.origin) * self.scale
+
+    def ray(self, origin: Sequence[float], direction: Sequence[float]) -> tuple[Array, Array]:
+        """From a ray of the scene to one in metres."""
+        return np.asarray(origin, dtype=float) / self.scale + self.origin, np.asarray(direction, dtype=float)
+
+    def show(self, look: Look, *, missing: Iterable[int] = (), labels: Mapping[int, str] | None = None) -> int:
+        """Bring the parts up to date.
+
+        Args:
+            look: how they are seen.
+            missing: parts drawn as wires.
+            labels: short words at parts.
+
+        Returns:
+            Number of nodes that were sent anew.
+        """
+        wanted: dict[str, list[int]] = {}
+        base = np.array(rgb(INSTALLED), dtype=np.uint8)
+        solid = np.flatnonzero(look.solid)
+        plain = (look.color == base).all(axis=1)
+        for part in solid.tolist():
+            if plain[part]:
+                wanted.setdefault(f"/parts/standing/{self._chunk[part]}", []).append(part)
+            else:
+                red, green, blue = look.color[part].tolist()
+                wanted.setdefault(f"/parts/colour/{red:02x}{green:02x}{blue:02x}", []).append(part)
+        gone = sorted(int(part) for part in missing)
+        if gone:
+            wanted["/parts/missing"] = gone
+        sent = 0
+        for name, parts in wanted.items():
+            sent += self._merge(name, parts)
+        for name in [name for name in self._shown if name.startswith("/parts/") and name not in wanted]:
+            self._hide(name)
+        sent += self._show_ghosts(look)
+        self._show_labels(look, labels or {})
+        return sent
+
+    def show_arrows(self, arrows: Mapping[str, Arrows], moved: Mapping[int, Array]) -> None:
+        """Bring arrows up to date.
+
+        Args:
+            arrows: by what they show; kinds that are left out are hidden.
+            moved: vertices of parts a little later in their motion, metres.
+        """
+        for kind, color in KINDS.items():
+            name = f"/arrows/{kind.replace(' ', '-')}"
+            some = arrows.get(kind)
+            if some is None or len(some) == 0:
+                self._hide(name)
+                continue
+            ends = self.place(some.ends)
+            key = ends.tobytes()
+            if self._fresh(name, key):
+                width = 0.006 * SIZE
+                node = self._scene.add_arrows(
+                    name, ends.astype(np.float32), rgb(color),
+                    shaft_radius=width / 2, head_radius=1.3 * width, head_length=2.6 * width,
+                )  # fmt: skip
+                self._keep(name, key, node)
+        if not moved:
+            self._hide("/motion")
+            return
+        vertices = [self.place(moved[part]) for part in sorted(moved)]
+        first = np.cumsum([0, *(len(some) for some in vertices)])
+        faces = [self._faces[part] + start for part, start in zip(sorted(moved), first, strict=False)]
+        points = np.concatenate(vertices).astype(np.float32)
+        if self._fresh("/motion", points.tobytes()):
+            node = self._scene.add_mesh_simple(
+                "/motion", points, np.concatenate(faces), color=rgb(MOTION), opacity=0.35, side="double",
+                flat_shading=True, cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+            self._keep("/motion", points.tobytes(), node)
+
+    @property
+    def node_count(self) -> int:
+        """Nodes that the browser draws now."""
+        return len(self._shown) + len(self._ghosts)
+
+    def _merge(self, name: str, parts: Sequence[int]) -> int:
+        key = np.asarray(parts, dtype=np.int32).tobytes()
+        if not self._fresh(name, key):
+            return 0
+        first = np.cumsum([0, *(len(self._vertices[part]) for part in parts)])
+        vertices = np.concatenate([self._vertices[part] for part in parts])
+        faces = np.concatenate([self._faces[part] + start for part, start in zip(parts, first, strict=False)])
+        missing, standing = name.endswith("missing"), name.startswith("/parts/standing")
+        digits = MISSING if missing else INSTALLED if standing else f"#{name[-6:]}"
+        node = self._scene.add_mesh_simple(
+            name, vertices, faces.astype(np.uint32), color=rgb(digits), flat_shading=not missing, wireframe=missing
+        )
+        nodes = [node]
+        if self._lined and not missing:
+            lines = np.concatenate([self._edges[part] for part in parts])
+            nodes.append(
+                self._scene.add_line_segments(f"/edges{name}", lines, rgb(INK), thickness=1.4, thickness_units="screen")
+            )
+        self._keep(name, key, *nodes)
+        return 1
+
+    def _show_ghosts(self, look: Look) -> int:
+        sent = 0
+        wanted = set(look.ghosts.tolist())
+        for part in [part for part in self._ghosts if part not in wanted]:
+            self._ghosts.pop(part)[1].remove()
+        for part in wanted:
+            color = look.color[part].tobytes()
+            position = look.shift[part] * self.scale
+            opacity = float(look.opacity[part])
+            known = self._ghosts.get(part)
+            if known is None or known[0] != color:
+                node = self._scene.add_mesh_simple(
+                    f"/ghosts/{part}", self._vertices[part], self._faces[part],
+                    color=tuple(int(channel) for channel in look.color[part]), flat_shading=True,
+                    opacity=opacity, position=position, cast_shadow=False,
+                )  # fmt: skip
+                self._ghosts[part] = (color, node)
+                sent += 1
+            else:
+                known[1].position = position
+                known[1].opacity = opacity
+        return sent
+
+    def _show_labels(self, look: Look, labels: Mapping[int, str]) -> None:
+        for part in [part for part in self._labels if labels.get(part) != self._labels[part][0]]:
+            self._labels.pop(part)[1].remove()
+        for part, words in labels.items():
+            if part not in self._labels:
+                at = self.place(self.assembly.mass.center[part] + look.shift[part])
+                self._labels[part] = (words, self._scene.add_label(f"/labels/{part}", words, position=at))
+
+    def _fresh(self, name: str, key: bytes) -> bool:
+        """Whether a node must be sent; one that is only hidden is shown again."""
+        if self._shown.get(name) == key:
+            return False
+        if name in self._nodes and self._nodes[name][0] == key:
+            for node in self._nodes[name][1]:
+                node.visible = True
+            self._shown[name] = key
+            return False
+        return True
+
+    def _keep(self, name: str, key: bytes, *nodes: Any) -> None:
+        self._shown[name] = key
+        self._nodes[name] = (key, nodes)
+
+    def _hide(self, name: str) -> None:
+        if name in self._shown:
+            del self._shown[name]
+            for node in self._nodes[name][1]:
+                node.visible = False
+
+
+def sharp_edges(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> NDArray[np.float32]:
+    """Edges of a mesh at which its surface turns, shape (edges, 2, 3).
+
+    Args:
+        vertices: shape (vertices, 3); vertices in one place count as one.
+        faces: shape (faces, 3).
+    """
+    points, same = np.unique(np.round(vertices, 5), axis=0, return_inverse=True)
+    corners = same.reshape(-1)[faces.astype(np.int64)]
+    triangles = points[corners].astype(float)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    corners, normals = corners[lengths > 0], normals[lengths > 0] / lengths[lengths > 0, None]
+    pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    owner = np.tile(np.arange(len(corners)), 3)
+    ends, index = np.unique(np.sort(pairs, axis=1), axis=0, return_inverse=True)
+    index = index.reshape(-1)
+    order = np.argsort(index, kind="stable")
+    first = np.searchsorted(index[order], np.arange(len(ends)))
+    count = np.diff(np.append(first, len(index)))
+    one = owner[order[first]]
+    other = owner[order[np.minimum(first + 1, len(order) - 1)]]
+    sharp = (count != 2) | ((normals[one] * normals[other]).sum(axis=1) < _SHARP)
+    return points[ends[sharp]].astype(np.float32)

@@ -1,0 +1,263 @@
+"""Pictures of a timeline without a screen: one state, or a contact sheet of some of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import DependencyError, InputError
+from falsework.search.archive import write_whole
+from falsework.viewer.arrows import Arrows, arrow_mesh
+from falsework.viewer.look import TRAVEL, Look, bounds_of, diagonal, look_at
+from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, ROBOTS, robot_color, unit_rgb
+from falsework.viewer.render import Camera, Image, Solid, render
+from falsework.viewer.timeline import NOBODY, Timeline, interesting
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+
+Pixels = NDArray[np.uint8]
+"""Shape (height, width, 3)."""
+
+CELL = Camera(width=480, height=300, zoom=0.97)
+"""How each state of a contact sheet is seen."""
+WHOLE = Camera(width=1200, height=800, zoom=0.94)
+"""How one state is seen."""
+_LINE = 26
+"""Pixels for a line of text."""
+_ARROW = 0.006
+"""Thickness of arrows, in diagonals of the structure."""
+
+
+def solids_of(assembly: Assembly, look: Look) -> list[Solid]:
+    """All parts that are seen, as meshes with their colours."""
+    solids = []
+    for part in np.flatnonzero(look.opacity > 0):
+        mesh = assembly.meshes[part]
+        color = tuple(float(channel) / 255 for channel in look.color[part])
+        solids.append(Solid(mesh.vertices + look.shift[part], mesh.faces, color, float(look.opacity[part])))
+    return solids
+
+
+def draw(
+    assembly: Assembly,
+    look: Look,
+    camera: Camera = WHOLE,
+    *,
+    bounds: NDArray[np.float64] | None = None,
+    arrows: Sequence[Arrows] = (),
+    extra: Sequence[Solid] = (),
+    samples: int = 3,
+) -> Image:
+    """Picture of one state.
+
+    Args:
+        assembly: the structure.
+        look: how its parts are seen.
+        camera: how to look at them.
+        bounds: what the picture shows, shape (2, 3); the structure if not given.
+        arrows: drawn as well; the parts become pale and see-through so that they are seen.
+        extra: other meshes, such as arms.
+        samples: pixels are averaged over `samples` squared.
+    """
+    solids = [*solids_of(assembly, look), *extra]
+    box = bounds_of(assembly) if bounds is None else bounds
+    image = render(solids, camera, box, samples=samples)
+    if not any(len(some) for some in arrows):
+        return image
+    # Arrows lie inside the parts: the parts are drawn pale, the arrows over them.
+    thickness = _ARROW * diagonal(assembly)
+    inside = [solid for some in arrows for solid in some.solids(thickness)]
+    over = render(inside, camera, box, floor=False, samples=samples)
+    there = (over < 0.999).any(axis=2, keepdims=True)
+    return np.where(there, over, 0.55 * image + 0.45)
+
+
+def contact_sheet(
+    timeline: Timeline,
+    *,
+    places: Sequence[int] | None = None,
+    frames: int = 12,
+    columns: int = 4,
+    camera: Camera = CELL,
+    title: str = "",
+) -> Pixels:
+    """Some states of a timeline with their steps, and the legend.
+
+    Args:
+        timeline: what is shown, in its order.
+        places: states to show; chosen evenly if not given.
+        frames: how many to choose.
+        columns: pictures in a row.
+        camera: how to look at each.
+        title: a line above.
+
+    Raises:
+        InputError: no frames, no columns, or a state that is not there.
+    """
+    if frames < 1 or columns < 1:
+        raise InputError(f"a sheet of {frames} pictures in {columns} columns shows nothing; give at least 1 of each")
+    chosen = list(interesting(timeline, frames) if places is None else places)
+    check_places(timeline, chosen)
+    pillow = import_pillow()
+    columns = min(columns, len(chosen))
+    rows = -(-len(chosen) // columns)
+    head, cell = (_LINE + 6 if title else 0), camera.height + _LINE
+    entries = legend(timeline)
+    sheet = pillow.Image.new("RGB", (columns * camera.width, head + rows * cell + _LINE + 14), "white")
+    pen = pillow.ImageDraw.Draw(sheet)
+    if title:
+        _write(pen, pillow, (sheet.width / 2, head / 2 + 2), title, 18)
+    for number, place in enumerate(chosen):
+        left, top = (number % columns) * camera.width, head + (number // columns) * cell
+        look = look_at(timeline, place, travelling=False)
+        picture = to_pixels(draw(timeline.assembly, look, camera))
+        sheet.paste(pillow.Image.fromarray(picture), (left, top + _LINE))
+        _write(pen, pillow, (left + camera.width / 2, top + _LINE / 2 + 4), caption(timeline, place), 14)
+    _write_legend(pen, pillow, sheet.width, sheet.height - _LINE / 2 - 5, entries)
+    return np.asarray(sheet)
+
+
+def one_state(
+    timeline: Timeline,
+    place: float,
+    camera: Camera = WHOLE,
+    *,
+    arrows: Sequence[Arrows] = (),
+    key: Sequence[tuple[str, str]] | None = None,
+    extra: Sequence[Solid] = (),
+    bounds: NDArray[np.float64] | None = None,
+    words: str | None = None,
+    samples: int = 3,
+) -> Pixels:
+    """Picture of one place of a timeline, with what is done there and the legend.
+
+    Args:
+        timeline: what is shown.
+        place: where; between whole numbers parts are on their way.
+        camera: how to look at it.
+        arrows: drawn as well.
+        key: the legend, colour and words; of the timeline if not given.
+        extra: other meshes.
+        bounds: what the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
+        words: the line above; the step if not given.
+        samples: pixels are averaged over `samples` squared.
+    """
+    pillow = import_pillow()
+    look = look_at(timeline, place)
+    box = bounds_with_ways(timeline) if bounds is None else bounds
+    tips = [some.ends.reshape(-1, 3) for some in arrows if len(some)]
+    if tips:
+        points = np.concatenate([box, *tips])
+        box = np.stack([points.min(axis=0), points.max(axis=0)])
+        box[0, 2] = bounds_of(timeline.assembly)[0, 2]
+    picture = to_pixels(draw(timeline.assembly, look, camera, bounds=box, arrows=arrows, extra=extra, samples=samples))
+    height = camera.height + 2 * _LINE + 14
+    image = pillow.Image.new("RGB", (camera.width, height + height % 2), "white")
+    image.paste(pillow.Image.fromarray(picture), (0, _LINE + 4))
+    pen = pillow.ImageDraw.Draw(image)
+    text = caption(timeline, round(place)) if words is None else words
+    _write(pen, pillow, (camera.width / 2, _LINE / 2 + 4), text, 18)
+    entries = legend(timeline) if key is None else key
+    _write_legend(pen, pillow, camera.width, camera.height + 1.5 * _LINE + 4, entries)
+    return np.asarray(image)
+
+
+def legend(timeline: Timeline) -> list[tuple[str, str]]:
+    """Colour and words of all that a timeline shows."""
+    entries = [(BOUNDARY, "boundary"), (INSTALLED, "stands by itself")]
+    for robot in range(min(int(timeline.holders.max(initial=NOBODY)) + 1, len(ROBOTS))):
+        entries.append((robot_color(robot), f"held by robot {robot + 1}"))
+    return entries
+
+
+def caption(timeline: Timeline, place: int) -> str:
+    """The step that leads to a state, such as `step 3 of 90: hold block-7`."""
+    if len(timeline) == 0:
+        return timeline.assembly.name
+    doing = f": {timeline.words(place - 1)}" if place else ""
+    return f"step {place} of {len(timeline)}{doing}"
+
+
+def check_places(timeline: Timeline, places: Sequence[int]) -> None:
+    """Refuse states that are not there.
+
+    Raises:
+        InputError: one of them.
+    """
+    for place in places:
+        if not 0 <= place <= len(timeline):
+            raise InputError(f"step {place} is not there; the plan has steps 0 (the beginning) to {len(timeline)}")
+
+
+def bounds_with_ways(timeline: Timeline) -> NDArray[np.float64]:
+    """Lowest and highest coordinates of the structure and of its parts at the end of their ways, shape (2, 3)."""
+    box = bounds_of(timeline.assembly)
+    if len(timeline) == 0:
+        return box
+    floor = box[0, 2]
+    # Half of the way shows all that matters: farther out a part is nearly invisible.
+    shift = 0.5 * TRAVEL * diagonal(timeline.assembly) * timeline.ways
+    boxes = np.array([mesh.bounds + shift[part] for part, mesh in enumerate(timeline.assembly.meshes)])
+    wide = np.stack([np.minimum(box[0], boxes[:, 0].min(axis=0)), np.maximum(box[1], boxes[:, 1].max(axis=0))])
+    wide[0, 2] = floor
+    return wide
+
+
+def to_pixels(image: Image) -> Pixels:
+    """An image of floats as bytes."""
+    return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
+
+
+def write_png(path: Path | str, pixels: Pixels) -> None:
+    """Write a PNG, whole or not at all.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    pillow = import_pillow()
+    image = pillow.Image.fromarray(pixels)
+    write_whole(path, lambda file: image.save(file, format="PNG", optimize=True))
+
+
+def arrow_solid(tail: NDArray[np.float64], tip: NDArray[np.float64], thickness: float, color: str) -> Solid:
+    """One arrow as a mesh."""
+    return Solid(*arrow_mesh(tail, tip, thickness), unit_rgb(color))
+
+
+def import_pillow() -> Any:
+    """The package that writes pictures.
+
+    Raises:
+        DependencyError: it is not installed.
+    """
+    try:
+        import PIL.Image
+        import PIL.ImageDraw
+        import PIL.ImageFont
+    except ImportError:
+        raise DependencyError("pictures need Pillow; install it with pip install 'falsework[picture]'") from None
+    return PIL
+
+
+def _write(pen: Any, pillow: Any, place: tuple[float, float], text: str, size: int, anchor: str = "mm") -> None:
+    pen.text(place, text, fill=INK, font=pillow.ImageFont.load_default(size), anchor=anchor)
+
+
+def _write_legend(pen: Any, pillow: Any, width: int, middle: float, entries: Sequence[tuple[str, str]]) -> None:
+    size = 14
+    while True:
+        font = pillow.ImageFont.load_default(size)
+        lengths = [pen.textlength(words, font=font) + 42 for _, words in entries]
+        if sum(lengths) <= width or size <= 8:
+            break
+        size -= 1
+    left = (width - sum(lengths)) / 2 + 8
+    for (color, words), length in zip(entries, lengths, strict=True):
+        pen.rectangle((left, middle - 7, left + 20, middle + 7), fill=color)
+        pen.text((left + 26, middle), words, fill=INK, font=font, anchor="lm")
+        left += length

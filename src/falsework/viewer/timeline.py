@@ -1,0 +1,187 @@
+"""A plan as something to look at: states, who holds what, and where each part travels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.assembly.state import HELD, REMOVED, Mask, States, as_states
+from falsework.search.plan_check import check_identity
+from falsework.search.task import Direction
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.search.plan import Plan
+
+Array = NDArray[np.float64]
+
+NOBODY = -1
+EXACT_UP_TO = 150
+"""Parts up to which ways out are taken from the clearance table; above, making the table takes too long for a look."""
+UPWARDS = 0.35
+"""How much a way out that is only guessed leans upwards."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """States one action apart with all that a picture of them needs.
+
+    Everything is kept in the order of disassembly; `at` turns a place in the order shown into one here.
+    """
+
+    assembly: Assembly
+    states: States
+    """In the order of disassembly, shape (steps + 1, parts)."""
+    actions: NDArray[np.int64]
+    """Of disassembly, shape (steps,)."""
+    holders: NDArray[np.int64]
+    """Robot that holds each part in each state, `NOBODY` where none does, shape (steps + 1, parts)."""
+    direction: Direction
+    """Order in which it is shown."""
+    robots: int
+    """Robots that there are."""
+    forces: Array | None = None
+    """Contact forces in each state, shape (steps + 1, points, 3), N."""
+
+    @classmethod
+    def of(cls, plan: Plan, assembly: Assembly, direction: Direction | None = None) -> Timeline:
+        """Timeline of a plan.
+
+        Args:
+            plan: the plan.
+            assembly: its structure.
+            direction: order in which it is shown; that of the plan if not given.
+
+        Raises:
+            PlanError: the plan is for another structure.
+        """
+        check_identity(plan, assembly)
+        apart = plan if plan.direction is Direction.DISASSEMBLY else plan.reverse()
+        # Robots are given out in the order of the plan, so that nobody changes hands on the way.
+        who = holders(plan.states, assembly.boundary)
+        who = who if plan.direction is Direction.DISASSEMBLY else who[::-1]
+        shown = plan.direction if direction is None else direction
+        return cls(assembly, apart.states, apart.actions, who, shown, plan.robots, apart.forces)
+
+    @classmethod
+    def still(cls, assembly: Assembly, state: ArrayLike, robots: int = 2) -> Timeline:
+        """Timeline of one state, shape (parts,), in which nothing happens."""
+        states = as_states(state, assembly.boundary)[:1]
+        who = holders(states, assembly.boundary)
+        return cls(assembly, states, np.empty(0, dtype=np.int64), who, Direction.ASSEMBLY, robots)
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+    def turned(self, direction: Direction) -> Timeline:
+        """The same, shown in the order of assembly or disassembly."""
+        return Timeline(self.assembly, self.states, self.actions, self.holders, direction, self.robots, self.forces)
+
+    def at(self, place: float) -> float:
+        """Steps of disassembly done at a place in the order shown; whole numbers are states."""
+        place = min(max(float(place), 0.0), float(len(self)))
+        return place if self.direction is Direction.DISASSEMBLY else len(self) - place
+
+    def row(self, place: float) -> int:
+        """State that is shown at a place: the last one that is reached."""
+        if self.direction is Direction.DISASSEMBLY:
+            return int(np.floor(self.at(place)))
+        return int(np.ceil(self.at(place)))
+
+    def words(self, step: int) -> str:
+        """What step `step`, counted from 0 in the order shown, does, such as `hold block-3`."""
+        apart = self.direction is Direction.DISASSEMBLY
+        action = int(self.actions[step if apart else len(self) - 1 - step])
+        parts = self.assembly.part_count
+        word = (("hold", "remove") if apart else ("release", "insert"))[action >= parts]
+        return f"{word} {self.assembly.names[action % parts]}"
+
+    @cached_property
+    def removal_step(self) -> NDArray[np.int64]:
+        """Step of disassembly that removes each part; -1 if none does, -2 if it was never there. Shape (parts,)."""
+        parts = self.assembly.part_count
+        step = np.where(self.states[0] == REMOVED, -2, -1).astype(np.int64)
+        removals = np.flatnonzero(self.actions >= parts)
+        step[self.actions[removals] - parts] = removals
+        return step
+
+    @cached_property
+    def ways(self) -> Array:
+        """Unit vector along which each part leaves, zero for those that stay. Shape (parts, 3)."""
+        ways = np.zeros((self.assembly.part_count, 3))
+        for part in np.flatnonzero(self.removal_step >= 0):
+            ways[part] = way_out(self.assembly, self.states[self.removal_step[part]], int(part))
+        return ways
+
+    def held_when(self, part: int) -> list[tuple[int, int, int]]:
+        """Robot, first and last state, in the order shown, of every time that the part is held."""
+        column = self.holders[:, part]
+        if self.direction is Direction.ASSEMBLY:
+            column = column[::-1]
+        spans: list[tuple[int, int, int]] = []
+        for place, robot in enumerate(column.tolist()):
+            if robot == NOBODY:
+                continue
+            if spans and spans[-1][0] == robot and spans[-1][2] == place - 1:
+                spans[-1] = (robot, spans[-1][1], place)
+            else:
+                spans.append((robot, place, place))
+        return spans
+
+
+def holders(states: States, boundary: Mask) -> NDArray[np.int64]:
+    """Robot that holds each part in each state, `NOBODY` where none does; a part keeps its robot while it is held.
+
+    Args:
+        states: states one action apart, shape (steps + 1, parts).
+        boundary: shape (parts,).
+
+    Returns:
+        Shape (steps + 1, parts).
+    """
+    robots = np.full(states.shape, NOBODY, dtype=np.int64)
+    for step, state in enumerate(states):
+        held = np.flatnonzero((state == HELD) & ~boundary)
+        before = robots[step - 1] if step else np.full(len(state), NOBODY)
+        robots[step, held] = before[held]
+        free = [robot for robot in range(len(held)) if robot not in robots[step, held]]
+        for part, robot in zip([part for part in held if robots[step, part] == NOBODY], free, strict=False):
+            robots[step, part] = robot
+    return robots
+
+
+def way_out(assembly: Assembly, state: States, part: int) -> Array:
+    """Unit vector along which a part can leave a state; shape (3,).
+
+    From the clearance table, or where that is not made (many parts) or knows no way: away from what it touches.
+    """
+    if assembly.part_count <= EXACT_UP_TO:
+        way = assembly.clearance.exit_direction(state, part)
+        if way is not None:
+            return way
+    contacts = assembly.contacts
+    present = state != REMOVED
+    away = np.zeros(3)
+    for side, sign in ((0, -1.0), (1, 1.0)):
+        mine = (contacts.parts[:, side] == part) & present[contacts.parts[:, 1 - side]]
+        away += sign * (contacts.normals[mine] * contacts.areas[mine, None]).sum(axis=0)
+    size = float(np.linalg.norm(away))
+    away = away / size if size > 0 else away
+    away[2] += UPWARDS
+    size = float(np.linalg.norm(away))
+    return away / size if size > 1e-9 else np.array([0.0, 0.0, 1.0])
+
+
+def interesting(timeline: Timeline, frames: int) -> Sequence[int]:
+    """Places spread evenly, each moved to a neighbour where the robots hold most."""
+    steps = len(timeline)
+    chosen = set()
+    for place in np.linspace(0, steps, min(frames, steps + 1)).round().astype(int).tolist():
+        near = [p for p in (place, place - 1, place + 1) if 0 < p < steps] if 0 < place < steps else [place]
+        chosen.add(max(near, key=lambda p: int((timeline.holders[timeline.row(p)] != NOBODY).sum())))
+    return sorted(chosen)
