@@ -1,0 +1,162 @@
+"""Why robots cannot do something: every failure is kept with its part, robot, bodies and pose, and put into words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Something that did not work."""
+
+    action: str
+    """`hold` or `remove`."""
+    part: int
+    robot: int
+    what: str
+    pair: tuple[str, str] | None = None
+    """Bodies that came too near."""
+
+
+@dataclass
+class Reasons:
+    """Failures of a search, counted; of each kind one configuration is kept as an example."""
+
+    counts: Counter[Reason] = field(default_factory=Counter)
+    examples: dict[Reason, Array] = field(default_factory=dict)
+
+    def add(
+        self,
+        action: str,
+        part: int,
+        robot: int,
+        what: str,
+        pair: tuple[str, str] | None = None,
+        at: Array | None = None,
+    ) -> None:
+        """Take note of a failure."""
+        reason = Reason(action, int(part), int(robot), what, pair)
+        self.counts[reason] += 1
+        if at is not None:
+            self.examples.setdefault(reason, np.asarray(at))
+
+    def of(self, part: int) -> list[tuple[Reason, int]]:
+        """Failures with one part, most frequent first."""
+        return [(reason, count) for reason, count in self.counts.most_common() if reason.part == part]
+
+    def unreachable(self, robots: int) -> list[int]:
+        """Parts that no robot can ever hold, wherever the others stand."""
+        never = ("out of reach", "no face that the gripper can take", "payload")
+        found: dict[int, set[int]] = {}
+        for reason in self.counts:
+            if reason.action == "hold" and any(word in reason.what for word in never):
+                found.setdefault(reason.part, set()).add(reason.robot)
+        return sorted(part for part, which in found.items() if len(which) == robots)
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why there is no robot plan, or only a part of one."""
+
+    outcome: str
+    """`proved_impossible`, `not_found` or `interrupted`."""
+    reached: int
+    """Steps of the longest plan that was found."""
+    steps: int
+    """Steps of a whole plan."""
+    unreachable: tuple[int, ...]
+    """Parts that no robot can hold at all."""
+    hopeless: tuple[int, str] | None
+    """Part and kind of the action that failed most often where the search came farthest."""
+    details: tuple[dict[str, Any], ...]
+    """Most frequent failures there: action, part, robot, what, pair, configuration, count."""
+    text: str
+    """All of it in one line."""
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "outcome": self.outcome,
+            "reached": self.reached,
+            "steps": self.steps,
+            "unreachable": list(self.unreachable),
+            "hopeless": None if self.hopeless is None else {"part": self.hopeless[0], "action": self.hopeless[1]},
+            "details": list(self.details),
+            "text": self.text,
+        }
+
+
+def explain(
+    outcome: str,
+    reached: int,
+    steps: int,
+    reasons: Reasons,
+    tried: Mapping[tuple[str, int], int],
+    robots: Sequence[str],
+    names: Sequence[str],
+    *,
+    limit: str = "",
+    shown: int = 8,
+) -> Explanation:
+    """Put what a search met into words.
+
+    Args:
+        outcome: how it ended.
+        reached: steps of the longest plan that was found.
+        steps: steps of a whole plan.
+        reasons: all failures.
+        tried: actions that failed where the search came farthest, as kind and part, with how often.
+        robots: names of the robots.
+        names: names of the parts.
+        limit: what ended the search.
+        shown: failures to list.
+    """
+    unreachable = reasons.unreachable(len(robots))
+    hopeless = max(tried, key=lambda key: (tried[key], -key[1])) if tried else None
+    focus = {(kind, part) for kind, part in tried} | {("hold", part) for part in unreachable}
+    details = []
+    for reason, count in reasons.counts.most_common():
+        # What stops a part from being held may be that it could not leave from that grip later.
+        if (reason.action, reason.part) not in focus and ("hold", reason.part) not in focus:
+            continue
+        at = reasons.examples.get(reason)
+        details.append(
+            {
+                "action": reason.action,
+                "part": names[reason.part],
+                "robot": robots[reason.robot],
+                "what": reason.what,
+                "pair": None if reason.pair is None else list(reason.pair),
+                "configuration": None if at is None else [round(float(value), 5) for value in at],
+                "count": count,
+            }
+        )
+        if len(details) == shown:
+            break
+    words = {
+        "proved_impossible": "no plan exists",
+        "not_found": "no robot plan was found",
+        "interrupted": "the search for a robot plan was stopped",
+    }
+    pieces = [words[outcome], f"it came to step {reached} of {steps}"]
+    if unreachable:
+        listed = ", ".join(names[part] for part in unreachable[:8]) + (", ..." if len(unreachable) > 8 else "")
+        pieces.append(f"no robot can hold {listed}")
+    if hopeless is not None:
+        kind, part = hopeless
+        pieces.append(f"there it could not {kind} {names[part]}")
+    for entry in details[:2]:
+        pair = "" if entry["pair"] is None else f" ({entry['pair'][0]} and {entry['pair'][1]})"
+        pieces.append(f"{entry['robot']}, {entry['action']} {entry['part']}: {entry['what']}{pair}")
+    if limit:
+        pieces.append(limit)
+    worst = None if hopeless is None else (hopeless[1], hopeless[0])
+    return Explanation(outcome, reached, steps, tuple(unreachable), worst, tuple(details), "; ".join(pieces))

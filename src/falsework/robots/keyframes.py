@@ -1,0 +1,421 @@
+"""The keyframe graph: where robots can stand in each state, and how one of them moves on to the next state.
+
+Section 6 of the paper, figures 9 and 10. A node is a state with joint values of all robots and which of them holds
+which part. An edge carries out one action: one robot moves, all others stand. The graph is never built: what a search
+asks for is computed, and kept for when it asks again.
+"""
+
+from __future__ import annotations
+
+import itertools
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, REMOVED, States
+from falsework.geometry.bits import unpack
+from falsework.robots.cell import Cell
+from falsework.robots.explain import Reasons
+from falsework.robots.grasp import Grasp, grasps, withdrawals
+from falsework.robots.inverse import inverse
+from falsework.robots.kinematics import tool_pose
+from falsework.robots.motion import Motion, follow_line, plan_free
+from falsework.robots.parts import PartShapes, place_parts
+from falsework.robots.world import NO_CONTACT, CollisionWorld, Contact, Scene, View
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class KeyframeSettings:
+    """How many possibilities are tried before a step counts as impossible."""
+
+    grasps: int = 16
+    """Grasps of a part, best first."""
+    candidates: int = 8
+    """Configurations of one robot for one grasp or place that are looked at closely, nearest first."""
+    directions: int = 4
+    """Ways out that are tried for a part."""
+    withdrawals: tuple[float, ...] = (1.0, 2.0, 4.0)
+    """Lengths of the line on which a part leaves, in lengths of an approach, until it is clear of everything."""
+    places: int = 4
+    """Free motions to a drop-off that are tried."""
+    nodes: int = 1500
+    """Nodes of the trees of one free motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grip:
+    """A way for one robot to hold a part."""
+
+    robot: int
+    grasp: Grasp
+    configuration: Array
+    """Shape (joints,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A keyframe: a state and where the robots are."""
+
+    state: States
+    """Shape (parts,)."""
+    configurations: tuple[Array, ...]
+    held: tuple[int | None, ...]
+    """The part that each robot holds."""
+
+    @cached_property
+    def present(self) -> NDArray[np.bool_]:
+        """Which parts stand at their place, shape (parts,)."""
+        return self.state != REMOVED
+
+    @cached_property
+    def key(self) -> bytes:
+        """Equal nodes have equal keys."""
+        rounded = np.round(np.concatenate(self.configurations), 6) + 0.0
+        return self.state.tobytes() + rounded.tobytes() + repr(self.held).encode()
+
+    @property
+    def scene(self) -> Scene:
+        """The node as the collision world takes it."""
+        return Scene(self.configurations, self.present, (None,) * len(self.configurations))
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """A path of one robot, not yet timed."""
+
+    kind: str
+    """`free` or `line`."""
+    path: Array
+    """Shape (points, joints)."""
+    part: int | None = None
+    touches: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """One action carried out."""
+
+    action: int
+    robot: int
+    legs: tuple[Leg, ...]
+    node: Node
+    """Where it leads."""
+
+
+class KeyframeGraph:
+    """Keyframes of one structure in one cell, and the motions between them."""
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        cell: Cell,
+        *,
+        settings: KeyframeSettings = KeyframeSettings(),
+        seed: int = 0,
+        reasons: Reasons | None = None,
+        parts: PartShapes | None = None,
+    ) -> None:
+        """Nothing is computed yet.
+
+        Args:
+            assembly: the structure.
+            cell: the robots and what is around them.
+            settings: how many possibilities are tried.
+            seed: of the free motions.
+            reasons: takes note of why things are impossible.
+            parts: the parts as bodies in the cell, if they are at hand.
+        """
+        self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
+        self.parts = parts or place_parts(assembly, cell.placement)
+        self.world = CollisionWorld(cell, self.parts)
+        self.reasons = Reasons() if reasons is None else reasons
+        self.motions = self.motions_kept = self.views = 0
+        self._free: dict[bytes, Motion] = {}
+        self._grips: dict[tuple[int, int, bytes], list[Grip]] = {}
+        self._view: dict[bytes, View] = {}
+        self._places: dict[int, Array] = {}
+        table = assembly.clearance
+        self._blockers = unpack(table.blockers)[:, : assembly.part_count].astype(bool)
+        self._ways = table.start
+
+    def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
+        """A node to begin with."""
+        return Node(np.asarray(state, np.uint8), tuple(np.array(c, float) for c in configurations), held)
+
+    def edges(self, node: Node, action: int) -> Iterator[Edge]:
+        """Ways to carry out an action, most promising first; each is computed when it is asked for."""
+        parts = self.assembly.part_count
+        return self._remove(node, action - parts) if action >= parts else self._hold(node, action)
+
+    def keyframes(self, state: States) -> Iterator[Node]:
+        """Every keyframe of a state: every assignment of robots to held parts, every grasp and joint branch.
+
+        Robots that hold nothing are at home. Yields only those in which nothing collides.
+        """
+        state = np.asarray(state, np.uint8)
+        wanted = np.flatnonzero((state == HELD) & ~self.assembly.boundary).tolist()
+        robots = range(self.cell.robot_count)
+        for chosen in itertools.permutations(robots, len(wanted)):
+            options = [self.grips(robot, part, state) for robot, part in zip(chosen, wanted, strict=True)]
+            for grips in itertools.product(*options):
+                values, held = list(self.cell.homes), [None] * self.cell.robot_count
+                for grip, part in zip(grips, wanted, strict=True):
+                    values[grip.robot], held[grip.robot] = grip.configuration, part
+                node = Node(state, tuple(values), tuple(held))
+                if all(self._stands(node, robot) for robot in robots):
+                    yield node
+
+    def grips(self, robot: int, part: int, state: States) -> list[Grip]:
+        """All ways in which a robot can hold a part among the parts of a state; other robots do not count."""
+        present = state != REMOVED
+        key = (robot, part, np.packbits(present).tobytes())
+        if key not in self._grips:
+            self._grips[key] = self._find_grips(robot, part, present)
+        return self._grips[key]
+
+    def way_out(self, part: int, state: States) -> tuple[States, Array]:
+        """The state in which a part can leave once what blocks its easiest way has gone, and its ways there, (n, 3)."""
+        rows = slice(self._ways[part], self._ways[part + 1])
+        present = state != REMOVED
+        blockers = self._blockers[rows] & present
+        count = blockers.sum(axis=1) + 1000 * (blockers & self.assembly.boundary).any(axis=1)
+        later = state.copy()
+        later[blockers[int(np.argmin(count))] & ~self.assembly.boundary] = REMOVED
+        return later, withdrawals(self.assembly, self.parts, part, later)
+
+    # Holding
+
+    def _hold(self, node: Node, part: int) -> Iterator[Edge]:
+        free = [robot for robot, held in enumerate(node.held) if held is None]
+        center = self.parts.center[part]
+        free.sort(key=lambda robot: float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2])))
+        for robot in free:
+            yield from self._hold_with(node, part, robot)
+
+    def _hold_with(self, node: Node, part: int, robot: int) -> Iterator[Edge]:
+        here = node.configurations[robot]
+        grips = self.grips(robot, part, node.state)
+        if not grips:
+            return
+        contact = Contact(gripper=frozenset({part}))
+        view = self._view_of(node.scene, robot, contact, self.cell.margins.line)
+        values = np.array([grip.configuration for grip in grips])
+        hits = view.hits(values)
+        for row in np.flatnonzero(hits >= 0)[:1]:
+            self.reasons.add("hold", part, robot, "a robot is in the way of every grip", view.pair(int(hits[row])))
+        open_grips = [grips[row] for row in np.flatnonzero(hits < 0)]
+        order = sorted(open_grips, key=lambda grip: float(np.abs(grip.configuration - here).max()))
+        for grip in _spread(order, self.settings.candidates):
+            edge = self._try_grip(node, part, grip, view)
+            if edge is not None:
+                yield edge
+
+    def _try_grip(self, node: Node, part: int, grip: Grip, view: View) -> Edge | None:
+        robot, margins = grip.robot, self.cell.margins
+        retreat = follow_line(view, grip.configuration, -grip.grasp.approach, margins.approach)
+        if not retreat:
+            self.reasons.add("hold", part, robot, f"approach: {retreat.reason}", retreat.pair, retreat.at)
+            return None
+        # A robot cannot grip anew later: the part must be able to leave in this grip, when its way is free.
+        if not self._can_leave_later(node, part, grip):
+            return None
+        outside = retreat.path[-1]  # type: ignore[index]
+        free = self._free_motion(node.scene, robot, node.configurations[robot], outside)
+        if not free:
+            self.reasons.add("hold", part, robot, f"way to the part: {free.reason}", free.pair, free.at)
+            return None
+        state = node.state.copy()
+        state[part] = HELD
+        after = _replaced(node, state, robot, grip.configuration, part)
+        legs = (Leg("free", free.path), Leg("line", retreat.path[::-1].copy(), touches=part))  # type: ignore
+        return Edge(part, robot, legs, after)
+
+    def _can_leave_later(self, node: Node, part: int, grip: Grip) -> bool:
+        later, ways = self.way_out(part, node.state)
+        values = tuple(
+            np.asarray(grip.configuration)
+            if robot == grip.robot
+            else (node.configurations[robot] if held is not None and later[held] != REMOVED else entry.home)
+            for robot, (entry, held) in enumerate(zip(self.cell.robots, node.held, strict=True))
+        )
+        scene = Scene(values, later != REMOVED, (None,) * len(values))
+        return next(self._leaving(scene, part, grip.robot, grip.configuration, ways, "later way out"), None) is not None
+
+    def _find_grips(self, robot: int, part: int, present: NDArray[np.bool_]) -> list[Grip]:
+        entry = self.cell.robots[robot]
+        name = self.parts.names[part]
+        if self.parts.mass[part] > entry.payload:
+            what = f"{name} weighs {self.parts.mass[part]:.3g} kg, more than the payload of {entry.payload:.3g} kg"
+            self.reasons.add("hold", part, robot, what)
+            return []
+        found = grasps(self.assembly, self.parts, part, present, entry)[: self.settings.grasps]
+        if not found:
+            self.reasons.add("hold", part, robot, "no face that the gripper can take")
+            return []
+        branches = inverse(entry, np.array([grasp.tool for grasp in found]))
+        if not sum(len(solutions) for solutions in branches):
+            self.reasons.add("hold", part, robot, "out of reach")
+            return []
+        scene = self._alone(robot, present)
+        view = self._view_of(scene, robot, Contact(gripper=frozenset({part})), self.cell.margins.line)
+        grips = []
+        pair = None
+        for grasp, solutions in zip(found, branches, strict=True):
+            hits = view.hits(solutions) if len(solutions) else np.empty(0, int)
+            grips += [Grip(robot, grasp, solutions[row]) for row in np.flatnonzero(hits < 0)]
+            if (hits >= 0).any():
+                pair = view.pair(int(hits[hits >= 0][0]))
+        if not grips:
+            self.reasons.add("hold", part, robot, "every grip collides", pair)
+        return grips
+
+    def _alone(self, robot: int, present: NDArray[np.bool_]) -> Scene:
+        """One robot among parts, all others at home."""
+        return Scene(self.cell.homes, present, (None,) * self.cell.robot_count)
+
+    # Removing
+
+    def _remove(self, node: Node, part: int) -> Iterator[Edge]:
+        robot = node.held.index(part)
+        here = node.configurations[robot]
+        ways = withdrawals(self.assembly, self.parts, part, node.state)
+        if not len(ways):
+            self.reasons.add("remove", part, robot, "no clear way out")
+            return
+        for path, scene in self._leaving(node.scene, part, robot, here, ways, "way out"):
+            edge = self._carry(node, part, robot, path, scene)
+            if edge is not None:
+                yield edge
+
+    def _leaving(
+        self, scene: Scene, part: int, robot: int, here: Array, ways: Array, what: str
+    ) -> Iterator[tuple[Array, Scene]]:
+        """Lines on which a part leaves, until it is clear of everything; with the scene in which it is carried."""
+        tool = tool_pose(self.cell.robots[robot], here)
+        scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
+        around = frozenset(np.flatnonzero(scene.present).tolist())
+        contact = Contact(carried=around, carried_floor=True)
+        line = self._view_of(scene, robot, contact, self.cell.margins.line)
+        free: View | None = None
+        for way in self._ordered(ways, tool):
+            last: Motion | None = None
+            for times in self.settings.withdrawals:
+                last = follow_line(line, here, way, times * self.cell.margins.approach)
+                if not last:
+                    self.reasons.add("remove", part, robot, f"{what}: {last.reason}", last.pair, last.at)
+                    break
+                free = free or self._view_of(scene, robot, NO_CONTACT, self.cell.margins.free)
+                end = last.path[-1]  # type: ignore[index]
+                hit = int(free.hits(end)[0])
+                if hit < 0:
+                    yield last.path, scene  # type: ignore[misc]
+                    break
+                self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), end)
+
+    def _carry(self, node: Node, part: int, robot: int, path: Array, scene: Scene) -> Edge | None:
+        entry = self.cell.robots[robot]
+        view = self._view_of(scene, robot, NO_CONTACT, self.cell.margins.free)
+        end = path[-1]
+        places = self._place_configurations(robot)
+        if not len(places):
+            self.reasons.add("remove", part, robot, "no place to put parts is within reach")
+            return None
+        hits = view.hits(places)
+        clear = places[hits < 0]
+        if not len(clear):
+            self.reasons.add(
+                "remove", part, robot, "every place to put it collides", view.pair(int(hits[0])), places[0]
+            )
+        for goal in clear[np.argsort(np.abs(clear - end).max(axis=1), kind="stable")][: self.settings.places]:
+            free = self._free_motion(scene, robot, end, goal)
+            if free:
+                state = node.state.copy()
+                state[part] = REMOVED
+                after = _replaced(node, state, robot, goal, None)
+                legs = (Leg("line", path, part=part), Leg("free", free.path, part=part))  # type: ignore[arg-type]
+                return Edge(self.assembly.part_count + part, robot, legs, after)
+            self.reasons.add("remove", part, robot, f"way to {entry.name}'s place: {free.reason}", free.pair, free.at)
+        return None
+
+    def _ordered(self, ways: Array, tool: Array) -> Array:
+        """Ways out to try: best first those away from where the gripper points, then upwards."""
+        score = ways @ -tool[:3, 2] + 0.5 * ways[:, 2]
+        return ways[np.argsort(-score, kind="stable")][: self.settings.directions]
+
+    def _place_configurations(self, robot: int) -> Array:
+        if robot not in self._places:
+            entry = self.cell.robots[robot]
+            found = [values for values in inverse(entry, entry.places) if len(values)]
+            self._places[robot] = np.concatenate(found) if found else np.zeros((0, entry.model.joints))
+        return self._places[robot]
+
+    # What both need
+
+    def _free_motion(self, scene: Scene, robot: int, start: Array, goal: Array) -> Motion:
+        """A free motion, kept for the next time that it is asked for; its seed depends on what is asked alone."""
+        key = _digest(scene, robot) + np.round([start, goal], 6).tobytes()
+        if key not in self._free:
+            self.motions += 1
+            settings = _motion_settings(self.settings.nodes)
+            view = self._view_of(scene, robot, NO_CONTACT, self.cell.margins.free)
+            seed = (zlib.crc32(key) + self.seed) % 2**31
+            self._free[key] = plan_free(view, start, goal, seed=seed, settings=settings)
+        else:
+            self.motions_kept += 1
+        return self._free[key]
+
+    def _view_of(self, scene: Scene, robot: int, contact: Contact, margin: float) -> View:
+        key = _digest(scene, robot) + repr((sorted(contact.gripper), sorted(contact.carried), margin)).encode()
+        if key not in self._view:
+            self.views += 1
+            while len(self._view) > 256:
+                del self._view[next(iter(self._view))]
+            self._view[key] = self.world.view(scene, robot, contact=contact, margin=margin)
+        return self._view[key]
+
+    def _stands(self, node: Node, robot: int) -> bool:
+        part = node.held[robot]
+        contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
+        view = self._view_of(node.scene, robot, contact, self.cell.margins.line)
+        return not bool(view.collides(node.configurations[robot])[0])
+
+
+def _motion_settings(nodes: int):
+    from falsework.robots.motion import MotionSettings
+
+    return MotionSettings(nodes=nodes)
+
+
+def _replaced(node: Node, state: States, robot: int, values: Array, part: int | None) -> Node:
+    configurations, held = list(node.configurations), list(node.held)
+    configurations[robot], held[robot] = np.asarray(values), part
+    return Node(state, tuple(configurations), tuple(held))
+
+
+def _spread(grips: list[Grip], count: int) -> list[Grip]:
+    """The first grips, of each grasp one at a time, so that a single grasp does not use up all tries."""
+    rank: dict[int, int] = {}
+    keyed = []
+    for place, grip in enumerate(grips):
+        turn = rank.setdefault(id(grip.grasp), 0)
+        rank[id(grip.grasp)] += 1
+        keyed.append((turn, place, grip))
+    keyed.sort(key=lambda entry: entry[:2])
+    return [grip for _, _, grip in keyed[:count]]
+
+
+def _digest(scene: Scene, robot: int) -> bytes:
+    """Everything that a motion of one robot depends on in a scene."""
+    others = [np.round(values, 6) + 0.0 for other, values in enumerate(scene.configurations) if other != robot]
+    pieces = [bytes([robot]), np.packbits(scene.present).tobytes(), *(values.tobytes() for values in others)]
+    for carried in scene.attached:
+        if carried is not None:
+            pieces.append(bytes([carried.part % 256]) + np.round(carried.tool_from_part, 7).tobytes())
+    return b"|".join(pieces)
