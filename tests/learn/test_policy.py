@@ -23,7 +23,8 @@ from falsework.learn.policy import (
     transfer,
 )
 
-KINDS = ("parts", "graph", "mlp")
+KINDS = ("parts", "graph", "mlp", "residual")
+TRANSFER = ("parts", "graph")
 SMALL = {"layers": 2, "channels": 16, "heads": 2}
 
 
@@ -106,7 +107,7 @@ def test_making_a_policy_leaves_the_random_numbers_alone(kind: str, arch: Assemb
     assert torch.equal(torch.rand(3), expected)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "mlp"])
+@pytest.mark.parametrize("kind", TRANSFER)
 def test_renumbering_parts_renumbers_the_actions(kind: str, dome: Assembly) -> None:
     order = np.random.default_rng(2).permutation(dome.part_count)
     other = changed(dome, order)
@@ -120,7 +121,7 @@ def test_renumbering_parts_renumbers_the_actions(kind: str, dome: Assembly) -> N
     torch.testing.assert_close(twin_value, value, atol=2e-5, rtol=1e-4)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "mlp"])
+@pytest.mark.parametrize("kind", TRANSFER)
 @pytest.mark.parametrize(("shift", "scale"), [((3.0, -2.0, 5.0), 1.0), ((0.0, 0.0, 0.0), 0.25)])
 def test_place_and_unit_do_not_matter(kind: str, shift: tuple[float, ...], scale: float, dome: Assembly) -> None:
     policy = make_policy(dome, settings_of(kind))
@@ -241,9 +242,9 @@ def test_describe_counts_the_weights(arch: Assembly) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"kind": "rnn"}, "unknown policy kind 'rnn'; choose parts, graph, mlp"),
+        ({"kind": "rnn"}, "unknown policy kind 'rnn'; choose residual, parts, graph, mlp"),
         ({"layers": -1}, "layers is -1"),
-        ({"channels": 30}, "30 do not divide among 8 heads"),
+        ({"kind": "parts", "channels": 30}, "30 do not divide among 8 heads"),
         ({"kind": "mlp", "identity": True}, "identity is for policies of kind parts"),
     ],
 )

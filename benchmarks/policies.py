@@ -1,0 +1,189 @@
+"""Compare networks of policies: one JSON object a line.
+
+    python benchmarks/policies.py cost --structures vault-62
+    python benchmarks/policies.py speed --structures vault-62 --device cuda
+    python benchmarks/policies.py learn --structures bottle-12 --seconds 60
+    python benchmarks/policies.py transfer --seconds 60
+    python benchmarks/policies.py generalist --seconds 600 --device cuda
+
+`cost`: weights and counted operations a state. `speed`: states a second, evaluated and trained on. `learn`: greedy
+success on unseen states after the same time of imitation of the same data, the states of a search of width 64 (the
+paper's Table 5). `transfer`: a policy trained on one structure (`bottle-12` where it is found, else `bottle`), on
+another that it has never seen (`dog-35`, else a dome), before and after fine-tuning. `generalist`: one policy trained
+on many generated structures, on structures that it has never seen, then fine-tuned on `--structures`.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import time
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+import tyro
+from states import find, real_structures
+
+from falsework.assembly import load_structure
+from falsework.learn.generalist import GeneralistSettings, fine_tune, train_generalist
+from falsework.learn.policy import PolicySettings, make_policy, masked_log_probabilities
+from falsework.learn.policy_table import policy_table
+from falsework.learn.transfer import compare_networks, transfer_experiment
+from falsework.search.tensors import choose_device
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to run."""
+
+    what: tyro.conf.Positional[Literal["cost", "speed", "learn", "transfer", "generalist"]]
+    """Benchmark."""
+    structures: tuple[str, ...] = ()
+    """Built-in names, paths, or names of real structures."""
+    kinds: tuple[Literal["mlp", "residual", "graph", "parts"], ...] = ("mlp", "residual", "graph", "parts")
+    """Networks."""
+    robots: int = 2
+    """Parts that may be held at once."""
+    seconds: float = 60.0
+    """Time of training, for each network."""
+    device: str = "auto"
+    """auto, cpu or cuda."""
+    batch: int = 0
+    """States at once; 0: 1,024 on a GPU, 128 on a processor; for `speed` 8,192 and 64."""
+    seed: int = 0
+    """Of data, weights and batches."""
+    compile: bool = False
+    """Compile the networks with torch."""
+
+
+def show(**values: Any) -> None:
+    """One JSON object on a line."""
+    print(json.dumps(values), flush=True)
+
+
+def default_structures(names: tuple[str, ...], fallback: tuple[str, ...]) -> tuple[str, ...]:
+    """The real structures of these names that are there, or built-in ones."""
+    return real_structures(names) or fallback
+
+
+def cost(options: Options) -> None:
+    """Weights and operations."""
+    for name in options.structures or default_structures(("bottle-12", "dome-37", "vault-62"), ("bottle", "vault")):
+        assembly = load_structure(find(name))
+        for row in policy_table(assembly, [PolicySettings(kind) for kind in options.kinds]):
+            show(benchmark="cost", structure=name, **row)
+
+
+def speed(options: Options, device: torch.device) -> None:
+    """States a second."""
+    gpu = device.type == "cuda"
+    batch = options.batch or (8192 if gpu else 64)
+    for name in options.structures or default_structures(("vault-62",), ("vault",)):
+        assembly = load_structure(find(name))
+        for kind in options.kinds:
+            policy = make_policy(assembly, PolicySettings(kind), device, options.seed)
+            call: Any = torch.compile(policy) if options.compile else policy
+            generator = torch.Generator(device).manual_seed(options.seed)
+            states = torch.randint(0, 3, (batch, assembly.part_count), generator=generator, device=device)
+            states = torch.where(policy.fixed, 2, states).to(torch.uint8)
+            mask = torch.ones((batch, 2 * assembly.part_count), dtype=torch.bool, device=device)
+            optimizer = torch.optim.AdamW(policy.parameters(), lr=1e-4, fused=gpu)
+
+            def evaluate(call: Any = call, states: torch.Tensor = states) -> None:
+                with torch.no_grad(), torch.autocast(device.type, torch.bfloat16, enabled=gpu):
+                    call(states)
+
+            def train(call: Any = call, states=states, mask=mask, optimizer=optimizer) -> None:
+                with torch.autocast(device.type, torch.bfloat16, enabled=gpu):
+                    logits, value = call(states)
+                loss = -masked_log_probabilities(logits, mask)[:, 0].mean() + value.square().mean()
+                optimizer.zero_grad(set_to_none=True)
+                loss.backward()
+                optimizer.step()
+
+            rates = {}
+            for what, function in (("evaluated", evaluate), ("trained", train)):
+                for _ in range(3):
+                    function()
+                rates[what] = round(batch / timed(function, device, options.seconds / 20))
+            memory = torch.cuda.max_memory_allocated(device) if gpu else None
+            show(
+                benchmark="speed", structure=name, kind=kind, batch=batch, compiled=options.compile,
+                states_per_second=rates, peak_bytes=memory, **machine(device),
+            )  # fmt: skip
+            if gpu:
+                torch.cuda.reset_peak_memory_stats(device)
+
+
+def timed(function: Any, device: torch.device, seconds: float) -> float:
+    """Seconds a call, over about as many seconds as given."""
+    calls, begin = 0, time.perf_counter()
+    while True:
+        for _ in range(10 if device.type == "cuda" else 1):
+            function()
+            calls += 1
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
+        taken = time.perf_counter() - begin
+        if taken > seconds:
+            return taken / calls
+
+
+def machine(device: torch.device) -> dict[str, str]:
+    """Where this ran."""
+    name = torch.cuda.get_device_name(device) if device.type == "cuda" else platform.processor() or platform.machine()
+    return {"device": name, "torch": torch.__version__}
+
+
+def main() -> None:
+    """Run what the command line asks for."""
+    options = tyro.cli(Options, description=__doc__)
+    device = choose_device(options.device)
+    if options.what == "cost":
+        cost(options)
+    elif options.what == "speed":
+        speed(options, device)
+    elif options.what == "learn":
+        for name in options.structures or default_structures(("bottle-12",), ("bottle",)):
+            assembly = load_structure(find(name))
+            for row in compare_networks(
+                assembly, [PolicySettings(kind) for kind in options.kinds], seconds=options.seconds,
+                robots=options.robots, device=device, batch=options.batch, seed=options.seed,
+            ):  # fmt: skip
+                show(benchmark="learn", structure=name, robots=options.robots, **row, **machine(device))
+    elif options.what == "transfer":
+        names = options.structures or default_structures(("bottle-12", "dog-35"), ("bottle", "dome:rings=2,blocks=5"))
+        source, *others = (load_structure(find(name)) for name in names)
+        for kind in options.kinds:
+            if not PolicySettings(kind).transfers:
+                continue
+            for row in transfer_experiment(
+                source, others, PolicySettings(kind), seconds=options.seconds, robots=options.robots, device=device,
+                batch=options.batch, seed=options.seed,
+            ):  # fmt: skip
+                show(benchmark="transfer", kind=kind, **row, **machine(device))
+    else:
+        generalist(options, device)
+
+
+def generalist(options: Options, device: torch.device) -> None:
+    """One policy for many structures."""
+    for kind in options.kinds:
+        if not PolicySettings(kind).transfers:
+            continue
+        settings = GeneralistSettings(
+            policy=PolicySettings(kind), seconds=options.seconds, robots=options.robots, seed=options.seed,
+            batch=options.batch,
+        )  # fmt: skip
+        trained = train_generalist(settings, device, report=lambda line: show(benchmark="generalist", progress=line))
+        for row in trained.rows:
+            show(benchmark="generalist", kind=kind, **row, **machine(device))
+        for name in options.structures or default_structures(("bottle-12", "dog-35", "dome-37"), ("bottle", "dome")):
+            assembly = load_structure(find(name))
+            for row in fine_tune(trained, assembly, seconds=options.seconds / 5, device=device):
+                show(benchmark="fine-tune", kind=kind, **row, **machine(device))
+
+
+if __name__ == "__main__":
+    main()

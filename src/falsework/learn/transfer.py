@@ -1,0 +1,190 @@
+"""Experiments between networks and between structures: same budget, and what a policy knows of others (paper, 7.2)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import torch
+
+from falsework.assembly.model import Assembly
+from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
+from falsework.learn.environment import Environment
+from falsework.learn.evaluate import greedy_success, sample
+from falsework.learn.imitation import Imitation
+from falsework.learn.policy import Policy, PolicySettings, describe, make_policy, transfer
+from falsework.learn.settings import ImitationSettings
+from falsework.learn.solved import SolvedStates
+
+EVALUATED = 1024
+"""States of a set that a policy is tried from, at most; always the same ones."""
+
+
+class Workbench:
+    """All that is needed to train and test policies of one structure by imitation."""
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        robots: int = 2,
+        device: torch.device | str = "cpu",
+        data: DataSettings | None = None,
+        dataset: Dataset | None = None,
+    ) -> None:
+        """Search for the states to learn from and to test on.
+
+        Args:
+            assembly: the structure.
+            robots: parts that may be held at once.
+            device: where everything is.
+            data: which searches; those of the paper by default.
+            dataset: their result, if they have been run already.
+        """
+        self.assembly = assembly
+        self.device = torch.device(device)
+        self.environment = Environment(assembly, robots, device=self.device)
+        if dataset is None:
+            task = task_for(assembly, robots)
+            dataset = build_dataset(assembly, task, data or DataSettings(), device=str(self.device))
+        self.dataset = dataset
+        self.rules = self.environment.rules
+        self.solved = SolvedStates(self.rules)
+        self.solved.forbid(torch.from_numpy(dataset.test))
+        for states in (dataset.train, dataset.more):
+            self.solved.add(torch.from_numpy(states))
+
+    def imitate(self, policy: Policy, seconds: float, *, batch: int = 0, seed: int = 0) -> tuple[Policy, int]:
+        """Train a policy on the known states for a time.
+
+        Args:
+            policy: what to begin with; not changed.
+            seconds: how long.
+            batch: states a step; 0: 1,024 on a GPU, 128 on a processor.
+            seed: of the batches.
+
+        Returns:
+            The policy with averaged weights, and the number of steps.
+        """
+        gpu = self.device.type == "cuda"
+        batch = batch or (1024 if gpu else 128)
+        settings = ImitationSettings(batch=batch, learning_rate=1e-3 if gpu else 2e-3, mistakes=batch // 4)
+        student = make_policy(self.assembly, policy.settings, self.device)
+        student.load_state_dict(policy.state_dict())
+        begin = time.perf_counter()
+        work = Imitation(student, self.rules, settings, seed=seed, precision="bfloat16" if gpu else "float32")
+        done = 0.0
+        while done < 1.0:
+            # A block lasts a hundredth of the time, so that the learning rate falls evenly and ends where it should.
+            now = time.perf_counter() - begin
+            block = max(1, min(int(work.steps / max(now, 1e-9) * seconds / 100), 200))
+            work.run(self.solved, block, (done, min(done + 0.01, 1.0)))
+            if gpu:
+                torch.cuda.synchronize(self.device)
+            done = (time.perf_counter() - begin) / seconds
+        return work.averaged(student), work.steps
+
+    def success(self, policy: Policy) -> dict[str, float]:
+        """Share of the training and of the test states from which greedy rollouts succeed."""
+        shares = {}
+        for name, states in (("train", self.dataset.train), ("test", self.dataset.test)):
+            chosen = torch.from_numpy(sample(states, EVALUATED)).to(self.device)
+            shares[name] = round(greedy_success(self.environment, policy, chosen)[0].share, 4)
+        return shares
+
+
+def compare_networks(
+    assembly: Assembly,
+    settings: Sequence[PolicySettings],
+    *,
+    seconds: float,
+    robots: int = 2,
+    device: torch.device | str = "cpu",
+    batch: int = 0,
+    seed: int = 0,
+) -> Iterator[dict[str, Any]]:
+    """Imitate the same data with several networks for the same time each (paper, Table 5).
+
+    Args:
+        assembly: the structure.
+        settings: networks.
+        seconds: of training, each.
+        robots: parts that may be held at once.
+        device: where.
+        batch: states a step; 0 for the default of the device.
+        seed: of weights and batches.
+
+    Yields:
+        For each network `kind`, `parameters`, `seconds`, `steps`, and greedy success on `train` and `test` states.
+    """
+    bench = Workbench(assembly, robots, device)
+    for one in settings:
+        policy = make_policy(assembly, one, bench.device, seed)
+        trained, steps = bench.imitate(policy, seconds, batch=batch, seed=seed)
+        about = describe(trained)
+        yield {
+            "kind": one.kind,
+            "parameters": about["parameters"],
+            "seconds": seconds,
+            "steps": steps,
+            "states": {"train": len(bench.dataset.train), "test": len(bench.dataset.test)},
+            "success": bench.success(trained),
+        }
+
+
+def transfer_experiment(
+    source: Assembly,
+    others: Sequence[Assembly],
+    settings: PolicySettings,
+    *,
+    seconds: float,
+    robots: int = 2,
+    device: torch.device | str = "cpu",
+    batch: int = 0,
+    seed: int = 0,
+    data: DataSettings | None = None,
+) -> Iterator[dict[str, Any]]:
+    """Train on one structure, test on others as it is, then fine-tune there, beside a policy that begins anew.
+
+    Args:
+        source: structure to train on.
+        others: structures to test on.
+        settings: a network whose weights fit any structure.
+        seconds: of training on the source; a fifth of it for fine-tuning, and for beginning anew.
+        robots: parts that may be held at once.
+        device: where.
+        batch: states a step; 0 for the default of the device.
+        seed: of weights and batches.
+        data: searches that make the data; those of the paper by default.
+
+    Yields:
+        Rows with `trained_on`, `tested_on`, `fine_tuned` (seconds), `from` (`weights` or `nothing`), greedy `success`.
+
+    Raises:
+        InputError: a network that knows parts by their number.
+    """
+    home = Workbench(source, robots, device, data)
+    policy = make_policy(source, settings, home.device, seed)
+    transfer(policy.state_dict(), settings, source)  # refuses before the time is spent
+    trained, _ = home.imitate(policy, seconds, batch=batch, seed=seed)
+    yield _row(source, source, seconds, "weights", home.success(trained))
+    for other in others:
+        away = Workbench(other, robots, device, data)
+        moved = transfer(trained.state_dict(), settings, other, away.device)
+        yield _row(source, other, 0.0, "weights", away.success(moved))
+        yield _row(source, other, 0.0, "nothing", away.success(make_policy(other, settings, away.device, seed)))
+        for beginning, name in ((moved, "weights"), (make_policy(other, settings, away.device, seed), "nothing")):
+            tuned, _ = away.imitate(beginning, seconds / 5, batch=batch, seed=seed)
+            yield _row(source, other, seconds / 5, name, away.success(tuned))
+
+
+def _row(
+    source: Assembly, other: Assembly, seconds: float, beginning: str, success: dict[str, float]
+) -> dict[str, Any]:
+    return {
+        "trained_on": source.name,
+        "tested_on": other.name,
+        "fine_tuned": 0.0 if source is other else seconds,
+        "from": beginning,
+        "success": success,
+    }

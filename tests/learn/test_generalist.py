@@ -1,0 +1,96 @@
+"""Policies that meet structures that they were not trained on."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from falsework.assembly import load_structure
+from falsework.errors import InputError
+from falsework.learn.generalist import GeneralistSettings, fine_tune, train_generalist
+from falsework.learn.policy import PolicySettings
+from falsework.learn.policy_table import policy_table
+from falsework.learn.transfer import compare_networks, transfer_experiment
+
+SMALL = PolicySettings("parts", layers=2, channels=32, heads=4)
+
+
+def tiny(**options: object) -> GeneralistSettings:
+    values = {
+        "policy": SMALL, "kinds": ("arch", "stack"), "structures": 6, "unseen": 4, "turns": 2, "width": 16, "batch": 64,
+        "steps": 60,
+    }  # fmt: skip
+    return GeneralistSettings(**{**values, **options})  # type: ignore[arg-type]
+
+
+def test_one_policy_takes_apart_structures_it_has_never_seen() -> None:
+    trained = train_generalist(tiny())
+    names = {seen: {row["structure"] for row in trained.rows if row["seen"] == seen} for seen in (True, False)}
+    assert not names[True] & names[False]
+    assert trained.steps == 60
+    assert trained.success(seen=True) > 0.9
+    assert trained.success(seen=False) > 0.75
+
+    rows = list(fine_tune(trained, load_structure("arch:blocks=6"), seconds=1.0))
+    assert [(row["seconds"], row["from"]) for row in rows[:2]] == [(0.0, "generalist"), (0.0, "nothing")]
+    start, nothing = (row["success"]["test"] for row in rows[:2])
+    assert start >= nothing
+    assert rows[-2]["success"]["train"] > 0.9
+
+
+def test_the_same_seed_trains_the_same_policy() -> None:
+    one, same, other = (train_generalist(tiny(steps=3, structures=2, unseen=0, seed=seed)) for seed in (1, 1, 2))
+    assert all(torch.equal(one.weights[name], same.weights[name]) for name in one.weights)
+    assert any(not torch.equal(one.weights[name], other.weights[name]) for name in one.weights)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [({"policy": PolicySettings("mlp")}, "fits one structure only; choose parts or graph"), ({"mix": 0}, "mix is 0")],
+)
+def test_wrong_settings_are_refused(options: dict, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        tiny(**options)
+
+
+@pytest.mark.parametrize("kind", ["parts", "graph"])
+def test_a_policy_moves_to_another_structure(kind: str) -> None:
+    settings = PolicySettings(kind, layers=2, channels=16, heads=2)  # type: ignore[arg-type]
+    source, other = load_structure("arch:blocks=5"), load_structure("arch:blocks=6,thickness=0.3")
+    rows = list(transfer_experiment(source, [other], settings, seconds=4.0))
+    assert [(row["fine_tuned"], row["from"]) for row in rows] == [
+        (0.0, "weights"), (0.0, "weights"), (0.0, "nothing"), (0.8, "weights"), (0.8, "nothing")
+    ]  # fmt: skip
+    assert rows[0]["success"]["train"] > 0.9
+    assert rows[1]["success"]["train"] >= rows[2]["success"]["train"]
+
+
+def test_policies_that_know_parts_by_number_are_refused_at_once() -> None:
+    arch = load_structure("arch:blocks=4")
+    with pytest.raises(InputError, match="fits its own structure only"):
+        next(transfer_experiment(arch, [arch], PolicySettings("mlp"), seconds=1e9))
+
+
+def test_networks_are_compared_on_the_same_data_for_the_same_time() -> None:
+    settings = [PolicySettings("mlp"), SMALL]
+    rows = list(compare_networks(load_structure("arch:blocks=5"), settings, seconds=1.5))
+    assert [row["kind"] for row in rows] == ["mlp", "parts"]
+    assert rows[0]["states"] == rows[1]["states"]
+    assert all(row["success"]["train"] > 0.8 for row in rows)
+
+
+def test_operations_of_the_perceptrons_are_those_of_their_matrices() -> None:
+    arch = load_structure("arch:blocks=4")
+    parts = arch.part_count
+    row = policy_table(arch, [PolicySettings("mlp")])[0]
+    assert row["flops_forward"] == 2 * (4 * parts * 64 + 2 * 64 * 64 + 64 * 2 * parts + 64)
+    assert 2 * row["flops_forward"] < row["flops_training"] <= 3 * row["flops_forward"]
+
+
+def test_operations_of_attention_are_those_of_its_docstring() -> None:
+    """`L (2 m c^2 (4 + 2 e) + 4 m^2 c)`, and little besides."""
+    vault = load_structure("vault:parts=40")
+    m, c = vault.part_count, 128
+    row = policy_table(vault, [PolicySettings("parts")])[0]
+    formula = 4 * (2 * m * c * c * (4 + 2 * 2) + 4 * m * m * c)
+    assert formula < row["flops_forward"] < 1.15 * formula
