@@ -27,6 +27,7 @@ COMMANDS = {
     "check": "CheckPlan",
     "graph": "MakeGraph",
     "serve": "Serve",
+    "sheet": "MakeSheet",
     "dataset": "MakeDataset",
     "train": "Train",
     "evaluate": "Evaluate",
