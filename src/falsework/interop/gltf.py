@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework import __version__
 from falsework.errors import InputError
-from falsework.interop.timeline import NOBODY, Timeline, Track, timeline
+from falsework.interop.tracks import Track, Tracks, tracks_of
 from falsework.search.archive import write_whole
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
+from falsework.viewer.timeline import NOBODY
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -59,7 +60,7 @@ def gltf_of(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb",
         for part in range(assembly.part_count):
             document.still(part)
     else:
-        document.animate(plan, timeline(plan, assembly, step_seconds))
+        document.animate(plan, tracks_of(plan, assembly, step_seconds))
     return document.packed(kind)
 
 
@@ -101,7 +102,7 @@ class _Document:
         self._json["nodes"][node]["mesh"] = self._mesh(part, material, self._assembly.names[part])
         return node
 
-    def animate(self, plan: Plan, times: Timeline) -> None:
+    def animate(self, plan: Plan, times: Tracks) -> None:
         """All parts, and what happens to them."""
         self._json["extras"] = {"plan": {"direction": plan.direction.value, "steps": len(plan), "robots": plan.robots}}
         animation: dict[str, Any] = {"name": plan.direction.value, "channels": [], "samplers": []}

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, REMOVED, Mask, States
+from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
 from falsework.search.plan_check import check_identity
 from falsework.search.task import Direction
+from falsework.viewer.look import diagonal
+from falsework.viewer.timeline import NOBODY, holders, way_out
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -20,7 +22,6 @@ if TYPE_CHECKING:
 
 Value = TypeVar("Value", bool, int)
 
-NOBODY = -1
 REACH = 0.75
 """How far a part travels on its way in or out, in diagonals of the structure."""
 PAUSE = 0.1
@@ -55,7 +56,7 @@ class Track:
 
 
 @dataclass(frozen=True, eq=False)
-class Timeline:
+class Tracks:
     """A plan as motion of its parts, one step after the other."""
 
     tracks: tuple[Track, ...]
@@ -69,51 +70,11 @@ class Timeline:
         return 1 + max((robot for track in self.tracks for _, robot in track.holder), default=NOBODY)
 
 
-def holders(states: States, boundary: Mask) -> NDArray[np.int64]:
-    """Robot that holds each part in each state, `NOBODY` where none does; who holds a part keeps it.
-
-    A part that is newly held gets the robot with the lowest number that is free.
-
-    Args:
-        states: states one action apart, shape (steps + 1, parts).
-        boundary: shape (parts,).
-
-    Returns:
-        Shape (steps + 1, parts).
-    """
-    robots = np.full(states.shape, NOBODY, dtype=np.int64)
-    for step, state in enumerate(states):
-        held = np.flatnonzero((state == HELD) & ~boundary)
-        if step:
-            robots[step, held] = robots[step - 1, held]
-        busy = set(robots[step, held].tolist())
-        free = (robot for robot in range(len(state) + 1) if robot not in busy)
-        for part in held:
-            if robots[step, part] == NOBODY:
-                robots[step, part] = next(free)
-    return robots
-
-
-def way_out(plan: Plan, assembly: Assembly, step: int) -> NDArray[np.float64] | None:
-    """Unit vector along which the part of a removal leaves; an insertion comes the opposite way. Shape (3,).
-
-    Args:
-        plan: the plan.
-        assembly: its structure.
-        step: number of a step, from 0, that removes or inserts.
-
-    Returns:
-        None if no straight way is free.
-    """
-    before = plan.states[step if plan.direction is Direction.DISASSEMBLY else step + 1]
-    return assembly.clearance.exit_direction(before, int(plan.actions[step]) % assembly.part_count)
-
-
-def timeline(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Timeline:
+def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Tracks:
     """Put a plan on a time axis, in its own direction.
 
-    A part that is removed leaves along a straight way past the others and then disappears; one that is inserted does
-    the opposite. Where no straight way is free, it disappears or appears in its place.
+    A part that is removed leaves along a straight way past the others, where there is one, and then disappears; one
+    that is inserted does the opposite.
 
     Args:
         plan: what happens.
@@ -132,28 +93,25 @@ def timeline(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Timel
     shown = [[(0.0, bool(present[0, part]))] for part in range(parts)]
     holder = [[(0.0, int(robots[0, part]))] for part in range(parts)]
     path: list[list[tuple[float, tuple[float, float, float]]]] = [[] for _ in range(parts)]
-    points = np.concatenate([mesh.bounds for mesh in assembly.meshes])
-    reach = REACH * float(np.linalg.norm(np.ptp(points, axis=0)))
+    reach, home = REACH * diagonal(assembly), (0.0, 0.0, 0.0)
     for step, action in enumerate(plan.actions.tolist()):
         part, moves = action % parts, action >= parts
         begin, end = step * step_seconds, (step + 1 - PAUSE) * step_seconds
         if not moves:
             holder[part].append((begin, int(robots[step + 1, part])))
             continue
-        direction = way_out(plan, assembly, step)
-        away, home = (0.0, 0.0, 0.0) if direction is None else _triple(reach * direction), (0.0, 0.0, 0.0)
-        if plan.direction is Direction.DISASSEMBLY:
+        leaves = plan.direction is Direction.DISASSEMBLY
+        away = _triple(reach * way_out(assembly, plan.states[step if leaves else step + 1], part))
+        if leaves:
             shown[part].append((end, False))
             holder[part].append((end, NOBODY))
-            places = [(begin, home), (end, away)]
+            path[part] = [(begin, home), (end, away)]
         else:
             shown[part].append((begin, True))
             holder[part].append((begin, int(robots[step + 1, part])))
-            places = [(begin, away), (end, home)]
-        if direction is not None:
-            path[part].extend(places)
+            path[part] = [(begin, away), (end, home)]
     tracks = (Track(_clean(shown[part]), _clean(holder[part]), tuple(path[part])) for part in range(parts))
-    return Timeline(tuple(tracks), len(plan) * step_seconds)
+    return Tracks(tuple(tracks), len(plan) * step_seconds)
 
 
 def _clean(keys: list[tuple[float, Value]]) -> tuple[tuple[float, Value], ...]:

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework import __version__
-from falsework.interop.timeline import NOBODY, Timeline, Track, timeline
+from falsework.interop.tracks import Track, Tracks, tracks_of
 from falsework.search.archive import write_whole
 from falsework.stability.settings import StabilitySettings
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
+from falsework.viewer.timeline import NOBODY
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -48,7 +49,7 @@ def usd_of(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float 
         PlanError: the plan is for another structure.
         InputError: a step of no length.
     """
-    times = None if plan is None else timeline(plan, assembly, step_seconds)
+    times = None if plan is None else tracks_of(plan, assembly, step_seconds)
     names = _identifiers((assembly.name, *assembly.names))
     root, parts = names[0], names[1:]
     lines = [*_header(root, times), "", f'def Xform "{root}" (kind = "assembly")', "{"]
@@ -72,7 +73,7 @@ def write_usd(path: Path | str, assembly: Assembly, plan: Plan | None = None, *,
     write_whole(path, lambda file: file.write(content))
 
 
-def _header(root: str, times: Timeline | None) -> list[str]:
+def _header(root: str, times: Tracks | None) -> list[str]:
     entries = [
         f'doc = "falsework {__version__}"',
         f'defaultPrim = "{root}"',

@@ -1,0 +1,73 @@
+"""`falsework sheet`: a plan as a table for a crew on the site."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from tyro.conf import Positional, arg
+
+from falsework.cli.command import UNSET, Command, Exit, LoadOptions
+from falsework.errors import InputError
+
+if TYPE_CHECKING:
+    from falsework.cli.output import Output
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeSheet(Command):
+    """Write a plan as a table for a crew: which part to place, which to hold, which to release.
+
+    As a PDF to print, with a picture and a box to tick for every step, or as CSV. Always in the order of assembly; what
+    a plan calls a robot is a support here: a robot, a prop or a pair of hands.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework sheet plan.json --out site.csv",
+        "falsework sheet plan.json --out site.pdf",
+    )
+
+    plan: Annotated[Positional[Path], arg(metavar="PLAN")]
+    """Plan, as `falsework plan` wrote it."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """File to write; its name ends in .pdf or .csv."""
+    structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
+    """Structure, instead of the one that the plan names."""
+    reading: LoadOptions
+    azimuth: float = -58.0
+    """Degrees about the vertical from which pictures look; 0 looks along +y."""
+    elevation: float = 24.0
+    """Degrees above the horizon."""
+
+    def run(self, output: Output) -> Exit:
+        """Load, lay out, write."""
+        from falsework.cli.loading import structure_of
+        from falsework.cli.planning import writable
+        from falsework.interop.sheet import sheet_csv, site_sheet, write_sheet
+        from falsework.search.plan import Plan
+
+        kind = self.out.suffix.lower()
+        if kind not in (".pdf", ".csv"):
+            raise InputError(f"cannot tell from {self.out} what to write; let the name end in .pdf or .csv")
+        if not -90 < self.elevation < 90 or self.elevation == 0:
+            raise InputError(f"an elevation of {self.elevation:g} degrees sees nothing; give one such as 24")
+        writable(self.out)
+        plan = Plan.load(self.plan)
+        sheet = site_sheet(plan, structure_of(plan, self.plan, self.structure, **self.reading.given()))
+        if kind == ".csv":
+            content = sheet_csv(sheet).encode("utf-8-sig")  # with the mark by which spreadsheets know the encoding
+        else:
+            from dataclasses import replace
+
+            from falsework.interop.sheet_pdf import CAMERA, sheet_pdf
+
+            camera = replace(CAMERA, azimuth=self.azimuth, elevation=self.elevation)
+            with output.bar("drawing") as show:
+                content = sheet_pdf(
+                    sheet, camera=camera, progress=lambda done, total: show(done, total, f"step {done} of {total}")
+                )
+        write_sheet(self.out, content)
+        output.record({"file": str(self.out), "steps": len(sheet.steps), "supports": sheet.supports})
+        output.say(f"{self.out}: {len(sheet.steps)} steps with {sheet.supports} supports")
+        return Exit.DONE

@@ -1,0 +1,198 @@
+"""A plan for a crew: step by step which part to place, which to hold and which to let go.
+
+What a plan calls a robot is a support here: a robot, a prop, or a pair of hands that keeps a part exactly where it is
+until the sheet says that it may be released. The table is always in the order of assembly.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import REMOVED
+from falsework.search.archive import write_whole
+from falsework.search.task import Direction
+from falsework.viewer.timeline import NOBODY, Timeline
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.search.plan import Plan
+
+COLUMNS = (
+    "step",
+    "do",
+    "part",
+    "name",
+    "mass_kg",
+    "support",
+    "hold",
+    "way",
+    "way_x",
+    "way_y",
+    "way_z",
+    "center_x",
+    "center_y",
+    "center_z",
+    "placed",
+    "needed",
+)
+"""Of the table in CSV: metres and kilograms; `hold` names all parts that must be held when the step is done."""
+_LEANS = 0.35
+"""Components of a direction below this, the sine of about 20 degrees, are left unsaid."""
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""How texts begin that a spreadsheet would compute."""
+
+
+@dataclass(frozen=True, eq=False)
+class SiteStep:
+    """One line of the sheet."""
+
+    number: int
+    """From 1."""
+    part: int
+    place: bool
+    """Whether the part is placed, and held from then on; else it is released."""
+    support: int
+    """Which support takes it or lets it go, from 0."""
+    hold: tuple[tuple[int, int], ...]
+    """Part and support of everything that must be held when the step is done."""
+    way: NDArray[np.float64] | None
+    """Unit vector along which the part comes in, shape (3,); None for a release."""
+    placed: int
+    """Parts that are there when the step is done, boundary not counted."""
+    needed: bool
+    """Whether the part was said to be missing when the plan was made."""
+
+    @property
+    def verb(self) -> str:
+        """What is done."""
+        return "place" if self.place else "release"
+
+
+@dataclass(frozen=True, eq=False)
+class SiteSheet:
+    """A plan as a crew follows it."""
+
+    timeline: Timeline
+    steps: tuple[SiteStep, ...]
+    supports: int
+    """That there must be."""
+
+    @property
+    def assembly(self) -> Assembly:
+        """The structure."""
+        return self.timeline.assembly
+
+    @property
+    def start(self) -> tuple[int, ...]:
+        """Parts that are there before the first step, boundary not counted."""
+        state = self.timeline.states[self.timeline.row(0)]
+        return tuple(np.flatnonzero((state != REMOVED) & ~self.assembly.boundary).tolist())
+
+    def name(self, part: int) -> str:
+        """Number and name of a part; one of them if that says as much."""
+        name = self.assembly.names[part]
+        return name if name == str(part) or name.endswith((f"-{part}", f"_{part}")) else f"{part} {name}"
+
+    def holding(self, place: int) -> tuple[tuple[int, int], ...]:
+        """Part and support of everything that is held after so many steps."""
+        return _holding(self.timeline, place)
+
+
+def site_sheet(plan: Plan, assembly: Assembly) -> SiteSheet:
+    """The sheet of a plan, in the order of assembly.
+
+    Args:
+        plan: in either direction.
+        assembly: its structure.
+
+    Raises:
+        PlanError: the plan is for another structure.
+    """
+    build = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
+    timeline = Timeline.of(build, assembly)
+    parts, missing = assembly.part_count, set(plan.missing)
+    steps = []
+    for number, action in enumerate(build.actions.tolist(), 1):
+        part, place = action % parts, action >= parts
+        before, after = timeline.row(number - 1), timeline.row(number)
+        steps.append(
+            SiteStep(
+                number=number,
+                part=part,
+                place=place,
+                support=int(timeline.holders[after if place else before, part]),
+                hold=_holding(timeline, number),
+                way=-timeline.ways[part] if place else None,
+                placed=int(((timeline.states[after] != REMOVED) & ~assembly.boundary).sum()),
+                needed=place and part in missing,
+            )
+        )
+    return SiteSheet(timeline, tuple(steps), int(timeline.holders.max(initial=NOBODY)) + 1)
+
+
+def way_in_words(way: NDArray[np.float64]) -> str:
+    """Where a part comes from, such as `from above` or `from +x and above`; `way` is where it goes, shape (3,)."""
+    sides = [f"{'-' if way[axis] > 0 else '+'}{'xy'[axis]}" for axis in (0, 1) if abs(way[axis]) > _LEANS]
+    if abs(way[2]) > _LEANS:
+        sides.append("above" if way[2] < 0 else "below")
+    return f"from {' and '.join(sides)}" if sides else "straight in"
+
+
+def sheet_csv(sheet: SiteSheet) -> str:
+    """The table as CSV with a line of headings, one step a line."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(COLUMNS)
+    for row in _rows(sheet):
+        writer.writerow([row[column] for column in COLUMNS])
+    return text.getvalue()
+
+
+def write_sheet(path: Path | str, content: bytes) -> None:
+    """Write a sheet, whole or not at all.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_whole(path, lambda file: file.write(content))
+
+
+def _rows(sheet: SiteSheet) -> Iterator[dict[str, Any]]:
+    assembly = sheet.assembly
+    for step in sheet.steps:
+        way = ["", "", ""] if step.way is None else [f"{value:.4f}" for value in step.way]
+        hold = "; ".join(f"{sheet.name(part)} (support {support + 1})" for part, support in step.hold)
+        yield {
+            "step": step.number,
+            "do": step.verb,
+            "part": step.part,
+            "name": _harmless(assembly.names[step.part]),
+            "mass_kg": f"{assembly.mass.mass[step.part]:.6g}",
+            "support": step.support + 1,
+            "hold": hold,
+            "way": "" if step.way is None else way_in_words(step.way),
+            **dict(zip(("way_x", "way_y", "way_z"), way, strict=True)),
+            **{f"center_{axis}": f"{assembly.mass.center[step.part][i]:.6g}" for i, axis in enumerate("xyz")},
+            "placed": step.placed,
+            "needed": "yes" if step.needed else "",
+        }
+
+
+def _harmless(text: str) -> str:
+    """A text that no spreadsheet takes for a formula."""
+    return f"'{text}" if text.startswith(_FORMULA) else text
+
+
+def _holding(timeline: Timeline, place: int) -> tuple[tuple[int, int], ...]:
+    """Part and support of everything that is held after so many steps, by support."""
+    robots = timeline.holders[timeline.row(place)]
+    held = np.flatnonzero(robots != NOBODY)
+    return tuple(sorted(((int(part), int(robots[part])) for part in held), key=lambda pair: pair[1]))
