@@ -9,8 +9,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from falsework.errors import InputError
 from falsework.robots.collision import CLEAR
 from falsework.robots.connect import INTERVALS, edges_free, grow, shorten
+from falsework.robots.inverse import tail_of
+from falsework.robots.kinematics import tool_pose
+from falsework.robots.newton import reach_poses
 from falsework.robots.world import View
 
 Array = NDArray[np.float64]
@@ -45,6 +49,20 @@ class MotionSettings:
     """The same in metres where the margin is small."""
     wrap: float = float(np.pi)
     """Joints that turn farther than this are sampled within it, unless start or goal lie outside, rad."""
+
+
+@dataclass(frozen=True)
+class LineSettings:
+    """How closely straight lines are followed."""
+
+    step: float = 0.01
+    """First distance between points of a line, metres; halved where the tool strays or a joint hurries."""
+    stray: float = 0.0002
+    """How far the tool may be off the line between two points, metres."""
+    jump: float = 0.2
+    """Largest change of a joint from one point to the next, rad: more is a change of branch or a singularity."""
+    halvings: int = 4
+    """How often the step may be halved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +167,79 @@ def resolution_of(view: View, settings: MotionSettings) -> float:
     return max(settings.resolution * view.margin, settings.finest)
 
 
+def follow_line(
+    view: View,
+    start: ArrayLike,
+    direction: ArrayLike,
+    distance: float,
+    *,
+    settings: LineSettings = LineSettings(),
+    proof: MotionSettings = MotionSettings(),
+) -> Motion:
+    """Move the tool along a straight line without turning it, on one branch of the inverse kinematics.
+
+    What may touch is said by the contact rule of the view, the distance to everything else by its margin. The path is
+    proven free between its points too.
+
+    Args:
+        view: who moves in what.
+        start: configuration at the start of the line, shape (joints,).
+        direction: in the world, shape (3,); any length.
+        distance: metres.
+        settings: how closely the line is followed.
+        proof: resolution of the proof that the path is free.
+
+    Raises:
+        InputError: no direction, or a distance that is not positive.
+    """
+    along = np.asarray(direction, dtype=np.float64)
+    length = float(np.linalg.norm(along))
+    if along.shape != (3,) or not length > 0 or not np.isfinite(length):
+        raise InputError(f"direction is {direction!r}; give three numbers that are not all zero")
+    if not distance > 0:
+        raise InputError(f"a line of {distance:g} m leads nowhere; give a distance above zero")
+    first = np.array(start, dtype=np.float64)
+    if not view.model.within_limits(first):
+        return Motion("start outside limits", at=first)
+    hit = int(view.hits(first)[0])
+    if hit != CLEAR:
+        return Motion("start in collision", pair=view.pair(hit), at=first)
+    robot = view.world.cell.robots[view.robot]
+    home = tool_pose(robot, first)
+    step = settings.step
+    for halving in range(settings.halvings + 1):
+        count = max(1, int(np.ceil(distance / step)))
+        ahead = np.linspace(0.0, distance, count + 1)
+        targets = np.repeat(home[None, :3], count + 1, axis=0)
+        targets[:, :, 3] += np.outer(ahead, along / length)
+        values = np.repeat(first[None], count + 1, axis=0)
+        reached = np.zeros(count + 1, bool)
+        tail = tail_of(view.model, robot.gripper.tool)
+        reach_poses(values, np.ascontiguousarray(targets), view.chain, tail, 20, 0.0, settings.jump, True, reached)
+        good = int(np.argmin(reached)) if not reached.all() else count + 1
+        path = values[:good]
+        smooth = (np.abs(np.diff(path, axis=0)).max(axis=1, initial=0.0) <= settings.jump).all()
+        if smooth and good > 1:
+            middle = tool_pose(robot, (path[:-1] + path[1:]) / 2)[:, :3, 3]
+            wanted = (targets[: good - 1, :, 3] + targets[1:good, :, 3]) / 2
+            smooth = bool((np.linalg.norm(middle - wanted, axis=1) <= settings.stray).all())
+        if smooth and good == count + 1:
+            break
+        step /= 2
+        if halving == settings.halvings:
+            return Motion("no solution on the line", at=path[-1], travelled=float(ahead[max(good - 1, 0)]))
+    inside = view.model.within_limits(path)
+    if not inside.all():
+        bad = int(np.argmin(inside))
+        return Motion("joint limit on the line", at=path[bad], travelled=float(ahead[max(bad - 1, 0)]))
+    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
+    opened = np.empty((2, INTERVALS), np.int64)
+    free = int(edges_free(path, resolution_of(view, proof), *arrays, opened))
+    if free < len(path) - 1:
+        return _blocked(view, path, free, float(ahead[free]))
+    return Motion("found", path, travelled=float(distance))
+
+
 def _branch(tree: Array, parents: NDArray[np.int64], leaf: int) -> list[Array]:
     """Configurations from a node to the root."""
     found = []
@@ -156,3 +247,13 @@ def _branch(tree: Array, parents: NDArray[np.int64], leaf: int) -> list[Array]:
         found.append(tree[leaf])
         leaf = int(parents[leaf])
     return found
+
+
+def _blocked(view: View, path: Array, edge: int, travelled: float) -> Motion:
+    """Say what is in the way on an edge that is not free."""
+    for share in np.linspace(0, 1, 9):
+        values = path[edge] + share * (path[edge + 1] - path[edge])
+        hit = int(view.hits(values)[0])
+        if hit != CLEAR:
+            return Motion("collision on the line", pair=view.pair(hit), at=values, travelled=travelled)
+    return Motion("collision on the line", at=path[edge + 1], travelled=travelled)

@@ -1,0 +1,113 @@
+"""Nearly flat faces of a part, on which a gripper can take hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from falsework.geometry.mesh import TriangleMesh
+
+Array = NDArray[np.float64]
+
+FLAT = 12.0
+"""Largest angle between the triangles of one face, degrees: what the lip of a cup makes up for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """Neighbouring triangles with nearly the same normal."""
+
+    normal: Array
+    """Outwards, shape (3,)."""
+    frame: Array
+    """Two directions in the face, shape (2, 3)."""
+    outline: shapely.Geometry
+    """The face seen along its normal, in the coordinates of `frame`, metres."""
+    triangles: Array
+    """Shape (triangles, 3, 3), metres."""
+    area: float
+
+    def flat(self, point: Array) -> Array:
+        """A point in the coordinates of the frame, shape (3,) to (2,)."""
+        return self.frame @ point
+
+    def lift(self, at: Array) -> Array:
+        """The point of the surface over coordinates of the frame, shape (2,) to (3,)."""
+        flat = self.triangles @ self.frame.T
+        a, b, c = flat[:, 0], flat[:, 1], flat[:, 2]
+        whole = _cross(b - a, c - a)
+        weights = np.stack([_cross(b - at, c - at), _cross(c - at, a - at), _cross(a - at, b - at)], axis=1)
+        weights = weights / np.where(np.abs(whole) > 1e-18, whole, 1.0)[:, None]
+        best = int(np.argmax(np.where(np.abs(whole) > 1e-18, weights.min(axis=1), -np.inf)))
+        return weights[best] @ self.triangles[best]
+
+
+def faces_of(mesh: TriangleMesh, smallest: float = 0.0) -> list[Face]:
+    """Faces of a mesh, largest first.
+
+    The largest triangle that is left collects its neighbours, and theirs, whose normals are within `FLAT` of its own.
+
+    Args:
+        mesh: closed mesh that faces outwards.
+        smallest: faces of less area are left out, m2.
+    """
+    corners = mesh.triangles
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(cross, axis=1)
+    normals = cross / np.maximum(size, 1e-300)[:, None]
+    beside = _neighbours(mesh)
+    left = np.ones(len(size), bool)
+    limit = np.cos(np.radians(FLAT))
+    found = []
+    for seed in np.argsort(-np.round(size, 12), kind="stable").tolist():
+        if not left[seed] or size[seed] <= 0:
+            continue
+        left[seed] = False
+        members, stack = [seed], [seed]
+        while stack:
+            for other in beside[stack.pop()]:
+                if left[other] and normals[other] @ normals[seed] >= limit:
+                    left[other] = False
+                    members.append(other)
+                    stack.append(other)
+        area = float(size[members].sum() / 2)
+        if area >= smallest:
+            found.append(_face(corners[members], cross[members].sum(axis=0), area))
+    return sorted(found, key=lambda face: -face.area)
+
+
+def _face(triangles: Array, normal: Array, area: float) -> Face:
+    normal = normal / np.linalg.norm(normal)
+    # The frame does not depend on how the mesh is triangulated: horizontal first, where there is a horizontal.
+    helper = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.99 else np.array([1.0, 0.0, 0.0])
+    first = np.cross(helper, normal)
+    first /= np.linalg.norm(first)
+    frame = np.stack([first, np.cross(normal, first)])
+    flat = shapely.polygons(triangles @ frame.T)
+    outline = shapely.union_all(shapely.buffer(flat, 1e-9)) if len(flat) > 1 else flat[0]
+    return Face(normal, frame, outline, triangles, area)
+
+
+def _neighbours(mesh: TriangleMesh) -> list[list[int]]:
+    """Triangles that share an edge, by position, since some meshes repeat their vertices."""
+    scale = max(float(np.ptp(mesh.vertices, axis=0).max()), 1e-12)
+    _, same = np.unique(np.round(mesh.vertices / scale * 1e7).astype(np.int64), axis=0, return_inverse=True)
+    faces = same.reshape(-1)[mesh.faces]
+    owners: dict[tuple[int, int], list[int]] = {}
+    for index, face in enumerate(faces.tolist()):
+        for k in range(3):
+            a, b = face[k], face[(k + 1) % 3]
+            owners.setdefault((min(a, b), max(a, b)), []).append(index)
+    beside: list[list[int]] = [[] for _ in faces]
+    for members in owners.values():
+        for a in members:
+            beside[a] += [b for b in members if b != a]
+    return beside
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross product in the plane."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
