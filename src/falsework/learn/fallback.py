@@ -27,6 +27,8 @@ _PLAIN_LEVELS = 4
 a time, so that the same seed gives the same answer."""
 _SHARE = 0.5
 """Share of the time before a deadline that the guided search may take."""
+_CHOOSING = 0.3
+"""Share of the time before a deadline that is kept for choosing among many plans."""
 _TURN_LEVELS = 8
 """Levels that a search has before it is the turn of another request, where it searches alone."""
 
@@ -105,8 +107,13 @@ def _better_plans(job: Job, guide: Guide) -> Iterator[None]:
     planner = Planner(job.task, job.oracle, settings, guide=guide)
     planner.begin_with(job.routes[0])
     planner.states = np.concatenate([route.states for route in job.routes])
+    clock, reserve = job.clock, job.clock.reserve
+    if clock.limited and request.alternatives > 1:
+        clock.reserve += _CHOOSING * (clock.left - reserve)
     yield from _finish([_Turns(planner, Decider.SEARCH, _TURN_LEVELS)], job)
-    job.routes = list(choose_plans(planner, settings, job.kit.assembly.name).routes)
+    clock.reserve = reserve
+    chosen = choose_plans(planner, settings, job.kit.assembly.name, stop=lambda: clock.passed)
+    job.take(list(chosen.routes))
 
 
 def _finish(rivals: list[_Turns], job: Job) -> Iterator[None]:

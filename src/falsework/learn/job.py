@@ -91,6 +91,7 @@ class Job:
         """States that are known to stand, from the start on: where the policy's most probable actions led."""
         self.hopeless = False
         """Whether one of the ends does not stand, so that looking for a plan is in vain."""
+        self._chosen = False
         self._unstable: States | None = None
         self._why = ""
 
@@ -113,6 +114,12 @@ class Job:
         routes = [*self.routes, *(route for route in routes if route.states.tobytes() not in known)]
         self.routes = sorted(routes, key=lambda route: insertion_steps(route, self.task), reverse=True)
         self.outcome = Outcome.FOUND
+
+    def take(self, chosen: list[Route]) -> None:
+        """Put the plans that were chosen among many before all others that are known."""
+        known = {route.states.tobytes() for route in chosen}
+        self.routes = [*chosen, *(route for route in self.routes if route.states.tobytes() not in known)]
+        self._chosen = True
 
     def ended(self, result: SearchResult, by: Decider) -> None:
         """Take the end of a search."""
@@ -172,10 +179,12 @@ class Job:
     def _choose(self) -> Alternatives:
         """As many of the plans that were found as are wanted."""
         wanted, routes = self.request.alternatives, self.routes
-        if wanted == 1 or len(routes) <= wanted:
+        if wanted == 1 or len(routes) <= wanted or self._chosen or self.task.missing:
             return Alternatives.of(routes[:wanted])
         graph = StateGraph.build(self.task, np.concatenate([route.states for route in routes]))
-        return choose_alternatives(graph, wanted, given=routes[:1], seed=self.request.seed)
+        return choose_alternatives(
+            graph, wanted, given=routes[:1], seed=self.request.seed, stop=lambda: self.clock.passed
+        )
 
     def _reached(self) -> int:
         result = self.result

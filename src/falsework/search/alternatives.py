@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.search.graph import StateGraph
-from falsework.search.result import Route
+from falsework.search.result import Route, Stop
 
 _CHUNK = 8192
 _TRIES = 200
@@ -71,7 +71,13 @@ def state_distance(a: Route, b: Route) -> float:
 
 
 def choose_alternatives(
-    graph: StateGraph, count: int, *, given: Sequence[Route] = (), seed: int = 0, rounds: int = 12
+    graph: StateGraph,
+    count: int,
+    *,
+    given: Sequence[Route] = (),
+    seed: int = 0,
+    rounds: int = 12,
+    stop: Stop | None = None,
 ) -> Alternatives:
     """Choose routes of a state graph so that the two most similar ones differ as much as possible.
 
@@ -87,6 +93,7 @@ def choose_alternatives(
         given: routes of the task to begin with; a random one if there is none.
         seed: breaks ties.
         rounds: changes of weights for each choice.
+        stop: asked before every choice; true ends the work with what was chosen so far.
 
     Returns:
         At most `count` different routes; fewer if no more were found, none if the graph has none.
@@ -104,7 +111,8 @@ def choose_alternatives(
             return Alternatives.of([])
         routes = [random]
     chooser = _Farthest(graph, rng, rounds)
-    while len(routes) < min(count, graph.count_routes()):
+    stop = stop or (lambda: False)
+    while len(routes) < min(count, graph.count_routes()) and not stop():
         route = chooser.from_all(routes)
         if route is None:
             break
@@ -114,6 +122,8 @@ def choose_alternatives(
     while improved:
         improved = False
         for place in range(len(routes)):
+            if stop():
+                return best
             others = routes[:place] + routes[place + 1 :]
             route = chooser.from_all(others)
             if route is None:

@@ -116,13 +116,16 @@ def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, 
     return Plan.of(route, assembly, task, verdicts, oracle.settings.claim)
 
 
-def choose_plans(planner: Planner, settings: PlannerSettings, name: str = "") -> Alternatives:
+def choose_plans(
+    planner: Planner, settings: PlannerSettings, name: str = "", *, stop: Stop | None = None
+) -> Alternatives:
     """Of all that a planner has found, as many plans as the settings ask for, as different as possible.
 
     Args:
         planner: with at least one route.
         settings: how many, and the seed.
         name: of the structure, for the state graph.
+        stop: asked before every choice; true ends the work with what was chosen so far.
     """
     if settings.alternatives == 1:
         return Alternatives.of(planner.routes)
@@ -130,7 +133,7 @@ def choose_plans(planner: Planner, settings: PlannerSettings, name: str = "") ->
     graph = StateGraph.build(
         task, np.concatenate([planner.states, *(route.states for route in planner.routes)]), name=name
     )
-    return choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed)
+    return choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed, stop=stop)
 
 
 def _resume(

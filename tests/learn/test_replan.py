@@ -1,0 +1,383 @@
+"""Replanning: every answer is a proven plan, a proof that there is none, or an honest admission."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from falsework.assembly import load_structure
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, complete_state, empty_state
+from falsework.errors import FalseworkError, InputError, StateError
+from falsework.learn.replan import Decider, Replanner, ReplanSettings, Request, replan
+from falsework.search import ExhaustiveSearch, Outcome, find_plans
+from falsework.search.planner import Planner
+from falsework.search.task import Direction
+from falsework.stability import Stability
+
+ARCH = load_structure("arch:blocks=5")
+COMPLETE = complete_state(ARCH.boundary)
+EMPTY = empty_state(ARCH.boundary)
+
+
+def make(kind: str = "mlp", **options: Any) -> Any:
+    """A policy that was never trained: it proposes nonsense, which must not matter."""
+    from falsework.learn.policy import PolicySettings, make_policy
+
+    return make_policy(ARCH, PolicySettings(kind=kind, **options))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def alone() -> Replanner:
+    return Replanner(ARCH)
+
+
+@pytest.fixture(scope="module")
+def guided(alone: Replanner) -> Replanner:
+    return Replanner(ARCH, make(), alone.oracle)
+
+
+@pytest.fixture(scope="module")
+def two_states(alone: Replanner) -> Replanner:
+    return Replanner(ARCH, make("mlp", two_states=True), alone.oracle)
+
+
+def any_state() -> st.SearchStrategy[States]:
+    values = st.lists(st.sampled_from([REMOVED, INSTALLED, HELD]), min_size=5, max_size=5)
+    return values.map(lambda own: np.array([*own, HELD, HELD], dtype=np.uint8))
+
+
+def truth(request: Request, oracle: Stability) -> bool:
+    """Whether there is a plan, by looking at every state there is."""
+    task = request.task(ARCH)
+    if not oracle.check(np.stack([task.start, task.target])).stable.all():
+        return False
+    return ExhaustiveSearch(task, oracle).run().result.found
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
+@given(
+    any_state(),
+    st.one_of(st.none(), any_state()),
+    st.integers(1, 3),
+    st.lists(st.integers(0, 4), max_size=2, unique=True),
+    st.lists(st.integers(0, 4), max_size=1),
+    st.sampled_from([None, Direction.ASSEMBLY, Direction.DISASSEMBLY]),
+    st.integers(1, 2),
+    st.integers(0, 2),
+)
+def test_every_answer_is_true(
+    alone: Replanner,
+    guided: Replanner,
+    two_states: Replanner,
+    state: States,
+    target: States | None,
+    robots: int,
+    missing: list[int],
+    fixed: list[int],
+    direction: Direction | None,
+    alternatives: int,
+    which: int,
+) -> None:
+    """Found exactly if a search through all states finds one; the plans hold for the exact solver."""
+    replanner = (alone, guided, two_states)[which]
+    request = Request(
+        state,
+        target=target,
+        direction=direction,
+        robots=robots,
+        missing=missing,
+        fixed=fixed,
+        alternatives=alternatives,
+    )
+    try:
+        request.task(ARCH)
+    except InputError:
+        with pytest.raises(InputError) as caught:
+            replanner.replan_many([request])
+        assert "\n" not in str(caught.value)
+        return
+    (answer,) = replanner.replan_many([request])
+    assert answer.found == truth(request, replanner.oracle)
+    assert answer.outcome is not Outcome.NOT_FOUND  # so small a structure leaves no doubt
+    assert len(answer.plans) <= alternatives
+    for plan in answer.plans:
+        assert plan.validate(ARCH).good
+        assert plan.direction is answer.direction is request.way(ARCH)
+        np.testing.assert_array_equal(plan.states[0], state)
+        if target is not None:
+            np.testing.assert_array_equal(plan.states[-1], target)
+        if fixed:
+            assert (plan.states[:, fixed] == state[fixed]).all()
+    if answer.found:
+        assert answer.reached == answer.steps == len(answer.plans[0])
+    else:
+        assert answer.reason
+
+
+def test_directions() -> None:
+    """Where parts are missing that the state lacks, it goes up; a target says which way; else it goes down."""
+    half = find_plans(ARCH, forces=False).plans[0].states[4]
+    absent = int(np.flatnonzero(half == REMOVED)[0])
+    assert Request(half).way(ARCH) is Direction.DISASSEMBLY
+    assert Request(half, missing=[absent]).way(ARCH) is Direction.ASSEMBLY
+    assert Request(half, target=COMPLETE).way(ARCH) is Direction.ASSEMBLY
+    assert Request(half, target=EMPTY).way(ARCH) is Direction.DISASSEMBLY
+
+
+def test_from_here_on(alone: Replanner) -> None:
+    """Assembly begins in the state and ends with everything in place; a late part goes in as late as it can."""
+    plan = find_plans(ARCH, oracle=alone.oracle, forces=False).plans[0].reverse()
+    state = plan.states[4]
+    late = int(np.flatnonzero(state == REMOVED)[0])
+    answer = alone.replan(state, missing=[late])
+    (first,) = answer.plans
+    np.testing.assert_array_equal(first.states[0], state)
+    np.testing.assert_array_equal(first.states[-1], COMPLETE)
+    (need,) = first.needs
+    without = alone.replan(state, direction=Direction.ASSEMBLY).plans[0]
+    order = without.removed_parts.tolist()
+    assert need.after_parts >= order.index(late)
+
+
+def test_there_already(alone: Replanner) -> None:
+    answer = alone.replan(COMPLETE, target=COMPLETE)
+    assert answer.found
+    assert answer.decided_by is Decider.RULES
+    assert len(answer.plans[0]) == 0
+
+
+def test_an_arch_needs_two_robots(alone: Replanner, guided: Replanner) -> None:
+    """One robot cannot take the first block out of an arch, whoever proposes it."""
+    for replanner in (alone, guided):
+        answer = replanner.replan(COMPLETE, robots=1)
+        assert answer.outcome is Outcome.PROVED_IMPOSSIBLE
+        assert answer.moving
+        assert answer.plan is None
+
+
+def test_unstable_state_names_what_moves(alone: Replanner) -> None:
+    fallen = COMPLETE.copy()
+    fallen[0] = REMOVED
+    answer = alone.replan(fallen)
+    assert answer.outcome is Outcome.PROVED_IMPOSSIBLE
+    assert answer.decided_by is Decider.RULES
+    assert answer.reason == "the state does not stand"
+    assert set(answer.moving) <= set(np.flatnonzero(fallen == INSTALLED).tolist())
+    assert answer.moving
+
+
+def test_not_found_is_told_from_proved() -> None:
+    """Limits that are too tight for a proof give no proof."""
+    tight = ReplanSettings(samples=0, widths=(), width=1, state_limit=1)
+    arch = load_structure("arch:blocks=9")
+    answer = Replanner(arch, settings=tight).replan(complete_state(arch.boundary))
+    if not answer.found:
+        assert answer.outcome is Outcome.NOT_FOUND
+        assert answer.decided_by is Decider.NOBODY
+        assert answer.reason
+
+
+def test_same_seed_same_answer(alone: Replanner) -> None:
+    policy = make()
+    first, second = (Replanner(ARCH, policy, alone.oracle).replan(COMPLETE, seed=7, alternatives=3) for _ in range(2))
+    assert [plan.actions.tolist() for plan in first.plans] == [plan.actions.tolist() for plan in second.plans]
+    assert first.decided_by is second.decided_by
+
+
+@pytest.mark.parametrize("policy", [False, True])
+def test_alternatives_differ(policy: bool, alone: Replanner, guided: Replanner) -> None:
+    answer = (guided if policy else alone).replan(COMPLETE, alternatives=4)
+    assert len(answer.plans) == 4
+    assert len({plan.actions.tobytes() for plan in answer.plans}) == 4
+    assert answer.distance[~np.eye(4, dtype=bool)].min() > 0.3
+    for plan in answer.plans:
+        assert plan.validate(ARCH).good
+
+
+def test_batch_is_as_good_as_one_by_one(guided: Replanner) -> None:
+    """Requests of all kinds answered together, each announced once, none mixed up with another."""
+    plan = guided.replan(COMPLETE).plans[0]
+    requests = [
+        Request(COMPLETE, robots=3),
+        Request(COMPLETE, robots=1),
+        *(Request(state, seed=n) for n, state in enumerate(plan.states)),
+        Request(plan.states[4], direction=Direction.ASSEMBLY),
+        Request(plan.states[4], target=COMPLETE, alternatives=2),
+    ]
+    announced: list[int] = []
+    answers = guided.replan_many(requests, finished=lambda number, _: announced.append(number))
+    assert sorted(announced) == list(range(len(requests)))
+    for request, answer in zip(requests, answers, strict=True):
+        (single,) = guided.replan_many([request])
+        assert answer.outcome is single.outcome
+        for found in answer.plans:
+            assert found.validate(ARCH).good
+            np.testing.assert_array_equal(found.states[0], np.asarray(request.state))
+
+
+@pytest.mark.parametrize("name", ["vault:rows=5,columns=7", "dome:rings=4,blocks=8"])
+def test_deadline_is_kept(name: str) -> None:
+    """An answer comes in time, with a plan or without; scheduling of a busy machine is allowed for."""
+    try:
+        assembly = load_structure(name)
+    except InputError:
+        assembly = load_structure(name.split(":")[0])
+    replanner = Replanner(assembly)
+    for deadline in (0.01, 0.1, 0.3):
+        began = time.perf_counter()
+        answer = replanner.replan(complete_state(assembly.boundary), robots=2, alternatives=8, deadline=deadline)
+        assert time.perf_counter() - began < deadline + 0.5
+        if not answer.found:
+            assert answer.deadline_passed
+            assert answer.outcome is Outcome.NOT_FOUND
+            assert f"deadline of {deadline} s" in answer.reason
+        else:
+            assert answer.plan is not None
+            assert answer.plan.validate(assembly).good
+
+
+def test_best_answer_at_the_deadline(alone: Replanner) -> None:
+    """What was found before the clock ran out is handed back, and said to be cut short."""
+    arch = load_structure("arch:blocks=15")
+    replanner = Replanner(arch)
+    answer = replanner.replan(complete_state(arch.boundary), alternatives=200, deadline=1.5)
+    assert answer.found
+    assert 1 <= len(answer.plans) < 200
+    assert answer.deadline_passed
+
+
+def test_confidences_are_probabilities(guided: Replanner, two_states: Replanner) -> None:
+    for replanner in (guided, two_states):
+        answer = replanner.replan(COMPLETE, confidences=True)
+        (confidence,), plan = answer.confidences, answer.plans[0]
+        task = Request(COMPLETE).task(ARCH)
+        legal = task.moves(plan.states, Direction.DISASSEMBLY)
+        assert confidence.shape == (len(plan) + 1, 2 * ARCH.part_count)
+        assert (confidence[~legal] == 0).all()
+        np.testing.assert_allclose(confidence[:-1].sum(axis=1), 1, atol=1e-5)
+        assert (confidence[-1] == 0).all()
+    assert guided.replan(COMPLETE).confidences == ()
+
+
+def test_a_perfect_policy_decides_alone(alone: Replanner) -> None:
+    """A policy that knows a plan by heart is believed, once every state of it is proved."""
+    import torch
+
+    plan = find_plans(ARCH, oracle=alone.oracle, forces=False).plans[0]
+    book = {state.tobytes(): int(action) for state, action in zip(plan.states, plan.actions, strict=False)}
+
+    class Knowing(torch.nn.Module):
+        def forward(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> Any:
+            logits = torch.zeros(len(states), 2 * ARCH.part_count)
+            for row, state in enumerate(states.numpy()):
+                if state.tobytes() in book:
+                    logits[row, book[state.tobytes()]] = 50.0
+            return logits, torch.zeros(len(states))
+
+    answer = Replanner(ARCH, Knowing(), alone.oracle).replan(COMPLETE, confidences=True)
+    assert answer.decided_by is Decider.GREEDY
+    np.testing.assert_array_equal(answer.plans[0].actions, plan.actions)
+    assert answer.confidences[0][np.arange(len(plan)), plan.actions].min() > 0.99
+    assert {"policy", "verdicts", "proofs"} <= set(answer.spent)
+    assert sum(answer.spent.values()) <= answer.seconds
+
+
+def test_broken_weights_are_noticed(alone: Replanner) -> None:
+    import torch
+
+    policy = make()
+    with torch.no_grad():
+        next(policy.parameters()).fill_(torch.nan)
+    with pytest.raises(InputError, match="not finite"):
+        Replanner(ARCH, policy, alone.oracle).replan(COMPLETE)
+
+
+def test_policy_of_another_structure() -> None:
+    with pytest.raises(InputError, match="this policy is for 7"):
+        Replanner(load_structure("arch:blocks=7"), make())
+
+
+def test_oracle_of_another_structure(alone: Replanner) -> None:
+    with pytest.raises(InputError, match="make one of the latter"):
+        Replanner(load_structure("arch:blocks=7"), oracle=alone.oracle)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"robots": 0}, "at least 1"),
+        ({"alternatives": 0}, "ask for at least 1"),
+        ({"deadline": 0}, "give more than 0"),
+        ({"deadline": float("nan")}, "give more than 0"),
+        ({"target": [1, 1, 1, 1, 1]}, "expected"),
+        ({"fixed": [9]}, "fixed"),
+        ({"missing": [9]}, "missing"),
+        ({"missing": [2], "direction": Direction.ASSEMBLY}, "said to be missing, yet the state has it"),
+        ({"target": [2, 1, 1, 1, 1, 2, 2], "robots": 1}, ""),
+    ],
+)
+def test_bad_requests(options: dict[str, Any], words: str) -> None:
+    if not words:
+        replan(ARCH, COMPLETE, **options)
+        return
+    with pytest.raises(InputError, match=words) as caught:
+        replan(ARCH, COMPLETE, **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_target_on_both_sides_is_refused() -> None:
+    here, there = COMPLETE.copy(), COMPLETE.copy()
+    here[0], there[4] = REMOVED, REMOVED
+    with pytest.raises(StateError, match="not reachable: part voussoir-0 would have to be added and part voussoir-4"):
+        replan(ARCH, here, target=there)
+
+
+def test_no_legal_action_is_refused() -> None:
+    """The only robot holds a part that stays held, while others wait."""
+    state, target = COMPLETE.copy(), EMPTY.copy()
+    state[2] = target[2] = HELD
+    with pytest.raises(StateError, match=r"no action is legal in this state: voussoir-2 is held"):
+        replan(ARCH, state, target=target, robots=1)
+
+
+def test_works_without_torch() -> None:
+    """Search alone needs no torch; a policy says which extra brings it."""
+    program = (
+        "import sys; sys.modules['torch'] = None\n"
+        "import importlib.util as u; find = u.find_spec\n"
+        "u.find_spec = lambda name, *rest: None if name == 'torch' else find(name, *rest)\n"
+        "from falsework.assembly import load_structure\n"
+        "from falsework.assembly.state import complete_state\n"
+        "from falsework.learn.replan import replan\n"
+        "import falsework.learn.difference, falsework.learn.guide\n"
+        "arch = load_structure('arch:blocks=3')\n"
+        "assert replan(arch, complete_state(arch.boundary)).found\n"
+        "try:\n    replan(arch, complete_state(arch.boundary), policy=object())\n"
+        "except Exception as error:\n    print(type(error).__name__, error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "DependencyError" in done.stdout
+    assert "falsework[learn]" in done.stdout
+
+
+def test_interruption_is_passed_on(alone: Replanner, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody at the keyboard ends the work; nothing is found in the meantime."""
+
+    def interrupted(*_: Any, **__: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Planner, "_advance", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        alone.replan(COMPLETE)
+
+
+def test_errors_are_ours() -> None:
+    assert issubclass(StateError, FalseworkError)
