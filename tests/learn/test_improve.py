@@ -1,0 +1,169 @@
+"""Improvement: what is added is solvable, test states are left alone, and failures are searched from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from falsework.assembly import load_structure
+from falsework.assembly.state import HELD, REMOVED
+from falsework.errors import InputError
+from falsework.learn.answer import Decider
+from falsework.learn.environment import Environment
+from falsework.learn.group_beam import search_from
+from falsework.learn.improve import improve, solve_all
+from falsework.learn.policy import PolicySettings, make_policy
+from falsework.learn.solved import SolvedStates
+from falsework.search import ExhaustiveSearch, StateGraph
+from falsework.search.find import task_of
+from falsework.search.task import Task
+
+ARCH = load_structure("arch:blocks=5")
+
+
+@pytest.fixture(scope="module")
+def environment() -> Environment:
+    return Environment(ARCH, 2, device="cpu")
+
+
+@pytest.fixture(scope="module")
+def graph(environment: Environment) -> StateGraph:
+    """All states that the complete arch leads to, and whether each is solvable."""
+    return ExhaustiveSearch(task_of(ARCH), environment.oracle).run().graph  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def solvable(graph: StateGraph, environment: Environment) -> torch.Tensor:
+    return environment.rules.put(graph.states[graph.solvable])
+
+
+@pytest.fixture(scope="module")
+def policy() -> Any:
+    """Never trained, so that it fails often."""
+    return make_policy(ARCH, PolicySettings(kind="mlp"), seed=3)
+
+
+def rows(states: torch.Tensor) -> set[bytes]:
+    return {state.tobytes() for state in states.numpy()}
+
+
+def test_searches_agree_with_all_states(environment: Environment, graph: StateGraph, policy: Any) -> None:
+    """Wide enough, a search finds a way from exactly the states from which there is one; all on it are solvable."""
+    states = environment.rules.put(graph.states)
+    result = search_from(environment, policy, states, width=64)
+    np.testing.assert_array_equal(result.found.numpy(), graph.solvable)
+    assert rows(result.states) <= rows(states[torch.from_numpy(graph.solvable)])
+    for number in range(0, len(states), 7):
+        own = result.states[result.owner == number]
+        if graph.solvable[number]:
+            assert graph.states[number].tobytes() in rows(own)
+            assert task_of(ARCH).target.tobytes() in rows(own)
+        else:
+            assert len(own) == 0
+
+
+def test_searches_reach_targets(environment: Environment, graph: StateGraph, policy: Any) -> None:
+    """Every start with a target of its own; the truth is a search through all states between the two."""
+    pairs = [(a, b) for a in range(0, len(graph), 9) for b in range(0, len(graph), 11)]
+    starts, targets, truth = [], [], []
+    for a, b in pairs:
+        try:
+            task = Task.create(ARCH.boundary, 2, start=graph.states[a], target=graph.states[b])
+        except InputError:
+            continue
+        starts.append(graph.states[a])
+        targets.append(graph.states[b])
+        truth.append(ExhaustiveSearch(task, environment.oracle).run().result.found)
+    assert any(truth)
+    assert not all(truth)
+    put = environment.rules.put
+    found = search_from(environment, policy, put(np.array(starts)), put(np.array(targets)), width=64).found
+    assert found.tolist() == truth
+    solved = solve_all(environment, policy, put(np.array(starts)), put(np.array(targets)))
+    assert (solved.decided_by != Decider.NOBODY).tolist() == truth
+
+
+def test_what_is_learned_is_true(environment: Environment, solvable: torch.Tensor, policy: Any) -> None:
+    """All that a round adds is solvable, test states are never stored, and the numbers add up."""
+    solved = SolvedStates(environment.rules, solvable[::4])
+    solved.forbid(solvable[1::4])
+    before = len(solved)
+    found = improve(environment, policy, solved, solved.states, generator=environment.generator(0))
+    assert rows(solved.states) <= rows(solvable)
+    assert not rows(solved.states) & rows(solvable[1::4])
+    assert found.new_states == len(solved) - before > 0
+    assert found.starts == before
+    assert found.succeeded + found.searched <= found.starts
+    assert found.successes <= found.rollouts
+    assert found.found <= found.searched
+    assert found.met == solved.met > 0
+    assert found.as_dict()["rollouts"] == found.rollouts
+
+
+def test_starts_that_fail_are_played_more(environment: Environment, solvable: torch.Tensor, policy: Any) -> None:
+    """Two rollouts for a start that succeeds, two and `samples` for one that does not."""
+    solved = SolvedStates(environment.rules, solvable)
+    first = environment.rollout(policy, solvable)
+    good = solvable[first.success][:5]
+    assert improve(environment, policy, solved, good).rollouts == 10
+    bad = solvable[~first.success]
+    assert improve(environment, policy, solved, bad, samples=6).rollouts > 2 * len(bad)
+
+
+def test_searches_find_what_rollouts_do_not(environment: Environment, solvable: torch.Tensor) -> None:
+    """A policy that always errs succeeds nowhere, yet a search that it guides finds the ways."""
+
+    class Wrong(torch.nn.Module):
+        def forward(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> Any:
+            logits = torch.zeros(len(states), 2 * ARCH.part_count)
+            logits[:, ARCH.part_count] = 40.0  # takes the block at the foot out as soon as it is held ...
+            logits[:, 0] = 40.0  # ... which it soon is
+            return logits, torch.zeros(len(states))
+
+    solved = SolvedStates(environment.rules)
+    complete = environment.rules.complete()
+    found = improve(environment, Wrong(), solved, complete, width=16)
+    assert (found.succeeded, found.searched, found.found) == (0, 1, 1)
+    assert rows(complete) <= rows(solved.states) <= rows(solvable)
+
+
+def test_same_seed_same_round(environment: Environment, solvable: torch.Tensor, policy: Any) -> None:
+    rounds = []
+    for _ in range(2):
+        solved = SolvedStates(environment.rules, solvable[::3])
+        improve(environment, policy, solved, solved.states, generator=environment.generator(5))
+        rounds.append(solved.states)
+    assert torch.equal(*rounds)
+
+
+def test_everything_is_solved(environment: Environment, graph: StateGraph, solvable: torch.Tensor, policy: Any) -> None:
+    """Every solvable state gets a plan from somebody, and no other state does."""
+    solved = solve_all(environment, policy, solvable)
+    assert solved.share == 1.0
+    record = solved.record()
+    assert record["share"] == 1.0
+    assert sum(record["decided_by"].values()) == record["states"] == len(solvable)
+    hopeless = environment.rules.put(graph.states[~graph.solvable])
+    if len(hopeless):
+        assert solve_all(environment, policy, hopeless).share == 0.0
+    alone = solve_all(environment, policy, solvable, samples=0, widths=(), plain_limit=len(solvable))
+    assert alone.share == 1.0
+    assert alone.record()["decided_by"]["search"] > 0
+
+
+def test_bad_numbers(environment: Environment, solvable: torch.Tensor, policy: Any) -> None:
+    solved = SolvedStates(environment.rules, solvable)
+    with pytest.raises(InputError, match="at least 1 sample"):
+        improve(environment, policy, solved, solvable, samples=0)
+    with pytest.raises(InputError, match="width of 1"):
+        improve(environment, policy, solved, solvable, width=0)
+
+
+def test_the_graph_has_traps(graph: StateGraph) -> None:
+    """The tests above would be idle on a structure in which everything is solvable."""
+    assert not graph.solvable.all()
+    assert (graph.states[:, ARCH.boundary] == HELD).all()
+    assert (graph.states == REMOVED).any()
