@@ -13,6 +13,7 @@ sys.path.insert(0, str(HERE / "pictures"))
 import arch  # noqa: E402
 import diagrams  # noqa: E402
 import exits  # noqa: E402
+import force_torque  # noqa: E402
 import scaling  # noqa: E402
 from sheet import plan_of_a_vault  # noqa: E402
 
@@ -28,6 +29,7 @@ def main() -> None:
         "arches": arch.proofs,
         "state-graph": arch.state_graph,
         "clear-exits": exits.clear_exits,
+        "force-torque-graph": force_torque.force_torque_graph,
         "scaling": scaling.cost_against_parts,
     }
     for name in sys.argv[1:] or pictures:
