@@ -1,0 +1,49 @@
+"""Train somebody else's learner, sb3-contrib's MaskablePPO, to take a small arch apart.
+
+Run: pip install sb3-contrib, then: python examples/08_maskable_ppo.py
+"""
+
+from __future__ import annotations
+
+from falsework.assembly import load_structure
+from falsework.search import BeamSearch, BeamSettings, StateGraph, task_of
+from falsework.stability import Stability
+
+
+def main(steps: int = 4096) -> None:
+    """Learn from the states of a search, and count from how many of them the policy gets to the end."""
+    import gymnasium
+    from sb3_contrib import MaskablePPO
+
+    from falsework.learn.gymnasium_face import ID  # registers the environment
+
+    arch = load_structure("arch:blocks=5")
+    oracle = Stability(arch)
+    search = BeamSearch(task_of(arch), oracle, BeamSettings(width=16))
+    search.run()
+    graph = StateGraph.build(task_of(arch), search.states())
+
+    # Episodes begin at states of the graph: from the complete arch alone, chance hardly ever gets to the end.
+    environment = gymnasium.make(ID, structure=arch, starts=graph, oracle=oracle)
+    model = MaskablePPO("MlpPolicy", environment, n_steps=512, batch_size=128, learning_rate=2e-3, gamma=0.95, seed=0)
+
+    starts = graph.states[graph.solvable & (graph.level < graph.task.steps)]
+
+    def success() -> float:
+        done = 0
+        for state in starts:
+            observation, info = environment.reset(options={"start": state})
+            over = False
+            while not over:
+                action, _ = model.predict(observation, action_masks=info["action_mask"], deterministic=True)
+                observation, _, over, _, info = environment.step(action)
+            done += info["success"]
+        return done / len(starts)
+
+    print(f"before: {success():.0%} of {len(starts)} states solved")
+    model.learn(steps)
+    print(f"after {steps} steps: {success():.0%} of {len(starts)} states solved")
+
+
+if __name__ == "__main__":
+    main()
