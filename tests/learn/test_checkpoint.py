@@ -1,0 +1,163 @@
+"""Runs on disk: whole or not at all, and never mistaken for those of another version or structure."""
+
+from __future__ import annotations
+
+import errno
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
+
+from falsework.assembly import load_structure, save_assembly  # noqa: E402
+from falsework.errors import InputError  # noqa: E402
+from falsework.learn import checkpoint as module  # noqa: E402
+from falsework.learn.checkpoint import CheckpointFile, describe_structure, load_run, save_run  # noqa: E402
+from falsework.learn.policy import describe, make_policy  # noqa: E402
+from falsework.learn.policy_settings import PolicySettings  # noqa: E402
+from falsework.learn.settings import TrainSettings, as_json, from_json  # noqa: E402
+
+SETTINGS = TrainSettings(policy=PolicySettings("residual", channels=8, layers=1), widths=(4, 8), robots=3)
+
+
+@pytest.fixture(scope="module")
+def arch() -> Any:
+    return load_structure("arch:blocks=5")
+
+
+def metadata(assembly: Any, policy: Any, **source: Any) -> dict[str, Any]:
+    return {
+        "structure": describe_structure(assembly, source),
+        "settings": as_json(SETTINGS),
+        "policy": describe(policy),
+        "results": {},
+        "versions": {},
+    }
+
+
+@pytest.fixture
+def run(arch: Any, tmp_path: Path) -> Path:
+    policy = make_policy(arch, SETTINGS.policy, seed=3)
+    save_run(tmp_path / "run", policy, metadata(arch, policy, built_in="arch:blocks=5"))
+    return tmp_path / "run"
+
+
+def change(run: Path, **entries: Any) -> None:
+    content = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps({**content, **entries}))
+
+
+def test_a_run_comes_back_as_it_was(arch: Any, run: Path) -> None:
+    loaded = load_run(run)
+    expected = make_policy(arch, SETTINGS.policy, seed=3).state_dict()
+    assert loaded.settings == SETTINGS
+    assert loaded.assembly.identity == arch.identity
+    assert all(torch.equal(tensor, expected[name]) for name, tensor in loaded.policy.state_dict().items())
+    assert not loaded.policy.training
+    assert load_run(run, assembly=arch).assembly is arch
+
+
+def test_a_structure_on_disk_is_found_beside_the_run(arch: Any, tmp_path: Path) -> None:
+    save_assembly(arch, tmp_path / "here" / "my-arch")
+    assembly = load_structure(str(tmp_path / "here" / "my-arch"))
+    policy = make_policy(assembly, SETTINGS.policy)
+    save_run(tmp_path / "here" / "run", policy, metadata(assembly, policy, path="../my-arch"))
+    shutil.move(tmp_path / "here", tmp_path / "there")  # both together
+    assert load_run(tmp_path / "there" / "run").assembly.identity == assembly.identity
+    shutil.rmtree(tmp_path / "there" / "my-arch")
+    with pytest.raises(InputError, match=r"is not at .*my-arch any more; put it back"):
+        load_run(tmp_path / "there" / "run")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda run: change(run, format="falsework.run/2"), "has format 'falsework.run/2'; this version reads"),
+        (lambda run: change(run, extra=1), "unexpected or absent entries extra"),
+        (lambda run: change(run, settings={"robot": 2}), "'robot' is no setting of TrainSettings"),
+        (lambda run: change(run, settings={"robots": "two"}), "TrainSettings.robots is 'two'"),
+        (lambda run: change(run, settings={"imitation": {"batch": None}}), "ImitationSettings.batch is None"),
+        (lambda run: (run / "run.json").write_text("{"), "is damaged"),
+        (lambda run: (run / "run.json").unlink(), "is no run: it has no run.json"),
+        (lambda run: (run / "weights.safetensors").unlink(), "there is no file .*weights.safetensors"),
+        (lambda run: (run / "weights.safetensors").write_bytes(b"0" * 99), "weights.safetensors is damaged"),
+        (lambda run: shutil.rmtree(run), "there is no folder"),
+    ],
+)
+def test_what_is_no_run_is_refused(run: Path, spoil: Callable[[Path], Any], message: str) -> None:
+    spoil(run)
+    with pytest.raises(InputError, match=message) as caught:
+        load_run(run)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_run_of_another_structure_is_refused(run: Path) -> None:
+    with pytest.raises(InputError, match=r"another structure \(arch:blocks=5, 7 parts\) than arch:blocks=6"):
+        load_run(run, assembly=load_structure("arch:blocks=6"))
+    content = json.loads((run / "run.json").read_text())
+    change(run, structure={**content["structure"], "identity": "0" * 8})
+    with pytest.raises(InputError, match="was trained for another structure"):
+        load_run(run)
+
+
+def test_weights_of_another_network_are_refused(arch: Any, run: Path) -> None:
+    other = make_policy(arch, PolicySettings("mlp"))
+    save_run(run, other, metadata(arch, other, built_in="arch:blocks=5"))
+    with pytest.raises(InputError, match="weights of another network"):
+        load_run(run)
+
+
+def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whenever it fills up: at the first byte, in the middle, or when the file is renamed."""
+    file = CheckpointFile(tmp_path)
+    assert file.save({"x": torch.arange(5)}, {"step": 1}) == ""
+    good = file.path.read_bytes()
+    full = OSError(errno.ENOSPC, "No space left on device")
+
+    def no_room(path: Path, write: Any) -> None:
+        class Half:
+            def write(self, content: bytes) -> None:
+                raise full
+
+        write(Half())
+
+    monkeypatch.setattr(module, "write_whole", no_room)
+    assert "the disk is full; the last checkpoint stays" in file.save({"x": torch.arange(6)}, {"step": 2})
+    monkeypatch.undo()
+
+    def cannot_rename(*_: Any) -> None:
+        raise full
+
+    monkeypatch.setattr("os.replace", cannot_rename)
+    assert "the disk is full" in file.save({"x": torch.arange(6)}, {"step": 2})
+    monkeypatch.undo()
+    assert file.path.read_bytes() == good
+    assert [path.name for path in file.path.parent.iterdir()] == ["last.safetensors"]
+    tensors, state = file.load()
+    assert torch.equal(tensors["x"], torch.arange(5))
+    assert state == {"step": 1}
+
+
+def test_checkpoints_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
+    file = CheckpointFile(tmp_path)
+    with pytest.raises(InputError, match="nothing to resume"):
+        file.load()
+    file.save({"x": torch.arange(5)}, {})
+    content = file.path.read_bytes()
+    file.path.write_bytes(content[:-8])
+    with pytest.raises(InputError, match="is damaged"):
+        file.load()
+    file.path.write_bytes(content.replace(b"falsework.checkpoint/1", b"falsework.checkpoint/9"))
+    with pytest.raises(InputError, match=r"this version reads 'falsework.checkpoint/1'"):
+        file.load()
+
+
+def test_settings_survive_json() -> None:
+    assert from_json(TrainSettings, json.loads(json.dumps(as_json(SETTINGS)))) == SETTINGS
+    filled = SETTINGS.resolved(62, "cuda")
+    assert from_json(TrainSettings, json.loads(json.dumps(as_json(filled)))) == filled
+    assert filled.resolved(62, "cuda") == filled

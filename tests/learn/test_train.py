@@ -1,0 +1,311 @@
+"""Training as a whole: it learns, it resumes to the same curve, and nothing takes the last good state away."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
+safetensors = pytest.importorskip("safetensors.torch", reason="safetensors is not installed")
+
+from falsework.assembly import load_structure  # noqa: E402
+from falsework.errors import DependencyError, InputError  # noqa: E402
+from falsework.learn import checkpoint  # noqa: E402
+from falsework.learn import train as module  # noqa: E402
+from falsework.learn.checkpoint import load_run  # noqa: E402
+from falsework.learn.data import Dataset  # noqa: E402
+from falsework.learn.log import read_progress  # noqa: E402
+from falsework.learn.policy_settings import PolicySettings  # noqa: E402
+from falsework.learn.refine_settings import RefineSettings  # noqa: E402
+from falsework.learn.settings import (  # noqa: E402
+    METHODS,
+    ImitationSettings,
+    ImproveRounds,
+    PpoPhase,
+    RefinePhase,
+    TrainSettings,
+)
+from falsework.learn.train import TrainResult, train  # noqa: E402
+
+SMALL = TrainSettings(
+    method="search",
+    steps=40,
+    block=5,
+    widths=(8,),
+    evaluate_every=2,
+    evaluation_states=32,
+    policy=PolicySettings("residual", channels=16, layers=1),
+    imitation=ImitationSettings(batch=16),
+    improve=ImproveRounds(first=0.0, every=1, starts=10),
+    ppo=PpoPhase(rollouts=4),
+    refine=RefinePhase(settings=RefineSettings(rollouts=8, batch=16)),
+    patience=0,
+)
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> Any:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def arch() -> Any:
+    return load_structure("arch:blocks=7")
+
+
+def weights(folder: Path) -> dict[str, Any]:
+    return safetensors.load_file(folder / "weights.safetensors")
+
+
+def curve(folder: Path) -> list[dict[str, Any]]:
+    """Lines of progress.jsonl without what the clock says."""
+    return [{name: value for name, value in line.items() if name != "seconds"} for line in read_progress(folder)]
+
+
+def interrupted(arch: Any, settings: TrainSettings, folder: Path, at: int, **options: Any) -> TrainResult:
+    """Train, and be interrupted by a signal after so many blocks."""
+    blocks = 0
+    number = options.pop("number", signal.SIGINT)
+
+    def report(done: float, text: str) -> None:
+        nonlocal blocks
+        blocks += text.startswith("step")
+        if blocks == at:
+            blocks += 1
+            os.kill(os.getpid(), number)
+
+    return train(arch, settings, folder=folder, device="cpu", report=report, **options)
+
+
+def test_a_small_arch_is_learned_completely(tmp_path: Path) -> None:
+    """All states of a wider search than the ones that were learned from."""
+    arch = load_structure("arch:blocks=9")
+    policy = PolicySettings("parts", channels=32, layers=2, heads=4)
+    settings = TrainSettings(method="search", steps=320, policy=policy)
+    result = train(arch, settings, folder=tmp_path / "run", device="cpu")
+    assert result.test.states > 20
+    assert result.train.share == 1.0
+    assert result.test.share == 1.0
+    assert result.seconds < 60
+    assert not result.interrupted
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_two_pieces_are_one_run(arch: Any, method: Any, tmp_path: Path) -> None:
+    """To the last bit of the weights, and line by line of the curve; in every phase of every method."""
+    settings = replace(SMALL, method=method)
+    whole = train(arch, settings, folder=tmp_path / "whole", device="cpu")
+    piece = interrupted(arch, settings, tmp_path / "pieces", 1)
+    assert piece.interrupted
+    assert piece.steps == 5
+    piece = interrupted(arch, TrainSettings(), tmp_path / "pieces", 4, number=signal.SIGTERM, resume=True)
+    assert piece.steps == 25
+    rest = train(arch, TrainSettings(), folder=tmp_path / "pieces", device="cpu", resume=True)
+    assert not rest.interrupted
+    assert rest.steps == whole.steps == 40
+    assert rest.as_json()["test"] == whole.as_json()["test"]
+    assert rest.met_share == whole.met_share
+    expected = weights(tmp_path / "whole")
+    assert all(torch.equal(tensor, expected[name]) for name, tensor in weights(tmp_path / "pieces").items())
+    assert [line for line in curve(tmp_path / "pieces") if line["step"] % 10 == 0] == curve(tmp_path / "whole")
+
+
+def test_the_seed_decides(arch: Any, tmp_path: Path) -> None:
+    runs = {}
+    for name, seed in (("one", 0), ("two", 0), ("other", 1)):
+        train(arch, replace(SMALL, steps=10, seed=seed), folder=tmp_path / name, device="cpu")
+        runs[name] = weights(tmp_path / name)
+    assert all(torch.equal(tensor, runs["two"][name]) for name, tensor in runs["one"].items())
+    assert any(not torch.equal(tensor, runs["other"][name]) for name, tensor in runs["one"].items())
+    data = [Dataset.load(tmp_path / name / "data.npz", arch) for name in ("one", "other")]
+    assert (data[0].test == data[1].test).all()  # one test set for all seeds
+
+
+def test_after_a_crash_the_last_checkpoint_goes_on(arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after a power cut: nothing is written at the end, and lines of steps that are taken again are dropped."""
+    settings = replace(SMALL, checkpoint_every=0.0)
+    whole = train(arch, settings, folder=tmp_path / "whole", device="cpu")
+
+    class Crash(Exception):
+        pass
+
+    blocks = 0
+
+    def report(done: float, text: str) -> None:
+        nonlocal blocks
+        blocks += text.startswith("step")
+        if blocks == 6:
+            raise Crash
+
+    with pytest.raises(Crash):
+        train(arch, settings, folder=tmp_path / "run", device="cpu", report=report)
+    assert [line["step"] for line in curve(tmp_path / "run")] == [10, 20, 30]
+    rest = train(arch, TrainSettings(), folder=tmp_path / "run", device="cpu", resume=True)
+    assert rest.test == whole.test
+    expected = weights(tmp_path / "whole")
+    assert all(torch.equal(tensor, expected[name]) for name, tensor in weights(tmp_path / "run").items())
+    assert curve(tmp_path / "run") == curve(tmp_path / "whole")
+
+
+def test_a_disk_that_fills_up_costs_checkpoints_only(
+    arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Training goes on and says so; when it cannot save its result either, the last good checkpoint resumes."""
+    settings, whole = replace(SMALL, checkpoint_every=0.0), checkpoint.write_whole
+    expected = train(arch, settings, folder=tmp_path / "whole", device="cpu")
+    written = 0
+
+    def filling(path: Path, write: Any) -> None:
+        nonlocal written
+        written += 1
+        if written > 4:
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        whole(path, write)
+
+    monkeypatch.setattr(checkpoint, "write_whole", filling)
+    told: list[str] = []
+    with pytest.raises(InputError, match=r"cannot write .*: the disk is full; make room and train on with --resume"):
+        train(arch, settings, folder=tmp_path / "run", device="cpu", report=lambda _, text: told.append(text))
+    assert sum("the disk is full; the last checkpoint stays, training goes on" in text for text in told) >= 4
+    monkeypatch.undo()
+    rest = train(arch, TrainSettings(), folder=tmp_path / "run", device="cpu", resume=True)
+    assert rest.test == expected.test
+    again = weights(tmp_path / "whole")
+    assert all(torch.equal(tensor, again[name]) for name, tensor in weights(tmp_path / "run").items())
+
+
+def test_test_states_are_not_learned_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """None is stored, started from, or among mistakes and outcomes, whatever rollouts come across."""
+    arch = load_structure("arch:blocks=9")
+    kept: dict[str, Any] = {}
+    build = module._Trainer
+
+    def keep(*arguments: Any) -> Any:
+        kept["trainer"] = build(*arguments)
+        return kept["trainer"]
+
+    monkeypatch.setattr(module, "_Trainer", keep)
+    for method in ("search", "refine"):
+        result = train(arch, replace(SMALL, method=method), folder=tmp_path / method, device="cpu")
+        test = Dataset.load(tmp_path / method / "data.npz", arch).test
+        solved, environment = kept["trainer"]._solved, kept["trainer"]._environment
+        assert solved.forbidden == len(test) > 0
+        assert not solved.contains(torch.from_numpy(test)).any()
+        assert not solved.is_forbidden(solved.states).any()
+        for memory in (environment.mistakes, environment.outcomes):
+            assert not solved.is_forbidden(memory.tensors()["states"]).any()
+        assert 0 < result.met_share <= 1
+
+
+def test_the_papers_data_alone(arch: Any, tmp_path: Path) -> None:
+    settings = replace(SMALL, method="imitation", data="width64", steps=5)
+    result = train(arch, settings, folder=tmp_path / "run", device="cpu")
+    data = Dataset.load(tmp_path / "run" / "data.npz", arch)
+    assert len(data.more) == 0
+    assert result.solved == len(data.train)
+
+
+def test_minutes_are_kept(arch: Any, tmp_path: Path) -> None:
+    settings = replace(SMALL, steps=0, minutes=0.05, method="imitation")
+    result = train(arch, settings, folder=tmp_path / "run", device="cpu")
+    assert result.steps > 0
+    assert result.seconds < 20
+    more = train(arch, TrainSettings(minutes=0.08), folder=tmp_path / "run", device="cpu", resume=True)
+    assert more.steps > result.steps
+    assert more.seconds > result.seconds
+
+
+def test_the_run_can_be_used(arch: Any, tmp_path: Path) -> None:
+    train(arch, SMALL, folder=tmp_path / "run", device="cpu", source={"built_in": "arch:blocks=7"})
+    run = load_run(tmp_path / "run")
+    assert run.settings.steps == 40
+    assert run.metadata["results"]["steps"] == 40
+    assert set(run.metadata["results"]["test"]) == {"states", "success"}
+    assert list((tmp_path / "run" / "tensorboard").iterdir())
+    lines = read_progress(tmp_path / "run")
+    assert [line["step"] for line in lines] == [10, 20, 30, 40]
+    assert {"success/test", "success/train", "test_states_met", "train/loss"} <= set(lines[0])
+
+
+def test_without_tensorboard_there_is_a_note(arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    result = train(arch, replace(SMALL, steps=5), folder=tmp_path / "run", device="cpu")
+    assert any("tensorboard" in note for note in result.notes)
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    with pytest.raises(DependencyError, match="--log wandb needs wandb"):
+        train(arch, replace(SMALL, steps=5), folder=tmp_path / "other", device="cpu", logs=("wandb",))
+
+
+def test_folders_that_are_taken_and_runs_that_are_not_there(arch: Any, tmp_path: Path) -> None:
+    train(arch, replace(SMALL, steps=5), folder=tmp_path / "run", device="cpu", logs=())
+    with pytest.raises(InputError, match="holds a run already; go on with it by --resume"):
+        train(arch, SMALL, folder=tmp_path / "run", device="cpu")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.txt").write_text("years of work")
+    with pytest.raises(InputError, match="is there and is no run"):
+        train(arch, SMALL, folder=tmp_path / "other", device="cpu")
+    with pytest.raises(InputError, match="there is no folder"):
+        train(arch, SMALL, folder=tmp_path / "none", device="cpu", resume=True)
+    with pytest.raises(InputError, match="was trained for another structure"):
+        train(load_structure("arch:blocks=8"), SMALL, folder=tmp_path / "run", device="cpu", resume=True)
+    if not torch.cuda.is_available():
+        with pytest.raises(InputError, match="0 CUDA devices were found"):
+            train(arch, SMALL, folder=tmp_path / "gpu", device="cuda")
+
+
+@pytest.mark.parametrize("wrong", [{"method": "magic"}, {"data": "all"}, {"steps": -1}, {"seed": -1}, {"robots": 0}])
+def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InputError):
+        TrainSettings(**wrong)
+
+
+def free_port() -> int:
+    with socket.socket() as sock:
+        sock.bind(("127.0.0.1", 0))
+        return sock.getsockname()[1]
+
+
+@pytest.mark.parametrize("method", ["search", "refine"])
+@pytest.mark.skipif(
+    not (torch.distributed.is_available() and torch.distributed.is_gloo_available()), reason="this torch has no gloo"
+)
+def test_two_processes_are_one_training(method: str, tmp_path: Path) -> None:
+    """The same weights and known states in both, to the last bit; steps of the environment add up."""
+    common = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port()), "OMP_NUM_THREADS": "1"}
+    script = Path(__file__).with_name("distributed_training.py")
+    running = [
+        subprocess.Popen(
+            [sys.executable, str(script), str(tmp_path), method],
+            env={**os.environ, **common, "RANK": str(rank), "LOCAL_RANK": str(rank)},
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for rank in range(2)
+    ]
+    try:
+        for process in running:
+            _, error = process.communicate(timeout=100)
+            assert process.returncode == 0, error
+    finally:
+        for process in running:
+            process.kill()
+    one, two = (safetensors.load_file(tmp_path / f"{rank}.safetensors") for rank in range(2))
+    assert all(torch.equal(tensor, two[name]) for name, tensor in one.items())
+    numbers = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2)]
+    assert numbers[0]["environment"]["steps"] == sum(each["own_steps"] for each in numbers)
+    assert numbers[0]["test"] == numbers[1]["test"]
+    assert numbers[0]["processes"] == 2
+    assert load_run(tmp_path / "run").metadata["results"]["processes"] == 2
