@@ -256,3 +256,9 @@ def check_many(configurations, chain, bodies, obstacles, rules, work, found):
     """`first_hit` for a batch, shape (batch, joints), into `found`, shape (batch,)."""
     for i in range(len(configurations)):
         found[i] = first_hit(configurations[i], 0.0, chain, bodies, obstacles, rules, work)
+
+
+@nb.njit(**OUTER)
+def distance_between(a, b):
+    """A proven lower bound on the distance of two convex pieces, exact to 1e-6 of itself; 0 where they touch."""
+    return gap(a, 0, len(a), b, 0, len(b), 1e300, 0.0, np.zeros(3), np.empty((6, 3)))
