@@ -77,7 +77,8 @@ class Difference:
         elif self.common_steps:
             pieces.append(f"the first {self.common_steps} steps stay as they were")
         if self.first_new or self.first_old:
-            pieces.append(f"then {self.first_new or 'nothing'} instead of {self.first_old or 'nothing'}")
+            when = "then" if self.common_steps else "next"
+            pieces.append(f"{when} {self.first_new or 'nothing'} instead of {self.first_old or 'nothing'}")
         for move in self.moved[:_NAMED]:
             far, places = abs(move.places), "place" if abs(move.places) == 1 else "places"
             pieces.append(f"{move.name} comes {far} {places} {'later' if move.places > 0 else 'earlier'}")

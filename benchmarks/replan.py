@@ -1,0 +1,209 @@
+"""Time replanning, from the complete state and from the middle, with a policy and without: one JSON object a line.
+
+    python benchmarks/replan.py complete --runs my-run --structures vault-62
+    python benchmarks/replan.py midway --runs my-run --count 100
+    python benchmarks/replan.py deadline --structures dome-37 --deadlines 0.05 0.1 0.2 0.4
+    python benchmarks/replan.py batch --runs my-run --clients 16
+
+`complete`: a plan from the complete state to the empty one, once for each seed, each time with an oracle that has seen
+nothing yet. `midway`: the same from solvable states somewhere on the way, as a search of width 64 finds them; one
+oracle for all, as in a service. `deadline`: how late answers come, and how many hold a plan. `batch`: requests
+answered one by one and together. `seconds` are lists of quantiles (least, median, 95 %, largest) and count from the
+question to the plan of proven states; `load_seconds`, for loading kernels, structure and network, is apart.
+`decided_by` counts who found the plans. A structure is asked without a policy, a run with its own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+from states import find
+
+from falsework.assembly import Assembly, load_structure
+from falsework.assembly.state import States, complete_state
+from falsework.learn.replan import Replan, Replanner, Request
+from falsework.search import BeamSearch, BeamSettings, Task
+from falsework.stability import Stability, StabilitySettings
+
+TARGET = {"vault-62": {"cpu": 3.0, "cuda": 0.3}}
+"""Seconds asked for from the complete state, with a policy; the paper took 8."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to run."""
+
+    what: tyro.conf.Positional[Literal["complete", "midway", "deadline", "batch"]]
+    """Benchmark."""
+    structures: tuple[str, ...] = ()
+    """Names of real structures, built-in names or paths: asked without a policy."""
+    runs: tuple[str, ...] = ()
+    """Folders that `falsework train` wrote: asked with their policies."""
+    robots: int = 0
+    """Parts held at once; 0 for 2, or what a run was trained for."""
+    count: int = 50
+    """States in the middle."""
+    seeds: int = 10
+    """Repetitions from the complete state."""
+    deadlines: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4, 0.8)
+    """Seconds."""
+    clients: int = 16
+    """Requests that come together."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where policies are asked."""
+    solver: Literal["auto", "cpu", "gpu"] = "cpu"
+    """Who judges."""
+    threads: int = 1
+    """Threads of the network on the processor."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is asked."""
+
+    assembly: Assembly
+    policy: Any
+    name: str
+    robots: int
+    clear: bool
+
+    def replanner(self, options: Options) -> tuple[Replanner, float]:
+        """A replanner with an oracle that has seen nothing, and the seconds to make it."""
+        begun = time.perf_counter()
+        oracle = Stability(self.assembly, StabilitySettings(solver=options.solver))
+        replanner = Replanner(self.assembly, self.policy, oracle)
+        return replanner, time.perf_counter() - begun
+
+    def request(self, state: States, **more: Any) -> Request:
+        """Take down what is there."""
+        return Request(state, robots=self.robots, removable_only_if_clear=self.clear, **more)
+
+
+def cases(options: Options) -> Iterator[Case]:
+    """Structures without a policy, then runs."""
+    for name in options.structures or (() if options.runs else ("dome-37", "vault-62")):
+        yield Case(load_structure(find(name)), None, name, options.robots or 2, False)
+    if options.runs:
+        import torch
+
+        from falsework.learn.checkpoint import load_run
+
+        torch.set_num_threads(options.threads)
+        for folder in options.runs:
+            run = load_run(folder, options.device)
+            settings = run.settings
+            robots = options.robots or settings.robots
+            yield Case(run.assembly, run.policy, run.assembly.name, robots, settings.removable_only_if_clear)
+
+
+def quantiles(seconds: Sequence[float]) -> list[float]:
+    """Least, median, 95 %, largest."""
+    return [round(float(value), 4) for value in np.quantile(seconds, [0, 0.5, 0.95, 1])]
+
+
+def summary(answers: Sequence[Replan]) -> dict[str, Any]:
+    """Times, outcomes and deciders of some answers."""
+    spent: Counter[str] = Counter()
+    for answer in answers:
+        spent.update(answer.spent)
+    return {
+        "seconds": quantiles([answer.seconds for answer in answers]),
+        "found": sum(answer.found for answer in answers),
+        "decided_by": dict(Counter(answer.decided_by.value for answer in answers)),
+        "spent": {name: round(seconds / len(answers), 4) for name, seconds in spent.items()},
+        "verdicts": int(np.median([answer.verdicts for answer in answers])),
+    }
+
+
+def report(what: str, case: Case, options: Options, **values: Any) -> None:
+    """Print one line."""
+    record = {"benchmark": f"replan {what}", "structure": Path(case.name).name, "policy": case.policy is not None}
+    record |= {"robots": case.robots, "device": options.device, "solver": options.solver, **values}
+    record |= {"cores": os.cpu_count(), "machine": platform.machine(), "python": platform.python_version()}
+    print(json.dumps(record), flush=True)
+
+
+def complete(options: Options) -> None:
+    """From the complete state, with nothing remembered."""
+    for case in cases(options):
+        answers, load = [], []
+        for seed in range(options.seeds):
+            replanner, seconds = case.replanner(options)
+            load.append(seconds)
+            request = case.request(complete_state(case.assembly.boundary), seed=seed)
+            answers += replanner.replan_many([request])
+        target = TARGET.get(Path(case.name).name, {}).get(options.device)
+        proven = all(plan.validate(case.assembly).good for plan in answers[0].plans)
+        values = {"load_seconds": quantiles(load), "target_seconds": target, "exact_solver_agrees": proven}
+        report("complete", case, options, asked=len(answers), **summary(answers), **values)
+
+
+def middle(case: Case, count: int) -> States:
+    """Solvable states of all sizes."""
+    oracle = Stability(case.assembly)
+    task = Task.create(case.assembly.boundary, case.robots, clearance=case.assembly.clearance if case.clear else None)
+    beam = BeamSearch(task, oracle, BeamSettings(64))
+    beam.run()
+    states = beam.states()
+    states = states[(states != task.start).any(axis=1) & (states != task.target).any(axis=1)]
+    return states[np.random.default_rng(0).permutation(len(states))[:count]]
+
+
+def midway(options: Options) -> None:
+    """From states on the way."""
+    for case in cases(options):
+        replanner, load = case.replanner(options)
+        requests = [case.request(state, seed=n) for n, state in enumerate(middle(case, options.count))]
+        answers = [replanner.replan_many([request])[0] for request in requests]
+        report("midway", case, options, asked=len(answers), **summary(answers), load_seconds=round(load, 3))
+
+
+def deadline(options: Options) -> None:
+    """How late answers come."""
+    for case in cases(options):
+        states = middle(case, options.count)
+        for seconds in options.deadlines:
+            replanner, _ = case.replanner(options)
+            answers, taken = [], []
+            for seed, state in enumerate(states):
+                begun = time.perf_counter()
+                answers += replanner.replan_many([case.request(state, seed=seed, deadline=seconds)])
+                taken.append(time.perf_counter() - begun)
+            late = quantiles(np.maximum(np.array(taken) - seconds, 0).tolist())
+            report("deadline", case, options, asked=len(answers), deadline=seconds, late=late, **summary(answers))
+
+
+def batch(options: Options) -> None:
+    """One by one, and together."""
+    for case in cases(options):
+        states = middle(case, options.count)
+        for together in (1, options.clients):
+            replanner, _ = case.replanner(options)
+            answers: list[Replan] = []
+            begun = time.perf_counter()
+            for first in range(0, len(states), together):
+                piece = states[first : first + together]
+                answers += replanner.replan_many([case.request(state, seed=n) for n, state in enumerate(piece)])
+            rate = len(answers) / (time.perf_counter() - begun)
+            values = {"together": together, "answers_per_second": round(rate, 2)}
+            report("batch", case, options, asked=len(answers), **values, **summary(answers))
+
+
+def main() -> None:
+    """Run what was asked for."""
+    options = tyro.cli(Options, description=__doc__)
+    {"complete": complete, "midway": midway, "deadline": deadline, "batch": batch}[options.what](options)
+
+
+if __name__ == "__main__":
+    main()

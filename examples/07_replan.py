@@ -1,0 +1,43 @@
+"""Half-way up, a part is late and a robot breaks down: plan on from here, and say what changes.
+
+Run: python examples/07_replan.py
+"""
+
+from __future__ import annotations
+
+from falsework.assembly import load_structure
+from falsework.learn.difference import difference
+from falsework.learn.replan import Replanner
+from falsework.search import Task, find_plans
+from falsework.search.task import Direction
+
+
+def main() -> None:
+    """A dome that three robots build."""
+    dome = load_structure("dome:rings=3,blocks=6")
+    task = Task.create(dome.boundary, robots=3, identity=dome.identity)
+    old = find_plans(dome, task).plans[0].reverse()
+    replanner = Replanner(dome)  # hand in policy=load_run("my-run").policy once you have trained one
+
+    # Some steps are done when word comes that the next part to go in is late.
+    done = next(step for step in range(len(old) // 3, len(old)) if old.actions[step] >= dome.part_count)
+    state, late = old.states[done], int(old.actions[done]) - dome.part_count
+    answer = replanner.replan(state, missing=[late], robots=3)
+    new = answer.plans[0]
+    print(f"{dome.names[late]} is late; {answer.decided_by.value} has another plan after {answer.seconds:.2f} s:")
+    print(f"  {difference(old, new).text}")
+    for need in new.needs:
+        print(f"  {dome.names[need.part]} is needed after {need.after_parts} other parts")
+
+    # The next morning a robot is down as well, and answers are wanted within half a second.
+    few = next(step for step in range(4, len(new)) if (new.states[step][~dome.boundary] == 2).sum() <= 2)
+    answer = replanner.replan(new.states[few], direction=Direction.ASSEMBLY, robots=2, alternatives=3, deadline=0.5)
+    if not answer.found:
+        print(f"with two robots: {answer.outcome.value}, {answer.reason}")
+    for plan in answer.plans:
+        print(f"with two robots: {len(plan)} steps, first {plan.describe(0)}, then {plan.describe(1)}")
+        assert plan.validate(dome).good
+
+
+if __name__ == "__main__":
+    main()
