@@ -32,6 +32,7 @@ COMMANDS = {
     "train": "Train",
     "evaluate": "Evaluate",
     "replan": "MakeReplan",
+    "view": "View",
     "picture": "MakePicture",
     "animate": "Animate",
 }

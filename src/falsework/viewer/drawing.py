@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -60,10 +60,11 @@ def outlines(assembly: Assembly, axis: int) -> list[list[Array]]:
     # Seen along +y, x runs to the right; seen along -x, y does.
     drawn = []
     for mesh in assembly.meshes:
-        triangles = shapely.polygons(mesh.triangles[:, :, kept])
-        area = shapely.unary_union(triangles[shapely.area(triangles) > 0])
+        triangles: Any = shapely.polygons(mesh.triangles[:, :, kept])
+        area: Any = shapely.union_all([some for some in triangles if some.area > 0])
         pieces = [area] if area.geom_type == "Polygon" else list(area.geoms)
-        drawn.append([np.asarray(ring.coords)[:-1] for piece in pieces for ring in (piece.exterior, *piece.interiors)])
+        rings = [ring for piece in pieces for ring in (piece.exterior, *piece.interiors)]
+        drawn.append([np.asarray(ring.simplify(0.0).coords)[:-1] for ring in rings])
     return drawn
 
 

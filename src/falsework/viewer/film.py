@@ -140,7 +140,12 @@ def _write_mp4(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
             if writer is None:
                 height, width = picture.shape[:2]
                 writer = imageio_ffmpeg.write_frames(
-                    str(draft), (width, height), fps=rate, macro_block_size=2, quality=7, ffmpeg_log_level="error"
+                    str(draft),
+                    (width, height),
+                    fps=rate,  # type: ignore[arg-type]  # any number will do
+                    macro_block_size=2,
+                    quality=7,
+                    ffmpeg_log_level="error",
                 )
                 writer.send(None)
             writer.send(np.ascontiguousarray(picture))

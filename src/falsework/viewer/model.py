@@ -137,9 +137,12 @@ class Model:
                 marks=marks,
             )
 
-    def ghosts_of_target(self) -> Sequence[int]:
-        """Parts whose place in the target is not the usual one."""
-        return sorted(self.disruption.target)
+    @property
+    def pale(self) -> Sequence[int]:
+        """Absent parts that are shown all the same, palely, so that they can be clicked."""
+        if self.tool is Tool.LOOK:
+            return ()
+        return [int(part) for part in np.flatnonzero(self.site == REMOVED) if part not in self.disruption.missing]
 
     def labels(self, look: Look) -> dict[int, str]:
         """Short words at parts: who holds them, and what is marked."""
@@ -165,11 +168,11 @@ class Model:
         """
         with self.lock:
             look = self.look()
-            # What is marked as missing is drawn as wires and can be clicked again.
             opacity = look.opacity.copy()
             opacity[list(self.disruption.missing)] = 1.0
-            if self.tool is Tool.THERE:
-                opacity[:] = np.where(look.state == REMOVED, 1.0, 0.0) if self._absent_first(look) else 1.0
+            opacity[list(self.pale)] = 1.0
+            if self.tool is Tool.THERE:  # what stands already needs no such mark
+                opacity[self.state != REMOVED] = 0.0
             part = pick(self.assembly, replace(look, opacity=opacity), origin, ray)
             if part is not None:
                 self.click_part(part)
@@ -318,7 +321,3 @@ class Model:
 
         text = difference(old, new).text
         return text[:1].upper() + text[1:] + "."
-
-    def _absent_first(self, look: Look) -> bool:
-        """Whether clicks with the tool for parts that are there already should hit absent ones only."""
-        return bool((look.state == REMOVED).any())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import html
+import io
 import threading
 import time
 from collections.abc import Callable
@@ -24,8 +25,15 @@ LOCAL = ("localhost", "127.0.0.1", "::1")
 """Hosts that nobody else can reach."""
 FRAMES = 15.0
 """Frames a second of a plan that is played."""
-NO_MORE_THAN = 400.0
+NO_MORE_THAN = 400
 """Largest number of robots that can be asked for."""
+_GONE = """<span class="falsework-alive"></span><style>
+body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
+  content: "The server has gone. What you see is where it was; start falsework view again, and this page goes on.";
+  position: fixed; left: 1em; bottom: 1em; z-index: 10000; max-width: 28em; padding: 0.8em 1.2em;
+  background: #b2182b; color: white; font: 15px sans-serif; border-radius: 4px;
+}</style>"""
+"""Shown by the style sheet alone: viser disables the controls when it loses the server, which is all that it tells."""
 
 
 def import_viser() -> Any:
@@ -59,7 +67,8 @@ class Page:
         """
         viser = import_viser()
         try:
-            self.server = viser.ViserServer(host=host, port=port, verbose=False)
+            with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner where results belong
+                self.server = viser.ViserServer(host=host, port=port, verbose=False)
         except OSError as error:
             raise InputError(f"cannot listen at {host} port {port} ({error.strerror}); choose another") from None
         self.model = model
@@ -93,7 +102,8 @@ class Page:
         self._stop.set()
         self._playing.set()
         self._player.join(timeout=5)
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
 
     def wait(self) -> None:
         """Serve until interrupted."""
@@ -105,7 +115,7 @@ class Page:
         with self._lock, self.server.atomic():
             model = self.model
             look = model.look()
-            self.scene.show(look, missing=model.disruption.missing, labels=model.labels(look))
+            self.scene.show(look, missing=model.disruption.missing, pale=model.pale, labels=model.labels(look))
             self._show_proof()
             self._say()
 
@@ -123,10 +133,15 @@ class Page:
             "/floor", 3 * SIZE, 3 * SIZE, position=(0.0, 0.0, -0.002 * SIZE), cell_color=(228, 229, 231),
             section_color=(210, 212, 215), infinite_grid=False,
         )  # fmt: skip
+        scene.add_light_ambient("/ambient", color=(255, 255, 255), intensity=1.1)
+        # A little to the right of the middle, since the controls cover the right of the window.
+        aside = np.array([0.80, 0.60, 0.0]) * 0.17 * SIZE
+        middle = np.array([0.0, 0.0, 0.42 * self.scene.height])
         camera = self.server.initial_camera
-        camera.position = np.array([0.72, -0.80, 0.55]) * SIZE
-        camera.look_at = np.array([0.0, 0.0, 0.16 * SIZE])
-        camera.fov = np.radians(45.0)
+        camera.position = np.array([0.90, -1.20, 0.80]) * SIZE + middle + aside
+        camera.look_at = middle + aside
+        camera.fov = np.radians(36.0)
+        gui.add_html(_GONE)
 
     def _controls(self) -> None:
         gui, model = self.server.gui, self.model
@@ -247,6 +262,7 @@ class Page:
 
     def _tool_changed(self) -> None:
         self.model.tool = Tool(self._tool.value)
+        self.refresh()
 
     def _robots_changed(self) -> None:
         self.model.set_robots(int(self._robots.value))
@@ -313,7 +329,7 @@ class Page:
             else:
                 with self._lock, self.server.atomic():
                     look = model.look()
-                    self.scene.show(look, missing=model.disruption.missing, labels=model.labels(look))
+                    self.scene.show(look, missing=model.disruption.missing, pale=model.pale, labels=model.labels(look))
             if model.place >= len(model.timeline):
                 self._playing.clear()
                 self._play_button.label = "Play"
@@ -325,9 +341,11 @@ class Page:
         kinds = [kind for kind, toggle in self._toggles.items() if toggle.value]
         if not kinds:
             self.scene.show_arrows({}, {})
+            self.scene.see_through(False)
             return
         proof = self.model.proof()
         chosen = {kind: some for kind, some in proof.arrows.items() if kind in kinds}
+        self.scene.see_through(bool(chosen))
         self.scene.show_arrows(chosen, proof.moved if "motion" in kinds else {})
 
     def _say(self) -> None:
@@ -370,8 +388,9 @@ class Page:
             for color, words in entries
         )
         if model.show_chances:
+            scale = f"linear-gradient(to right,{','.join(RAMP)})"
             boxes += (
-                f"<div style='height:0.8em;margin-top:0.5em;background:linear-gradient(to right,{','.join(RAMP)})'></div>"
+                f"<div style='height:0.8em;margin-top:0.5em;background:{scale}'></div>"
                 "<div style='display:flex;justify-content:space-between'><span>0 %</span>"
                 "<span>probability of the action on a part</span><span>100 %</span></div>"
             )

@@ -30,6 +30,7 @@ CHUNK = 32
 EDGES_UP_TO = 400
 """Parts up to which sharp edges are drawn as lines; above, parts are drawn a little smaller instead."""
 _SHRUNK = 0.985
+_PALE = 0.18
 _SHARP = np.cos(np.radians(25.0))
 
 
@@ -49,6 +50,7 @@ class Scene:
         self.scale = SIZE / diagonal(assembly)
         low, high = bounds_of(assembly)
         self.origin = np.array([*(low + high)[:2] / 2, low[2]])
+        self.height = float(high[2] - low[2]) * self.scale
         shrink = _SHRUNK if assembly.part_count > EDGES_UP_TO else 1.0
         self._vertices = [
             self.place(center + shrink * (mesh.vertices - center)).astype(np.float32)
@@ -62,6 +64,7 @@ class Scene:
         self._nodes: dict[str, Any] = {}
         self._ghosts: dict[int, tuple[bytes, Any]] = {}
         self._labels: dict[int, tuple[str, Any]] = {}
+        self._opacity: float | None = None
         self.order(timeline)
 
     def order(self, timeline: Timeline) -> None:
@@ -79,12 +82,20 @@ class Scene:
         """From a ray of the scene to one in metres."""
         return np.asarray(origin, dtype=float) / self.scale + self.origin, np.asarray(direction, dtype=float)
 
-    def show(self, look: Look, *, missing: Iterable[int] = (), labels: Mapping[int, str] | None = None) -> int:
+    def show(
+        self,
+        look: Look,
+        *,
+        missing: Iterable[int] = (),
+        pale: Iterable[int] = (),
+        labels: Mapping[int, str] | None = None,
+    ) -> int:
         """Bring the parts up to date.
 
         Args:
             look: how they are seen.
             missing: parts drawn as wires.
+            pale: absent parts that are hinted at.
             labels: short words at parts.
 
         Returns:
@@ -100,9 +111,9 @@ class Scene:
             else:
                 red, green, blue = look.color[part].tolist()
                 wanted.setdefault(f"/parts/colour/{red:02x}{green:02x}{blue:02x}", []).append(part)
-        gone = sorted(int(part) for part in missing)
-        if gone:
-            wanted["/parts/missing"] = gone
+        for name, parts in (("/parts/missing", missing), ("/parts/pale", pale)):
+            if chosen := sorted(int(part) for part in parts):
+                wanted[name] = chosen
         sent = 0
         for name, parts in wanted.items():
             sent += self._merge(name, parts)
@@ -148,6 +159,16 @@ class Scene:
             )  # fmt: skip
             self._keep("/motion", points.tobytes(), node)
 
+    def see_through(self, wanted: bool) -> None:
+        """Make the parts see-through, so that arrows inside them are seen, or solid again."""
+        opacity = 0.4 if wanted else None
+        if opacity == self._opacity:
+            return
+        self._opacity = opacity
+        for name, (_, nodes) in self._nodes.items():
+            if name.startswith("/parts/") and name != "/parts/pale":
+                nodes[0].opacity = opacity
+
     @property
     def node_count(self) -> int:
         """Nodes that the browser draws now."""
@@ -160,13 +181,20 @@ class Scene:
         first = np.cumsum([0, *(len(self._vertices[part]) for part in parts)])
         vertices = np.concatenate([self._vertices[part] for part in parts])
         faces = np.concatenate([self._faces[part] + start for part, start in zip(parts, first, strict=False)])
-        missing, standing = name.endswith("missing"), name.startswith("/parts/standing")
-        digits = MISSING if missing else INSTALLED if standing else f"#{name[-6:]}"
+        missing, pale, standing = name == "/parts/missing", name == "/parts/pale", name.startswith("/parts/standing")
+        digits = MISSING if missing else INSTALLED if standing or pale else f"#{name[-6:]}"
         node = self._scene.add_mesh_simple(
-            name, vertices, faces.astype(np.uint32), color=rgb(digits), flat_shading=not missing, wireframe=missing
+            name,
+            vertices,
+            faces.astype(np.uint32),
+            color=rgb(digits),
+            flat_shading=not missing,
+            wireframe=missing,
+            opacity=_PALE if pale else self._opacity,
+            cast_shadow=not (missing or pale),
         )
         nodes = [node]
-        if self._lined and not missing:
+        if self._lined and not (missing or pale):
             lines = np.concatenate([self._edges[part] for part in parts])
             nodes.append(
                 self._scene.add_line_segments(f"/edges{name}", lines, rgb(INK), thickness=1.4, thickness_units="screen")

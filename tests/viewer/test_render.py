@@ -1,18 +1,11 @@
-"""The renderer behind the pictures in the documentation."""
+"""The renderer behind all pictures."""
 
 from __future__ import annotations
-
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-pytest.importorskip("matplotlib", reason="pictures need matplotlib; pip install 'falsework[picture]'")
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "docs" / "pictures"))
-
-from render import Camera, Solid, render
-from sheet import robots_of
+from falsework.viewer.render import Camera, Solid, render
 
 BOX = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -55,16 +48,24 @@ def test_a_box_casts_a_shadow_on_the_floor() -> None:
     assert (lit[grey] > 0.99).mean() > 0.9  # where the shadow falls there is light without the box
 
 
-def test_a_robot_keeps_its_part() -> None:
-    boundary = np.array([True, False, False, False])
-    states = np.array(
-        [[2, 1, 1, 1], [2, 2, 1, 1], [2, 2, 2, 1], [2, 0, 2, 1], [2, 0, 2, 2], [2, 0, 0, 2]], dtype=np.uint8
+def test_a_ghost_lets_through_what_is_behind() -> None:
+    camera = Camera(azimuth=0.0, elevation=1.0, width=81, height=61)
+    ghost = Solid(BOX - [0, 5.0, 0], FACES, RED, 0.5)
+    behind = Solid(BOX + [0, 5.0, 0], FACES, BLUE)
+    alone, both = (render(solids, camera, BOUNDS, floor=False)[30, 40] for solids in ([ghost], [ghost, behind]))
+    only_blue = render([behind], camera, BOUNDS, floor=False)[30, 40]
+    # Half of the ghost's own colour and half of what is there without it.
+    np.testing.assert_allclose(both - 0.5 * only_blue, alone - 0.5, atol=1e-9)
+    hidden = render(
+        [Solid(ghost.vertices + [0, 8.0, 0], FACES, RED, 0.5), Solid(BOX - [0, 5.0, 0], FACES, BLUE)],
+        camera,
+        BOUNDS,
+        floor=False,
+    )[30, 40]
+    np.testing.assert_allclose(
+        hidden, render([Solid(BOX - [0, 5.0, 0], FACES, BLUE)], camera, BOUNDS, floor=False)[30, 40]
     )
-    robots = robots_of(states, boundary)
-    assert (robots[:, 0] == -1).all()
-    assert robots[1:3, 1].tolist() == [0, 0]
-    assert robots[2:5, 2].tolist() == [1, 1, 1]
-    assert robots[4:, 3].tolist() == [0, 0]  # the robot that was free
-    for row in robots:
-        held = row[row >= 0]
-        assert len(set(held)) == len(held)
+
+
+def test_nothing_to_see_is_white() -> None:
+    assert (render([], Camera(width=20, height=10), BOUNDS, floor=False) == 1.0).all()

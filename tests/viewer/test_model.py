@@ -1,0 +1,224 @@
+"""What a click does and what the page knows, without a browser."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from falsework.assembly.state import HELD, INSTALLED, REMOVED
+from falsework.errors import InputError, StateError
+from falsework.search import Direction
+from falsework.viewer.disruption import Disruption, Tool, chance_of_parts
+from falsework.viewer.model import Model
+from falsework.viewer.palette import FIXED, SELECTED, ramp, rgb
+from falsework.viewer.timeline import Timeline
+
+ABOVE, DOWN = np.array([0.0, 0.0, 10.0]), np.array([0.0, 0.0, -1.0])
+
+
+@pytest.fixture
+def model(arch, timeline) -> Model:
+    return Model(timeline, plan=arch[1].reverse())
+
+
+def over(model: Model, part: int) -> np.ndarray:
+    return model.assembly.mass.center[part] + ABOVE
+
+
+def test_going_beyond_the_end_is_the_end(model: Model) -> None:
+    model.go_to(1e9)
+    assert model.place == len(model.timeline)
+    model.go_to(-3)
+    assert model.place == 0
+
+
+def test_turning_keeps_the_state(model: Model) -> None:
+    model.go_to(3)
+    before = model.state.copy()
+    model.turn(Direction.DISASSEMBLY)
+    np.testing.assert_array_equal(model.state, before)
+    assert model.place == len(model.timeline) - 3
+    model.turn(Direction.DISASSEMBLY)  # nothing to do
+    assert model.place == len(model.timeline) - 3
+
+
+def test_a_click_selects_and_a_click_beside_forgets(model: Model) -> None:
+    model.go_to(len(model.timeline))
+    top = int(np.argmax(model.assembly.mass.center[:, 2]))
+    assert model.click(over(model, top), DOWN) == top
+    assert model.selected == top
+    assert tuple(model.look().color[top]) == rgb(SELECTED)
+    facts = dict(model.about(top))
+    assert facts["mass"] == f"{model.assembly.mass.mass[top]:.4g} kg"
+    assert "robot" in facts["held by"]
+    assert facts["now"] == "stands by itself"
+    assert model.click(np.array([99.0, 0, 9]), DOWN) is None
+    assert model.selected is None
+
+
+def test_about_a_boundary_part(model: Model) -> None:
+    part = int(np.argmax(model.assembly.boundary))
+    facts = dict(model.about(part))
+    assert facts["now"] == "boundary"
+    assert facts["held by"] == "nobody"
+
+
+@pytest.mark.parametrize(("tool", "field"), [(Tool.MISSING, "missing"), (Tool.FIXED, "fixed"), (Tool.TARGET, "target")])
+def test_a_tool_marks_and_unmarks(model: Model, tool: Tool, field: str) -> None:
+    """Absent parts too: they are shown palely while a tool is chosen."""
+    model.tool = tool
+    assert set(model.pale) == set(np.flatnonzero(model.state == REMOVED).tolist())
+    top = int(np.argmax(model.assembly.mass.center[:, 2]))
+    model.click(over(model, top), DOWN)
+    assert getattr(model.disruption, field) == {top}
+    assert model.assembly.names[top] in model.disruption.words(model.assembly)
+    assert top in model.labels(model.look())
+    model.click(over(model, top), DOWN)
+    assert model.disruption.empty
+
+
+def test_what_is_there_already_was_absent_before(model: Model) -> None:
+    model.tool = Tool.THERE
+    model.click_part(1)
+    assert model.site[1] == INSTALLED
+    assert model.look().opacity[1] == 1.0
+    model.tool = Tool.MISSING
+    model.click_part(1)  # it cannot be both
+    assert model.disruption == Disruption(missing=frozenset({1}), robots=2)
+    assert model.site[1] == REMOVED
+
+
+def test_fixed_parts_are_dark(model: Model) -> None:
+    model.go_to(len(model.timeline))
+    model.tool = Tool.FIXED
+    model.click_part(2)
+    model.selected = None
+    assert tuple(model.look().color[2]) == rgb(FIXED)
+
+
+def test_boundary_cannot_be_marked(model: Model) -> None:
+    model.tool = Tool.MISSING
+    with pytest.raises(InputError, match="boundary"):
+        model.click_part(int(np.argmax(model.assembly.boundary)))
+    assert model.disruption.empty
+
+
+def test_marks_ask_for_a_proof_of_their_own(model: Model) -> None:
+    """Every state of a plan stands; without the part that carries the rest it does not."""
+    model.go_to(len(model.timeline))
+    assert model.proof().stable
+    model.tool = Tool.MISSING
+    model.click_part(2)
+    assert not model.proof().stable
+    model.clear_marks()
+    assert model.proof().stable
+
+
+def test_the_question_in_assembly() -> None:
+    from falsework.assembly import load_structure
+
+    arch = load_structure("arch:blocks=5")
+    state = np.array([1, 1, 0, 0, 0, 2, 2], dtype=np.uint8)
+    marks = Disruption(missing=frozenset({2}), there=frozenset({4}), fixed=frozenset({0}), robots=3)
+    question = marks.question(arch, state, Direction.ASSEMBLY)
+    assert question["state"].tolist() == [1, 1, 0, 0, 1, 2, 2]
+    assert question["target"].tolist() == [1, 1, 1, 1, 1, 2, 2]
+    assert question["missing"] == (2,)
+    assert question["fixed"] == (0,)
+    assert question["robots"] == 3
+    left_out = Disruption(target=frozenset({3}), missing=frozenset({3})).question(arch, state, Direction.ASSEMBLY)
+    assert left_out["target"].tolist() == [1, 1, 1, 0, 1, 2, 2]
+    assert left_out["missing"] == ()  # what is left out is not waited for
+
+
+def test_the_question_in_disassembly() -> None:
+    from falsework.assembly import load_structure
+
+    arch = load_structure("arch:blocks=5")
+    state = np.array([1, 2, 1, 0, 1, 2, 2], dtype=np.uint8)
+    marks = Disruption(missing=frozenset({4}), target=frozenset({0, 1, 3}), fixed=frozenset({2}))
+    question = marks.question(arch, state, Direction.DISASSEMBLY)
+    assert question["state"].tolist() == [1, 2, 1, 0, 0, 2, 2]
+    assert question["target"].tolist() == [1, 2, 1, 0, 0, 2, 2]
+    assert question["missing"] == ()
+
+
+def test_replanning_around_a_missing_part_and_back(model: Model) -> None:
+    old = model.timeline
+    model.go_to(4)
+    here = model.state.copy()
+
+    absent = [part for part in range(5) if here[part] == REMOVED]
+    model.tool = Tool.MISSING
+    model.click_part(absent[0])
+    site = model.site.copy()
+    model.set_robots(3)
+    answer = model.replan()
+    assert answer.found, answer.words
+    assert "decided by" in answer.words
+    assert answer.seconds > 0
+    assert answer.plan is not None
+    assert answer.plan.missing == (absent[0],)
+    assert answer.plan.robots == 3
+    assert answer.plan.validate(model.assembly).good
+    np.testing.assert_array_equal(model.state, site)
+    assert model.place == 0
+    assert model.disruption == Disruption(robots=3)
+    assert model.can_go_back
+    model.go_back()
+    assert model.timeline is old
+    assert model.place == 4
+    assert not model.can_go_back
+
+
+def test_a_question_without_an_answer_says_why(model: Model) -> None:
+    """One robot cannot close an arch: the state before the keystone needs two."""
+    model.set_robots(1)
+    answer = model.replan()
+    assert not answer.found
+    assert answer.plan is None
+    assert "there is no plan" in answer.words
+    assert not model.can_go_back
+
+
+def test_a_senseless_question_is_refused(model: Model) -> None:
+    place = next(
+        p for p in range(len(model.timeline) + 1) if (model.timeline.states[model.timeline.row(p)] == HELD).sum() == 4
+    )
+    model.go_to(place)
+    model.set_robots(1)
+    with pytest.raises(StateError, match="held"):
+        model.replan()
+
+
+def test_a_structure_without_a_plan_gets_one(arch) -> None:
+    assembly, plan = arch
+    still = Timeline.still(assembly, plan.states[-1])
+    model = Model(still)
+    answer = model.replan()
+    assert answer.found
+    assert "no plan before" in answer.words
+    assert len(model.timeline) == len(plan)
+
+
+def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
+    assembly, plan = arch
+    model = Model(Timeline.of(plan, assembly), plan=plan, policy=policy)
+    chances = model.chances()
+    assert np.isfinite(chances).sum() == (model.state == INSTALLED).sum()
+    assert np.nansum(chances) == pytest.approx(1.0)
+    look = model.look()
+    part = int(np.nanargmax(chances))
+    assert tuple(look.color[part]) == tuple(ramp(chances[part]))
+    assert dict(model.about(part))["policy"].startswith("hold it with")
+    visited = model.visited(4)
+    assert (visited[:, assembly.boundary] == HELD).all()
+    assert (visited == plan.states[0]).all(axis=1).any()
+    from falsework.stability import Stability
+
+    assert Stability(assembly).judge(visited).stable.all()
+
+
+def test_chances_of_parts() -> None:
+    chances = chance_of_parts(np.array([0.2, 0.0, 0.0, 0.0, 0.8, 0.0]))
+    np.testing.assert_allclose(chances, [0.2, 0.8, np.nan])

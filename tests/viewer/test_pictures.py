@@ -1,0 +1,277 @@
+"""Contact sheets, line drawings, films and state graphs as files, and every wrong input in one line."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from falsework.assembly import load_structure
+from falsework.cli.main import main
+from falsework.errors import InputError
+from falsework.search import Plan
+from falsework.search.graph import StateGraph
+from falsework.viewer.drawing import drawing, flat_axis, outlines
+from falsework.viewer.film import frame_places
+from falsework.viewer.graph_picture import covered, graph_figure, places_of
+from falsework.viewer.palette import BOUNDARY, ROBOTS, SELECTED
+from falsework.viewer.timeline import Timeline
+
+pil = pytest.importorskip("PIL.Image", reason="pictures need Pillow; pip install 'falsework[picture]'")
+pytest.importorskip("matplotlib", reason="pictures need Matplotlib; pip install 'falsework[picture]'")
+
+Run = Callable[..., tuple[int, str]]
+
+
+@pytest.fixture
+def plan_file(arch, tmp_path: Path) -> Path:
+    """A plan of the arch as `falsework plan` writes it."""
+    from dataclasses import replace
+
+    path = tmp_path / "plan.json"
+    replace(arch[1], source={"built_in": "arch:blocks=5"}).save(path)
+    return path
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run the command; exit code and what went to the error stream."""
+
+    def call(*words: Any) -> tuple[int, str]:
+        capsys.readouterr()
+        code = main([str(word) for word in words])
+        return code, capsys.readouterr().err
+
+    return call
+
+
+def pixels(path: Path) -> np.ndarray:
+    return np.asarray(pil.open(path).convert("RGB"))
+
+
+def has(picture: np.ndarray, color: str) -> bool:
+    """Whether a legend in this very colour is in a picture."""
+    value = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
+    return int((picture == value).all(axis=2).sum()) > 100
+
+
+def test_contact_sheet(plan_file: Path, run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "sheet.png"
+    assert run("picture", plan_file, "--out", out, "--frames", 6, "--columns", 3, "--width", 160) == (0, "")
+    picture = pixels(out)
+    assert picture.shape[1] == 3 * 160
+    assert has(picture, BOUNDARY)
+    assert has(picture, ROBOTS[0])
+    assert not has(picture, SELECTED)
+
+
+def test_one_step_and_its_forces(plan_file: Path, run: Run, tmp_path: Path) -> None:
+    plain, forces = tmp_path / "plain.png", tmp_path / "forces.png"
+    last = len(Plan.load(plan_file))
+    assert run("picture", plan_file, "--step", last, "--width", 300, "--out", plain) == (0, "")
+    assert run("picture", plan_file, "--step", last, "--width", 300, "--forces", "--out", forces) == (0, "")
+    assert (pixels(plain) != pixels(forces)).any()
+
+
+def test_same_plan_same_picture(plan_file: Path, run: Run, tmp_path: Path) -> None:
+    for name in ("one.png", "two.png"):
+        assert run("picture", plan_file, "--step", 2, "--width", 200, "--out", tmp_path / name)[0] == 0
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_a_line_drawing_covers_what_the_parts_do() -> None:
+    """The outlines of a part seen from the front enclose its volume divided by its depth."""
+    arch = load_structure("arch:blocks=7,depth=0.5")
+    assert flat_axis(arch) == 1
+    for part, lines in enumerate(outlines(arch, 1)):
+        depth = np.ptp(arch.meshes[part].vertices[:, 1])
+        area = 0.0
+        for line in lines:
+            area += abs(np.sum(line[:, 0] * np.roll(line[:, 1], -1) - line[:, 1] * np.roll(line[:, 0], -1)) / 2)
+        assert area == pytest.approx(arch.mass.volume[part] / depth, rel=1e-6)
+
+
+def test_line_drawing_as_svg(plan_file: Path, run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "arch.svg"
+    assert run("picture", plan_file, "--svg", "--out", out) == (0, "")
+    tree = ElementTree.fromstring(out.read_text())
+    titles = [node.text for node in tree.iter("{http://www.w3.org/2000/svg}title")]
+    assert set(titles) == set(load_structure("arch:blocks=5").names)
+    numbers = [float(n) for d in re.findall(r'd="(M[^"]+Z)"', out.read_text()) for n in re.findall(r"[\d.]+", d)]
+    width = float(tree.get("width", "0"))
+    assert numbers
+    assert max(numbers) <= max(width, float(tree.get("height", "0")))
+
+
+def test_a_round_structure_has_no_line_drawing(run: Run, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not two-dimensional"):
+        flat_axis(load_structure("dome:rings=2,blocks=6"))
+    code, error = run("picture", "dome:rings=2,blocks=6", "--svg", "--out", tmp_path / "dome.svg")
+    assert code == 2
+    assert "leave --svg out" in error
+    assert not (tmp_path / "dome.svg").exists()
+
+
+def test_names_are_escaped(arch) -> None:
+    from dataclasses import replace
+
+    assembly = arch[0]
+    odd = replace(assembly, meshes=tuple(replace(mesh, name=f"<{mesh.name}>") for mesh in assembly.meshes))
+    still = Timeline.still(odd, arch[1].states[0])
+    ElementTree.fromstring(drawing(still, [0]))
+
+
+def test_films(plan_file: Path, run: Run, tmp_path: Path) -> None:
+    gif, mp4 = tmp_path / "plan.gif", tmp_path / "plan.mp4"
+    options = ("--width", 120, "--rate", 4, "--seconds", 0.25)
+    steps = len(Plan.load(plan_file))
+    assert run("animate", plan_file, "--out", gif, *options) == (0, "")
+    film = pil.open(gif)
+    assert film.n_frames == steps + 1
+    assert film.size[0] == 120
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="MP4 needs imageio-ffmpeg")
+    assert run("animate", plan_file, "--out", mp4, *options) == (0, "")
+    frames = imageio_ffmpeg.read_frames(str(mp4))
+    about = next(frames)
+    assert about["size"][0] == 120
+    assert sum(1 for _ in frames) == steps + 1 + 2 * 3  # first and last stay for a second
+
+
+def test_frames_pass_every_state_and_end_at_the_end() -> None:
+    places = frame_places(5, 0.5, 6.0)
+    assert places[0] == 0.0
+    assert places[-1] == 5.0
+    assert set(range(6)) <= set(places)
+    assert frame_places(0, 0.5, 6.0) == [0.0]
+
+
+@pytest.fixture(scope="module")
+def graph() -> StateGraph:
+    """All states of an arch of four blocks."""
+    from falsework.search.exhaustive import ExhaustiveSearch
+    from falsework.search.task import Task
+    from falsework.stability import Stability
+
+    arch = load_structure("arch:blocks=4,thickness=0.3")
+    task = Task.create(arch.boundary, 2, identity=arch.identity)
+    found = ExhaustiveSearch(task, Stability(arch)).run().graph
+    return StateGraph.build(task, found.states, name=arch.name)
+
+
+def test_a_graph_has_a_column_a_level_and_no_two_states_in_one_place(graph: StateGraph) -> None:
+    place = places_of(graph)
+    assert len(np.unique(place, axis=0)) == len(graph)
+    np.testing.assert_array_equal(place[:, 0], graph.task.steps - graph.level)
+    assert (place[graph.source, 0] == place[graph.target, 0] + 1).all()
+
+
+def test_sorting_rows_crosses_less(graph: StateGraph, monkeypatch: pytest.MonkeyPatch) -> None:
+    def crossings(place: np.ndarray) -> int:
+        count = 0
+        ends = np.stack([place[graph.source], place[graph.target]], axis=1)
+        for k in range(len(ends)):
+            same = ends[k + 1 :][ends[k + 1 :, 0, 0] == ends[k, 0, 0]]
+            count += int((((same[:, 0, 1] - ends[k, 0, 1]) * (same[:, 1, 1] - ends[k, 1, 1])) < 0).sum())
+        return count
+
+    sorted_ones = crossings(places_of(graph))
+    monkeypatch.setattr("falsework.viewer.graph_picture._SWEEPS", 0)
+    assert sorted_ones < crossings(places_of(graph))
+
+
+def test_coverage_counts_states_of_the_graph_alone(graph: StateGraph) -> None:
+    foreign = np.full((1, graph.states.shape[1]), 2, dtype=np.uint8)
+    seen = covered(graph, np.concatenate([graph.states[[0, 3, 3]], foreign]))
+    assert np.flatnonzero(seen).tolist() == sorted(
+        {0, 3} | set(np.flatnonzero((graph.states == 2).all(axis=1)).tolist())
+    )
+
+
+def test_picture_of_a_graph(graph: StateGraph, run: Run, tmp_path: Path) -> None:
+    graph.save(tmp_path / "graph.npz")
+    for name in ("graph.png", "graph.svg"):
+        options = ("--svg",) if name.endswith("svg") else ()
+        assert run("picture", tmp_path / "graph.npz", *options, "--out", tmp_path / name) == (0, "")
+        assert (tmp_path / name).stat().st_size > 1000
+    assert graph_figure(graph, visited=graph.states[:5]).axes
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (("picture", "PLAN", "--step", "99"), "step 99 is not there"),
+        (("picture", "PLAN", "--step", "-1"), "step -1 is not there"),
+        (("picture", "PLAN", "--frames", "0"), "at least 1"),
+        (("picture", "PLAN", "--columns", "0"), "at least 1"),
+        (("picture", "PLAN", "--width", "5"), "80 to 8000"),
+        (("picture", "PLAN", "--forces"), "--step"),
+        (("picture", "PLAN", "--svg", "--out", "x.png"), "do not fit"),
+        (("picture", "nowhere.json"), "nowhere"),
+        (("picture", "BROKEN"), "JSON"),
+        (("picture", "OTHER"), "nothing to look at"),
+        (("picture", "PLAN", "--structure", "arch:blocks=6"), "parts"),
+        (("picture", "arch:blocks=5", "--structure", "arch"), "leave --structure out"),
+        (("picture", "PLAN", "--out", "no/such/folder/x.png"), "folder"),
+        (("animate", "PLAN", "--out", "x.avi"), ".mp4 or .gif"),
+        (("animate", "PLAN", "--seconds", "0"), "above zero"),
+        (("animate", "PLAN", "--rate", "0"), "pictures a second"),
+        (("animate", "PLAN", "--width", "9"), "80 to 4000"),
+        (("animate", "arch:blocks=5"), "no steps to play"),
+        (("view", "PLAN", "--port", "70000"), "no port"),
+        (("view", "PLAN", "--robots", "0"), "robots"),
+        (("view", "PLAN", "--deadline", "0"), "deadline"),
+        (("view", "PLAN", "--host", ""), "--host"),
+        (("view", "nowhere.npz"), "nowhere"),
+        (("view", "EMPTY"), "mesh"),
+    ],
+)  # fmt: skip
+def test_wrong_input_gets_one_line(
+    words: tuple[str, ...], hint: str, plan_file: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broken.json").write_text('{"format": ')
+    (tmp_path / "other.json").write_text('{"format": "falsework.census/1"}')
+    (tmp_path / "empty").mkdir()
+    places = {"PLAN": plan_file, "BROKEN": "broken.json", "OTHER": "other.json", "EMPTY": "empty"}
+    before = sorted(tmp_path.rglob("*"))
+    code, error = run(*(places.get(word, word) for word in words))
+    assert code == 2, error
+    assert error.count("\n") == 1, error
+    assert hint in error, error
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_graph_of_another_structure_is_refused(graph: StateGraph, run: Run, tmp_path: Path) -> None:
+    graph.save(tmp_path / "graph.npz")
+    code, error = run("view", tmp_path / "graph.npz", "--structure", "arch:blocks=5")
+    assert code == 2
+    assert "another structure" in error
+
+
+@pytest.mark.parametrize(
+    ("module", "command", "extra"),
+    [
+        ("viser", ("view", "arch:blocks=5"), "falsework[viewer]"),
+        ("PIL", ("picture", "arch:blocks=5"), "falsework[picture]"),
+        ("imageio_ffmpeg", ("animate", "PLAN", "--width", "80", "--rate", "1"), "falsework[picture]"),
+    ],
+)
+def test_a_missing_package_names_its_extra(
+    module: str, command: tuple[str, ...], extra: str, plan_file: Path, tmp_path: Path
+) -> None:
+    import sys
+
+    words = [str(plan_file) if word == "PLAN" else word for word in command]
+    program = (
+        f"import sys; sys.modules[{module!r}] = None\nfrom falsework.cli.main import main; sys.exit(main({words!r}))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert extra in done.stderr

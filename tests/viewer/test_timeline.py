@@ -1,0 +1,139 @@
+"""A plan as something to look at."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from falsework.assembly import load_structure
+from falsework.assembly.state import HELD, REMOVED
+from falsework.errors import PlanError
+from falsework.search import Direction
+from falsework.viewer.look import FADE, look_at, pick
+from falsework.viewer.palette import BOUNDARY, ramp, rgb, robot_color
+from falsework.viewer.timeline import NOBODY, Timeline, holders, interesting, way_out
+
+
+def test_a_robot_keeps_its_part() -> None:
+    boundary = np.array([True, False, False, False])
+    states = np.array(
+        [[2, 1, 1, 1], [2, 2, 1, 1], [2, 2, 2, 1], [2, 0, 2, 1], [2, 0, 2, 2], [2, 0, 0, 2]], dtype=np.uint8
+    )
+    robots = holders(states, boundary)
+    assert (robots[:, 0] == NOBODY).all()
+    assert robots[1:3, 1].tolist() == [0, 0]
+    assert robots[2:5, 2].tolist() == [1, 1, 1]
+    assert robots[4:, 3].tolist() == [0, 0]  # the robot that was free
+    for row in robots:
+        held = row[row >= 0]
+        assert len(set(held)) == len(held)
+
+
+def test_both_orders_show_the_same_states(arch) -> None:
+    assembly, plan = arch
+    apart, together = Timeline.of(plan, assembly), Timeline.of(plan.reverse(), assembly)
+    assert apart.direction is Direction.DISASSEMBLY
+    assert together.direction is Direction.ASSEMBLY
+    for place in range(len(plan) + 1):
+        np.testing.assert_array_equal(apart.states[apart.row(place)], plan.states[place])
+        np.testing.assert_array_equal(together.states[together.row(place)], plan.reverse().states[place])
+    turned = apart.turned(Direction.ASSEMBLY)
+    assert [turned.words(step) for step in range(len(plan))] == [
+        plan.reverse().describe(step) for step in range(len(plan))
+    ]
+
+
+def test_who_holds_when_is_what_the_states_say(timeline) -> None:
+    for part in range(timeline.assembly.part_count):
+        held = {place for _, first, last in timeline.held_when(part) for place in range(first, last + 1)}
+        expected = {
+            place
+            for place in range(len(timeline) + 1)
+            if timeline.states[timeline.row(place), part] == HELD and not timeline.assembly.boundary[part]
+        }
+        assert held == expected
+
+
+def test_ways_out_are_those_of_the_clearance_table(timeline) -> None:
+    for part in np.flatnonzero(timeline.removal_step >= 0):
+        assert np.linalg.norm(timeline.ways[part]) == pytest.approx(1.0)
+        state = timeline.states[timeline.removal_step[part]]
+        np.testing.assert_array_equal(timeline.ways[part], timeline.assembly.clearance.exit_direction(state, part))
+
+
+def test_a_guessed_way_out_leads_away_from_what_is_touched(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("falsework.viewer.timeline.EXACT_UP_TO", 0)
+    stack = load_structure("stack:blocks=4")
+    state = np.where(stack.boundary, 2, 1).astype(np.uint8)
+    top = int(np.argmax(stack.mass.center[:, 2]))
+    np.testing.assert_allclose(way_out(stack, state, top), [0, 0, 1], atol=1e-9)
+    alone = np.where(stack.boundary, 2, 0).astype(np.uint8)
+    np.testing.assert_allclose(way_out(stack, alone, top), [0, 0, 1], atol=1e-9)
+
+
+def test_a_plan_of_another_structure_is_refused(arch) -> None:
+    with pytest.raises(PlanError, match="parts"):
+        Timeline.of(arch[1], load_structure("arch:blocks=6"))
+
+
+def test_colours_are_those_of_state_and_robots(timeline) -> None:
+    for place in range(len(timeline) + 1):
+        look = look_at(timeline, place, travelling=False)
+        state = timeline.states[timeline.row(place)]
+        np.testing.assert_array_equal(look.opacity > 0, state != REMOVED)
+        for part in range(len(state)):
+            if timeline.assembly.boundary[part]:
+                assert tuple(look.color[part]) == rgb(BOUNDARY)
+            elif state[part] == HELD:
+                assert tuple(look.color[part]) == rgb(robot_color(int(look.holder[part])))
+
+
+def test_a_part_fades_out_along_its_way(arch) -> None:
+    assembly, plan = arch
+    timeline = Timeline.of(plan, assembly)
+    step = int(timeline.removal_step.max())
+    part = int(np.argmax(timeline.removal_step))
+    first = int(
+        np.flatnonzero(timeline.removal_step >= 0)[np.argmin(timeline.removal_step[timeline.removal_step >= 0])]
+    )
+    begin = int(timeline.removal_step[first])
+    places = begin + np.linspace(0, FADE, 9)
+    looks = [look_at(timeline, place) for place in places]
+    opacity = [look.opacity[first] for look in looks]
+    assert opacity[0] == 1.0
+    assert opacity[-1] == 0.0
+    assert (np.diff(opacity) < 0).all()
+    along = [look.shift[first] @ timeline.ways[first] for look in looks[:-1]]
+    assert (np.diff(along) > 0).all()
+    assert looks[4].ghosts.tolist() == [first] or first in looks[4].ghosts
+    assert look_at(timeline, step + 1).opacity[part] < 1.0
+
+
+def test_probabilities_colour_only_what_can_be_acted_on(timeline) -> None:
+    chances = np.full(timeline.assembly.part_count, np.nan)
+    chances[2] = 0.75
+    place = len(timeline)
+    plain, asked = look_at(timeline, place), look_at(timeline, place, chances=chances)
+    assert tuple(asked.color[2]) == tuple(ramp(0.75))
+    np.testing.assert_array_equal(np.delete(asked.color, 2, 0), np.delete(plain.color, 2, 0))
+
+
+def test_a_ray_hits_the_nearest_part_that_is_seen(timeline) -> None:
+    assembly = timeline.assembly
+    look = look_at(timeline, len(timeline))
+    above = np.array([0.0, 0.0, 10.0])
+    keystone = int(np.argmax(assembly.mass.center[:, 2]))
+    hit = pick(assembly, look, assembly.mass.center[keystone] + above, np.array([0.0, 0.0, -2.0]))
+    assert hit == keystone
+    assert pick(assembly, look, assembly.mass.center[keystone] + above, np.array([0.0, 0.0, 1.0])) is None
+    assert pick(assembly, look, np.array([50.0, 0.0, 10.0]), np.array([0.0, 0.0, -1.0])) is None
+    empty = look_at(timeline, 0, travelling=False)
+    assert pick(assembly, empty, assembly.mass.center[keystone] + above, np.array([0.0, 0.0, -1.0])) is None
+
+
+def test_chosen_places_begin_at_the_beginning_and_end_at_the_end(timeline) -> None:
+    chosen = list(interesting(timeline, 5))
+    assert chosen[0] == 0
+    assert chosen[-1] == len(timeline)
+    assert chosen == sorted(set(chosen))
+    assert list(interesting(timeline, 1000)) == sorted(set(interesting(timeline, 1000)))
