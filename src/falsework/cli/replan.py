@@ -39,7 +39,7 @@ class MakeReplan(Command):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework replan arch:blocks=5 --state complete --out replan.json",
-        "falsework replan arch:blocks=5 --state 2100022 --missing 3 --robots 3 --out replan.json",
+        "falsework replan arch:blocks=5 --state 1000022 --missing 2 --out replan.json",
     )
 
     structure: StructureOptions
