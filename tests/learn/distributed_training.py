@@ -30,7 +30,7 @@ def main() -> None:
         improve=ImproveRounds(first=0.0, every=1, starts=10),
     )
     kept = {}
-    trainer = module._Trainer
+    trainer = module.Trainer
 
     class Kept(trainer):  # type: ignore[misc, valid-type]
         """Shows the trainer of each process to this script."""
@@ -39,7 +39,7 @@ def main() -> None:
             super().__init__(*arguments)  # type: ignore[arg-type]
             kept["trainer"] = self
 
-    module._Trainer = Kept  # type: ignore[misc]
+    module.Trainer = Kept  # type: ignore[misc]
     folder = Path(sys.argv[1])
     with joined("cpu"):
         result = train(load_structure("arch:blocks=7"), settings, folder=folder / "run", device="cpu", logs=())

@@ -191,13 +191,13 @@ def test_test_states_are_not_learned_from(tmp_path: Path, monkeypatch: pytest.Mo
     """None is stored, started from, or among mistakes and outcomes, whatever rollouts come across."""
     arch = load_structure("arch:blocks=9")
     kept: dict[str, Any] = {}
-    build = module._Trainer
+    build = module.Trainer
 
     def keep(*arguments: Any) -> Any:
         kept["trainer"] = build(*arguments)
         return kept["trainer"]
 
-    monkeypatch.setattr(module, "_Trainer", keep)
+    monkeypatch.setattr(module, "Trainer", keep)
     for method in ("search", "refine"):
         result = train(arch, replace(SMALL, method=method), folder=tmp_path / method, device="cpu")
         test = Dataset.load(tmp_path / method / "data.npz", arch).test

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.learn.distributed import summed
@@ -16,6 +17,8 @@ from falsework.learn.rollout import Policy
 from falsework.search.shards import Shards
 from falsework.search.tensors import put
 
+Sets = Mapping[str, tuple[States, States | None]]
+"""States, and targets if there are any, by the name of the set, such as `train` and `test`."""
 Report = Callable[[int, int, str], None]
 """Told what is done, what there is to do, and words."""
 
@@ -39,8 +42,8 @@ class Success:
         return {"states": self.states, "success": round(self.share, 6)}
 
 
-def sample(states: States, count: int, seed: int = 0) -> States:
-    """At most `count` states, always the same ones, in the order in which they are given. Shape (count, parts)."""
+def sample(states: NDArray[Any], count: int, seed: int = 0) -> NDArray[Any]:
+    """At most `count` rows, always the same ones, in the order in which they are given; all if it is 0."""
     if count <= 0 or len(states) <= count:
         return states
     return states[np.sort(np.random.default_rng(seed).permutation(len(states))[:count])]
@@ -101,7 +104,7 @@ class EvaluateSettings:
 def evaluate(
     environment: Environment,
     policy: Policy,
-    sets: Mapping[str, States],
+    sets: Sets,
     settings: EvaluateSettings = EvaluateSettings(),
     *,
     shards: Shards = Shards(),
@@ -112,7 +115,7 @@ def evaluate(
     Args:
         environment: rules and verdicts.
         policy: what is evaluated.
-        sets: states by the name of the set, such as `train` and `test`, each of shape (count, parts).
+        sets: states, and targets if there are any, of shape (count, parts).
         settings: how many states, and whether to search.
         shards: processes that share the greedy rollouts.
         report: told how far it is.
@@ -124,15 +127,17 @@ def evaluate(
     from falsework.learn.improve import solve_all
 
     results: dict[str, Any] = {}
-    for number, (name, states) in enumerate(sets.items()):
+    for number, (name, (states, targets)) in enumerate(sets.items()):
         if report is not None:
             report(number, len(sets), f"{len(states)} {name} states")
-        chosen = put(sample(states, settings.states), environment.device)
-        success, _ = greedy_success(environment, policy, chosen, shards=shards)
+        rows = sample(np.arange(len(states)), settings.states)
+        chosen = put(states[rows], environment.device)
+        aims = None if targets is None else put(targets[rows], environment.device)
+        success, _ = greedy_success(environment, policy, chosen, aims, shards=shards)
         results[name] = success.as_json()
         if settings.search and name == "test":
             if report is not None:
                 report(number, len(sets), f"search from {name} states")
             generator = environment.generator(settings.seed)
-            results[name]["search"] = solve_all(environment, policy, chosen, generator=generator).record()
+            results[name]["search"] = solve_all(environment, policy, chosen, aims, generator=generator).record()
     return results

@@ -105,6 +105,8 @@ class TrainSettings:
     """`width64`: the paper's training set alone; `wide`: that and the states of wider searches."""
     widths: tuple[int, ...] = ()
     """Widths of the wider searches; none given: by the number of parts and the device."""
+    pairs: int = 20_000
+    """Pairs of state and target drawn from each search, for a policy of two states."""
     data_seed: int = 0
     """Of the searches: training runs with different seeds share one test set."""
     minutes: float = 0.0
@@ -148,6 +150,8 @@ class TrainSettings:
             raise InputError("minutes and steps are not negative; leave them out for the defaults")
         if self.seed < 0 or self.data_seed < 0:
             raise InputError("seeds are not negative")
+        if self.policy.two_states and self.method in ("search", "ppo-complete"):
+            raise InputError(f"method {self.method} knows no targets; choose refine, imitation, ppo or imitation+ppo")
         if self.robots < 1:
             raise InputError(f"{self.robots} robots cannot hold anything; give at least 1")
 

@@ -120,8 +120,9 @@ class WatchedEnvironment(Environment):
     ) -> Step:
         """As `Environment.step`."""
         step = super().step(states, actions, targets, check=check)
-        if self._watching and self.solved is not None and targets is None:
+        if self._watching and self.solved is not None:
             self.solved.meet(step.states)
+        if self._watching and self.solved is not None and targets is None:
             wrong = (step.unstable & ~self.solved.is_forbidden(states)).nonzero()[:, 0]
             self.mistakes.add(states=states[wrong], actions=actions[wrong].long())
         return step

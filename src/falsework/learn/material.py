@@ -1,0 +1,132 @@
+"""What one training run learns from and is tested on, on one device: states, or states with targets."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from falsework.assembly.model import Assembly
+from falsework.learn.checkpoint import DATA
+from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
+from falsework.learn.evaluate import Sets, sample
+from falsework.learn.hindsight import Pairs, TargetDataset, TargetDataSettings, target_dataset
+from falsework.learn.imitation import TargetSamples
+from falsework.learn.settings import TrainSettings
+from falsework.search.shards import Shards
+from falsework.search.tensor_judge import TensorOracle
+from falsework.search.tensors import put
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """Data of a run as tensors."""
+
+    starts: torch.Tensor
+    """States to start from, shape (count, parts)."""
+    targets: torch.Tensor | None
+    """Target of each, shape (count, parts)."""
+    samples: TargetSamples | None
+    """Pairs with valid actions, where there are targets."""
+    test: torch.Tensor
+    """States that are not to be learned from, shape (count, parts)."""
+    curve: Sets
+    """Fixed samples of training and test states, for the curve."""
+    seconds: float
+    """What it took to get them."""
+
+
+def find_material(
+    assembly: Assembly,
+    settings: TrainSettings,
+    oracle: TensorOracle,
+    *,
+    device: torch.device,
+    shards: Shards = Shards(),
+    folder: Path | None = None,
+    kept: bool = False,
+    dataset: Dataset | None = None,
+    report: Callable[[str], None] | None = None,
+    note: Callable[[str], None] | None = None,
+) -> Material:
+    """Search for states, or read those that an earlier piece of the run found.
+
+    Args:
+        assembly: the structure.
+        settings: filled in.
+        oracle: verdicts.
+        device: where the data is to be.
+        shards: processes that search together.
+        folder: of the run, where states are kept.
+        kept: read them if they are there.
+        dataset: states to use instead.
+        report: told how far a search is.
+        note: told what went wrong that does not matter much.
+    """
+    begun = time.perf_counter()
+    count = settings.evaluation_states
+    if settings.policy.two_states:
+        pairs = find_pairs(assembly, settings, oracle, device=device, shards=shards)
+        both = [pairs.train, pairs.more]
+        states, targets, valid = (
+            put(np.concatenate([getattr(piece, name) for piece in both]), device)
+            for name in ("states", "targets", "valid")
+        )
+        return Material(
+            states,
+            targets,
+            TargetSamples(states, targets, valid),
+            put(pairs.test_states, device),
+            {"train": _some(pairs.train, count), "test": _some(pairs.test, count)},
+            time.perf_counter() - begun,
+        )
+    path = None if folder is None else folder / DATA
+    if kept and path is not None and path.exists():
+        data = Dataset.load(path, assembly)
+    else:
+        task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
+        searches = DataSettings(widths=_widths(settings), seed=settings.data_seed)
+        data = dataset or build_dataset(
+            assembly, task, searches, oracle=oracle, device=str(device), shards=shards, report=report
+        )
+        if shards.first and path is not None:
+            try:
+                data.save(path)
+            except OSError as error:
+                if note is not None:
+                    note(f"cannot keep {path}: {error.strerror}; a resumed run searches again")
+    return Material(
+        put(np.concatenate([data.train, data.more]), device),
+        None,
+        None,
+        put(data.test, device),
+        {"train": (sample(data.train, count), None), "test": (sample(data.test, count), None)},
+        time.perf_counter() - begun,
+    )
+
+
+def find_pairs(
+    assembly: Assembly,
+    settings: TrainSettings,
+    oracle: TensorOracle,
+    *,
+    device: torch.device,
+    shards: Shards = Shards(),
+) -> TargetDataset:
+    """Pairs of states and targets that a run with targets learns from and is tested on; always the same ones."""
+    task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
+    searches = TargetDataSettings(widths=_widths(settings), pairs=settings.pairs, seed=settings.data_seed)
+    return target_dataset(assembly, task, searches, oracle=oracle, device=str(device), shards=shards)
+
+
+def _widths(settings: TrainSettings) -> tuple[int, ...]:
+    return settings.widths if settings.data == "wide" else ()
+
+
+def _some(pairs: Pairs, count: int) -> tuple[np.ndarray, np.ndarray]:
+    rows = sample(np.arange(len(pairs)), count)
+    return pairs.states[rows], pairs.targets[rows]
