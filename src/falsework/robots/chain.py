@@ -53,21 +53,22 @@ def make_chain(model: RobotModel, base: Array) -> Chain:
 def make_bodies(
     robot: CellRobot, carried: Carried | None, part_names: Sequence[str]
 ) -> tuple[Bodies, list[str], list[int]]:
-    """Everything that moves with a robot.
+    """Everything of a robot; its base rides on frame 0, which does not move.
 
     Returns:
-        The pieces, their names, and what each belongs to: a link, `joints + 1` the gripper, `joints + 2` the part.
+        The pieces, their names, and what each belongs to: a link (0 is the base), `joints + 1` the gripper,
+        `joints + 2` the part.
     """
     model = robot.model
     joints, turn = model.joints, turns(model)
     last = np.swapaxes(turn[-1], 0, 1)  # a rotation: its inverse
     names, kinds, frames, shapes = [], [], [], []
-    for link in range(1, joints + 1):
+    for link in range(joints + 1):
         for piece in model.pieces[link]:
             names.append(model.link_names[link])
             kinds.append(link)
             frames.append(link)
-            shapes.append(move(np.swapaxes(turn[link - 1], 0, 1), piece))
+            shapes.append(move(np.swapaxes(turn[link - 1], 0, 1), piece) if link else np.array(piece))
     mounted = [("gripper", joints + 1, piece) for piece in robot.gripper.pieces]
     if carried is not None:
         mounted += [(f"part {part_names[carried.part]}", joints + 2, piece) for piece in carried.pieces]

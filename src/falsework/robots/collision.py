@@ -32,10 +32,10 @@ class Chain(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """Convex pieces that move with the joints."""
+    """Convex pieces of a robot and of what it carries."""
 
     frame: NDArray[np.int64]
-    """Frame that carries the piece: 1 for what the first joint moves, shape (bodies,)."""
+    """Frame that carries the piece: 0 for the base, 1 for what the first joint moves, shape (bodies,)."""
     start: NDArray[np.int64]
     """Rows of `vertices` of piece b are `start[b]:start[b + 1]`."""
     vertices: Array

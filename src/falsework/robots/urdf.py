@@ -102,17 +102,14 @@ def always_touching(model: RobotModel, seed: int = 0) -> set[tuple[int, int]]:
     robot = CellRobot("arm", model, np.eye(4), bare, model.home, np.zeros((0, 4, 4)))
     bodies, _, kinds = make_bodies(robot, None, ())
     links = np.array(kinds)
-    obstacles, _ = make_obstacles([model.pieces[0]])
+    obstacles, _ = make_obstacles([])
     chain = make_chain(model, np.eye(4))
-    tried = [(0, int(link)) for link in np.unique(links) if (0, int(link)) not in model.ignored]
-    tried += sorted({(int(links[a]), int(links[b])) for a, b in self_pairs(model, links)})
+    pairs = self_pairs(model, links)
     found = set()
     hits = np.empty(SAMPLES, np.int64)
-    for a, b in tried:
-        base = np.zeros((len(links), len(obstacles.low)), bool)
-        base[links == b] = a == 0
-        pairs = [(i, j) for i in np.flatnonzero(links == a) for j in np.flatnonzero(links == b)] if a else []
-        rules = Rules(base, np.array(pairs, np.int64).reshape(-1, 2), -1e9, np.zeros(len(links), bool), 0.0)
+    for a, b in sorted({(int(links[i]), int(links[j])) for i, j in pairs}):
+        tried = np.array([(i, j) for i, j in pairs if (links[i], links[j]) == (a, b)], np.int64)
+        rules = Rules(np.zeros((len(links), 0), bool), tried, -1e9, np.zeros(len(links), bool), 0.0)
         check_many(configurations, chain, bodies, obstacles, rules, make_work(chain, bodies, obstacles, rules), hits)
         if (hits >= 0).mean() >= ALWAYS:
             found.add((a, b))

@@ -214,9 +214,10 @@ class CollisionWorld:
         entry = self.cell.robots[robot]
         held = self.carried(robot, scene)
         bodies, names, kinds = make_bodies(entry, held, self.parts.names)
-        stands: list[tuple[str, int, Pieces]] = []  # name, part or -1 own base, -2 anything else
+        stands: list[tuple[str, int, Pieces]] = []  # name, part or -2 for anything else
         for index, (name, pieces) in enumerate(self._static):
-            stands.append((name, -1 if index == robot else -2, pieces))
+            if index != robot:
+                stands.append((name, -2, pieces))
         for other in range(self.cell.robot_count):
             if other != robot:
                 stands += [(name, -2, (piece,)) for name, _, piece in self.robot_pieces(other, scene)]
@@ -230,11 +231,11 @@ class CollisionWorld:
         pair = np.ones((len(kinds), len(owner)), bool)
         links = np.array(kinds)
         joints = entry.model.joints
-        near_base = [b for a, b in entry.model.ignored if a == 0]
-        pair[np.ix_(np.isin(links, near_base), label == -1)] = False
+        pair[links == 0] = False  # the base stands; robots are checked against it when they move
         pair[np.ix_(links == joints + 1, np.isin(label, list(contact.gripper)))] = False
         pair[np.ix_(links == joints + 2, np.isin(label, list(contact.carried)))] = False
         on_floor = np.full(len(kinds), self.cell.floor is not None)
+        on_floor[links == 0] = False
         if contact.carried_floor:
             on_floor[links == joints + 2] = False
             fixed = np.array([name in {o.name for o in self.cell.obstacles} for name, _, _ in stands])[owner]
