@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-pytest.importorskip("pxr", reason="needs usd-core; pip install 'falsework[test]'")
-
-from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdValidation  # type: ignore[import-not-found]
-
 from falsework.assembly import Assembly, load_structure
 from falsework.interop.usd import usd_of, write_usd
 from falsework.search import Plan
+
+pytest.importorskip("pxr", reason="needs usd-core; pip install 'falsework[test]'")
+
+# Its modules are filled in by compiled code, of which a type checker knows nothing.
+Gf: Any = import_module("pxr.Gf")
+Usd: Any = import_module("pxr.Usd")
+UsdGeom: Any = import_module("pxr.UsdGeom")
+UsdPhysics: Any = import_module("pxr.UsdPhysics")
+UsdShade: Any = import_module("pxr.UsdShade")
+UsdValidation: Any = import_module("pxr.UsdValidation")
 
 
 def opened(text: str, folder: Path) -> Any:
