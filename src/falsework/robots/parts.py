@@ -40,7 +40,7 @@ class PartShapes:
         return len(self.names)
 
 
-def place_parts(assembly: Assembly, placement: Placement = Placement(), *, tolerance: float = 0.02) -> PartShapes:
+def place_parts(assembly: Assembly, placement: Placement = Placement(), *, tolerance: float = 0.05) -> PartShapes:
     """Put the parts of a structure into a cell.
 
     Args:
