@@ -55,7 +55,7 @@ class View(Command):
         if not self.deadline > 0:
             raise InputError(f"a deadline of {self.deadline:g} s leaves no time; give more than 0")
         host = "127.0.0.1" if self.host is None else self.host
-        warning = check_host(host, self.host is not None)
+        warning = check_host(host)
         import_viser()
         subject = self.subject.open(self.robots)
         policy = subject.policy

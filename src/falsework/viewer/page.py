@@ -397,7 +397,7 @@ class Page:
         return f"<div id='falsework-legend' style='margin:0.5em 1em;font-size:0.85em'>{boxes}</div>"
 
 
-def check_host(host: str, given: bool) -> str | None:
+def check_host(host: str) -> str | None:
     """A warning if others can reach the page, None if not.
 
     Raises:
@@ -407,7 +407,6 @@ def check_host(host: str, given: bool) -> str | None:
         raise InputError("--host is empty; leave it out to serve this machine alone")
     if host in LOCAL:
         return None
-    assert given
     return f"everybody who can reach {host} can see and steer this page; there is no password"
 
 

@@ -1,0 +1,318 @@
+"""The page in a real browser: load, slide, click, disrupt, replan, and the picture after each."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework.assembly.state import REMOVED
+from falsework.viewer.disruption import Tool
+from falsework.viewer.model import Model
+from falsework.viewer.page import Page
+from falsework.viewer.palette import ROBOTS, rgb
+from falsework.viewer.scene import SIZE
+from falsework.viewer.timeline import Timeline
+
+pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
+playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright to steer a browser")
+pil = pytest.importorskip("PIL.Image")
+
+WINDOW = {"width": 800, "height": 500}
+FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox", "--hide-scrollbars"]
+PATIENCE = 15.0
+# Chromium says these of software rendering and of viser's own libraries; they are no errors of the page.
+HARMLESS = ("GPU stall", "deprecated", "swiftshader", "SwiftShader", "GL Driver Message", "favicon")
+
+
+def chromium() -> str:
+    """Path of a Chromium that is installed, or skip."""
+    named = os.environ.get("FALSEWORK_CHROMIUM")
+    found = named or shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if not found or not Path(found).exists():
+        pytest.skip("no Chromium here: install it (Debian: apt install chromium) or name it in FALSEWORK_CHROMIUM")
+    return found
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """One headless Chromium for all tests here."""
+    path = chromium()
+    with playwright.sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=path, args=FLAGS)
+        yield started.new_context(viewport=WINDOW)
+        started.close()
+
+
+@dataclass
+class Open:
+    """A page in a tab."""
+
+    page: Page
+    tab: Any
+    complaints: list[str]
+
+    @property
+    def model(self) -> Model:
+        return self.page.model
+
+    def until(self, true: Callable[[], bool], what: str) -> None:
+        """Wait for something to come true; what the tab reports comes in meanwhile."""
+        end = time.monotonic() + PATIENCE
+        while not true():
+            assert time.monotonic() < end, f"waited in vain: {what}"
+            self.tab.wait_for_timeout(50)
+
+    def picture(self) -> np.ndarray:
+        """What the tab shows left of the controls, once it stays as it is."""
+        before, end = None, time.monotonic() + PATIENCE
+        while True:
+            clip = {"x": 0, "y": 0, "width": 410, "height": 500}
+            now = np.asarray(pil.open(io.BytesIO(self.tab.screenshot(clip=clip))).convert("RGB")).astype(int)
+            if before is not None and np.abs(now - before).max() < 40:
+                return now
+            assert time.monotonic() < end, "the picture does not come to rest"
+            before = now
+            self.tab.wait_for_timeout(120)
+
+    def point_of(self, part: int) -> tuple[float, float]:
+        """Where in the tab the middle of a part is drawn."""
+        camera = next(iter(self.page.server.get_clients().values())).camera
+        position, target = np.asarray(camera.position), np.asarray(camera.look_at)
+        ahead = (target - position) / np.linalg.norm(target - position)
+        right = np.cross(ahead, np.asarray(camera.up_direction))
+        right /= np.linalg.norm(right)
+        way = self.page.scene.place(self.model.assembly.mass.center[part]) - position
+        scale = WINDOW["height"] / 2 / np.tan(camera.fov / 2) / (way @ ahead)
+        return WINDOW["width"] / 2 + scale * (way @ right), WINDOW["height"] / 2 - scale * (
+            way @ np.cross(right, ahead)
+        )
+
+    def click(self, part: int) -> None:
+        """Click the middle of a part as a person would."""
+        x, y = self.point_of(part)
+        self.tab.mouse.move(x - 3, y)
+        self.tab.mouse.move(x, y)
+        self.tab.mouse.down()
+        self.tab.wait_for_timeout(60)
+        self.tab.mouse.up()
+
+    def slide(self, place: int) -> None:
+        """Type a step into the box beside the slider."""
+        box = self.tab.locator("input[type=text]").first
+        box.fill(str(place))
+        box.press("Enter")
+        self.until(lambda: self.model.place == place, f"step {place}")
+
+    def choose(self, label: str, value: str) -> None:
+        """Take an entry of a list."""
+        self.tab.get_by_label(label).first.click()
+        self.tab.get_by_role("option", name=value, exact=True).click()
+
+
+@pytest.fixture
+def opened(browser: Any, arch: Any) -> Iterator[Callable[..., Open]]:
+    """Serve a model and open it in a tab; whatever the console says against it fails the test."""
+    pages: list[Open] = []
+
+    def show(model: Model) -> Open:
+        page = Page(model, port=8190)
+        tab = browser.new_page()
+        now = Open(page, tab, [])
+        tab.on("console", lambda said: said.type == "error" and now.complaints.append(said.text))
+        tab.on("pageerror", lambda error: now.complaints.append(str(error)))
+        pages.append(now)
+        tab.goto(page.address)
+        tab.get_by_text("Step", exact=True).wait_for(timeout=1000 * PATIENCE)
+        now.until(lambda: bool(page.server.get_clients()), "the browser connects")
+        tab.add_style_tag(content=".mantine-Notifications-root { display: none }")
+        return now
+
+    yield show
+    for some in pages:
+        some.tab.close()
+        some.page.close()
+
+
+def complaints_of(now: Open) -> list[str]:
+    return [text for text in now.complaints if not any(word in text for word in HARMLESS)]
+
+
+def near(picture: np.ndarray, color: str, reach: int = 90) -> int:
+    """Pixels whose colour is of the same kind; light changes what is drawn."""
+    value = np.array(rgb(color))
+    hue, wanted = picture - picture.mean(axis=2, keepdims=True), value - value.mean()
+    length = np.maximum(np.linalg.norm(hue, axis=2), 1e-9)
+    along = (hue @ wanted) / length / np.linalg.norm(wanted)
+    return int(((along > 0.93) & (length > reach / 2)).sum())
+
+
+def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
+    """Load, slide, click a part, mark one as missing, plan anew, lose the server."""
+    assembly, plan = arch
+    model = Model(Timeline.of(plan.reverse(), assembly), plan=plan.reverse())
+    now = opened(model)
+    tab = now.tab
+    empty = now.picture()
+    tab.get_by_text("held by robot 1 (R1)").wait_for()
+
+    held = next(
+        place for place in range(len(plan) + 1) if (model.timeline.holders[model.timeline.row(place)] >= 0).any()
+    )
+    now.slide(held)
+    tab.get_by_text(model.timeline.words(held - 1)).wait_for()
+    holding = now.picture()
+    assert near(holding, ROBOTS[0]) > near(empty, ROBOTS[0]) + 100
+
+    steps = len(model.timeline)
+    now.slide(steps)
+    whole = now.picture()
+    assert (np.abs(whole - empty).max(axis=2) > 40).sum() > 3000
+
+    top = int(np.argmax(assembly.mass.center[:, 2]))
+    now.click(top)
+    now.until(lambda: model.selected == top, "the part is selected")
+    tab.get_by_text(f"{assembly.names[top]} (number {top})").wait_for()
+    tab.get_by_text(f"{assembly.mass.mass[top]:.4g} kg").wait_for()
+    selected = now.picture()
+    assert (np.abs(selected - whole).max(axis=2) > 25).sum() > 50
+
+    for name in ("Contact forces", "Friction", "Gravity"):
+        tab.get_by_label(name).check()
+    tab.get_by_text("stable: contact forces balance").wait_for()
+    forces = now.picture()
+    assert near(forces, "#f08c00") > near(selected, "#f08c00") + 20
+    for name in ("Contact forces", "Friction", "Gravity"):
+        tab.get_by_label(name).uncheck()
+
+    now.slide(3)
+    tab.get_by_role("tab", name="Disrupt").click()
+    before = now.picture()
+    now.choose("A click will", str(Tool.MISSING))
+    now.until(lambda: model.tool is Tool.MISSING, "the tool is chosen")
+    assert model.state[top] == REMOVED  # what is not there yet is hinted at and can be clicked
+    now.picture()
+    now.click(top)
+    now.until(lambda: model.disruption.missing == {top}, "the part is marked")
+    tab.get_by_text(f"Marked missing: {assembly.names[top]}").wait_for()
+    marked = now.picture()
+    assert (np.abs(marked - before).max(axis=2) > 25).sum() > 50
+
+    tab.get_by_role("button", name="Replan").click()
+    tab.get_by_text("decided by").wait_for(timeout=1000 * PATIENCE)
+    assert model.plan is not None
+    assert model.plan.missing == (top,)
+    now.until(lambda: model.disruption.empty, "the marks are in the plan")
+    tab.get_by_text(f"step 0 of {len(model.timeline)}").wait_for()
+    now.slide(len(model.timeline))
+    rebuilt = now.picture()
+    assert (np.abs(rebuilt - marked).max(axis=2) > 40).sum() > 500
+
+    tab.get_by_role("button", name="Back to the plan before").click()
+    now.until(lambda: len(model.timeline) == steps, "the old plan is back")
+    assert complaints_of(now) == []
+
+    said = "getComputedStyle(document.body, '::before').content"
+    assert "server has gone" not in tab.evaluate(said)
+    now.page.close()
+    now.until(lambda: "server has gone" in tab.evaluate(said), "the page says that the server has gone")
+
+
+def test_an_unstable_state(opened: Callable[..., Open]) -> None:
+    """A thin arch cannot stand: the page shows how it would fall, and that there is no plan."""
+    from falsework.assembly import load_structure
+    from falsework.assembly.state import complete_state
+
+    thin = load_structure("arch:blocks=11,thickness=0.06")
+    model = Model(Timeline.still(thin, complete_state(thin.boundary)))
+    now = opened(model)
+    now.tab.get_by_text("would move").wait_for()
+    before = now.picture()
+    now.tab.get_by_label("Motion, where unstable").check()
+    moving = now.picture()
+    assert near(moving, "#00c08b", 40) > near(before, "#00c08b", 40) + 100
+    now.tab.get_by_role("tab", name="Disrupt").click()
+    now.tab.get_by_role("button", name="Replan").click()
+    now.tab.get_by_text("there is no plan").wait_for()
+    assert complaints_of(now) == []
+
+
+def test_playing_probabilities_and_the_graph(opened: Callable[..., Open], arch: Any, policy: Any) -> None:
+    from falsework.search import StateGraph, task_of
+
+    assembly, plan = arch
+    graph = StateGraph.build(task_of(assembly), plan.states, name=assembly.name)
+    model = Model(Timeline.of(plan, assembly), plan=plan, policy=policy, graph=graph)
+    now = opened(model)
+    now.tab.get_by_text("probability of the action on a part").wait_for()
+    coloured = now.picture()
+    now.tab.get_by_label("Probabilities of the policy").uncheck()
+    now.until(lambda: not model.show_chances, "probabilities are off")
+    assert (np.abs(now.picture() - coloured).max(axis=2) > 25).sum() > 100
+    now.page._speed.value = 8.0
+    now.tab.get_by_role("button", name="Play").click()
+    now.until(lambda: model.place == len(model.timeline), "the plan is played to its end")
+    now.tab.get_by_text(f"step {len(plan)} of {len(plan)}").wait_for()
+    now.tab.get_by_role("tab", name="Graph").click()
+    now.tab.get_by_text(f"{len(graph)} states").wait_for()
+    now.until(lambda: now.tab.locator("img").count() > 0, "the picture of the graph")
+    now.tab.get_by_role("button", name="What the policy covers").click()
+    now.tab.get_by_text(f"of {len(graph)} states (").wait_for()
+    assert complaints_of(now) == []
+
+
+def test_a_thousand_parts_are_few_draw_calls(opened: Callable[..., Open]) -> None:
+    """Whatever the step, a hundredth of the nodes that a node a part would be, and little is sent anew."""
+    from falsework.assembly import load_structure
+    from falsework.assembly.state import complete_state, empty_state
+    from falsework.search import Direction
+
+    vault = load_structure("vault:parts=1000")
+    order = np.argsort(-vault.mass.center[:, 2], kind="stable")
+    order = order[~vault.boundary[order]]
+    states = [complete_state(vault.boundary)]
+    actions = []
+    for part in order:  # as a plan would look, proven or not: what is measured is the page
+        for action, value in ((part, 2), (part + vault.part_count, 0)):
+            state = states[-1].copy()
+            state[part] = value
+            states.append(state)
+            actions.append(int(action))
+    from falsework.viewer.timeline import holders
+
+    rows = np.array(states)
+    timeline = Timeline(vault, rows, np.array(actions), holders(rows, vault.boundary), Direction.DISASSEMBLY, 1)
+    np.testing.assert_array_equal(rows[-1], empty_state(vault.boundary))
+    now = opened(Model(timeline))
+    sent, seconds = [], []
+    for place in (0, 1, 2, 3, 500, 501, 1200, 40, 1):
+        now.model.go_to(place)
+        begun = time.perf_counter()
+        with now.page.server.atomic():
+            sent.append(now.page.scene.show(now.model.look()))
+        seconds.append(time.perf_counter() - begun)
+        assert now.page.scene.node_count < 50
+    assert max(sent[1:4]) <= 4
+    assert np.median(seconds) < 0.25
+    assert now.picture().std() > 1
+    assert complaints_of(now) == []
+    assert SIZE > 0
+
+
+def test_only_this_machine_is_served_unless_told_otherwise(arch: Any) -> None:
+    from falsework.errors import InputError
+    from falsework.viewer.page import check_host
+
+    assert check_host("127.0.0.1") is None
+    assert check_host("localhost") is None
+    assert "no password" in (check_host("0.0.0.0") or "")
+    with pytest.raises(InputError, match="--host"):
+        check_host(" ")
