@@ -118,7 +118,9 @@ def _clip(part: _Cut, plane: Array, mesh: TriangleMesh) -> _Cut | None:
     size = float(np.ptp(part.corners, axis=0).max())
     height = part.triangles @ normal - level
     height[np.abs(height) < 1e-9 * max(size, 1e-9)] = 0.0
-    whole = (height <= 0).all(axis=1)
+    # A face in the plane bounds what is behind it if it looks along the normal, else what is in front.
+    along = np.cross(part.triangles[:, 1] - part.triangles[:, 0], part.triangles[:, 2] - part.triangles[:, 0]) @ normal
+    whole = (height <= 0).all(axis=1) & ((height < 0).any(axis=1) | (along > 0))
     split = (height < 0).any(axis=1) & (height > 0).any(axis=1)
     kept = [part.triangles[whole]]
     if split.any():
