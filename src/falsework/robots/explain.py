@@ -52,15 +52,6 @@ class Reasons:
         """Failures with one part, most frequent first."""
         return [(reason, count) for reason, count in self.counts.most_common() if reason.part == part]
 
-    def unreachable(self, robots: int) -> list[int]:
-        """Parts that no robot can ever hold, wherever the others stand."""
-        never = ("out of reach", "no face that the gripper can take", "payload")
-        found: dict[int, set[int]] = {}
-        for reason in self.counts:
-            if reason.action == "hold" and any(word in reason.what for word in never):
-                found.setdefault(reason.part, set()).add(reason.robot)
-        return sorted(part for part, which in found.items() if len(which) == robots)
-
 
 @dataclass(frozen=True)
 class Explanation:
@@ -103,7 +94,9 @@ def explain(
     robots: Sequence[str],
     names: Sequence[str],
     *,
+    unreachable: Sequence[int] = (),
     limit: str = "",
+    abstract: bool = False,
     shown: int = 8,
 ) -> Explanation:
     """Put what a search met into words.
@@ -116,10 +109,11 @@ def explain(
         tried: actions that failed where the search came farthest, as kind and part, with how often.
         robots: names of the robots.
         names: names of the parts.
+        unreachable: parts that no robot can hold even where they stand alone.
         limit: what ended the search.
+        abstract: whether there is not even a plan without motions.
         shown: failures to list.
     """
-    unreachable = reasons.unreachable(len(robots))
     hopeless = max(tried, key=lambda key: (tried[key], -key[1])) if tried else None
     focus = {(kind, part) for kind, part in tried} | {("hold", part) for part in unreachable}
     details = []
@@ -146,7 +140,11 @@ def explain(
         "not_found": "no robot plan was found",
         "interrupted": "the search for a robot plan was stopped",
     }
-    pieces = [words[outcome], f"it came to step {reached} of {steps}"]
+    pieces = [words[outcome]]
+    if abstract:
+        pieces.append("stability and clear ways out alone leave no order of actions; falsework plan says why")
+    else:
+        pieces.append(f"it came to step {reached} of {steps}")
     if unreachable:
         listed = ", ".join(names[part] for part in unreachable[:8]) + (", ..." if len(unreachable) > 8 else "")
         pieces.append(f"no robot can hold {listed}")

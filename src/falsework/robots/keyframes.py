@@ -190,6 +190,39 @@ class KeyframeGraph:
         later[blockers[int(np.argmin(count))] & ~self.assembly.boundary] = REMOVED
         return later, withdrawals(self.assembly, self.parts, part, later)
 
+    def blocked_by(self, part: int, state: States) -> int:
+        """How many parts stand in the easiest way out of a part."""
+        rows = slice(self._ways[part], self._ways[part + 1])
+        return int((self._blockers[rows] & (state != REMOVED)).sum(axis=1).min())
+
+    def reachable(self, part: int) -> bool:
+        """Whether any robot can hold a part where it stands alone on what is boundary."""
+        alone = np.where(self.assembly.boundary, HELD, REMOVED).astype(np.uint8)
+        alone[part] = HELD
+        return any(self.grips(robot, part, alone) for robot in range(self.cell.robot_count))
+
+    @cached_property
+    def lowest(self) -> float:
+        """Height of the lowest centre of a part, metres."""
+        return float(self.parts.center[:, 2].min())
+
+    @cached_property
+    def spread(self) -> float:
+        """Width of the structure, metres."""
+        return float(np.ptp(self.parts.center[:, :2], axis=0).max()) + 1e-9
+
+    @cached_property
+    def height(self) -> float:
+        """Height of the structure, metres."""
+        return float(np.ptp(self.parts.center[:, 2])) + 1e-9
+
+    def collision(self, node: Node, robot: int) -> tuple[str, str] | None:
+        """Two bodies that meet where a robot stands, by name, or None."""
+        part = node.held[robot]
+        contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
+        # At the start of a plan robots stand as they stand: what does not touch is good enough.
+        return self._view_of(node.scene, robot, contact, 0.0).explain(node.configurations[robot])
+
     # Holding
 
     def _hold(self, node: Node, part: int) -> Iterator[Edge]:
@@ -234,7 +267,7 @@ class KeyframeGraph:
         state = node.state.copy()
         state[part] = HELD
         after = _replaced(node, state, robot, grip.configuration, part)
-        legs = (Leg("free", free.path), Leg("line", retreat.path[::-1].copy(), touches=part))  # type: ignore
+        legs = (Leg("free", free.path), Leg("line", retreat.path[::-1].copy(), touches=part))  # type: ignore[index]
         return Edge(part, robot, legs, after)
 
     def _can_leave_later(self, node: Node, part: int, grip: Grip) -> bool:

@@ -1,0 +1,410 @@
+"""The hybrid planner: abstract actions and motions together (paper, section 6, algorithm 1).
+
+A search in depth with backtracking. At every keyframe it takes the actions after which the structure can still come
+apart, the most promising first, and asks the keyframe graph for a motion; where there is none, the action is rejected
+with the reason and the next one is tried. After some dead ends it starts anew in another order; what was computed is
+kept.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, REMOVED, Mask, States
+from falsework.errors import InputError, StateError
+from falsework.robots.cell import Cell
+from falsework.robots.explain import Explanation, Reasons, explain
+from falsework.robots.keyframes import Edge, KeyframeGraph, KeyframeSettings, Node
+from falsework.robots.proposals import Proposals
+from falsework.robots.robot_plan import RobotPlan
+from falsework.robots.schedule import make_robot_plan
+from falsework.search.guide import Guide
+from falsework.search.result import Outcome, Route, SearchResult
+from falsework.search.task import Direction, Task
+from falsework.stability.oracle import Stability
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HybridSettings:
+    """How hard to look for a robot plan."""
+
+    seed: int = 0
+    """Same seed, same machine, same result, unless the deadline strikes."""
+    deadline: float | None = None
+    """Seconds after which the search ends with what it has."""
+    attempts: int = 12
+    """Searches, each in another order."""
+    dead_ends: int = 25
+    """Dead ends in the first search; when they are used up, the next one begins and may have more."""
+    edges: int = 2
+    """Ways of carrying out one action that are tried at a keyframe."""
+    actions: int = 8
+    """Actions that are tried at a keyframe with motions, before it counts as a dead end."""
+    keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
+    forces: bool = False
+    """Keep the contact forces that prove each state in the plan."""
+
+    def __post_init__(self) -> None:
+        if min(self.attempts, self.dead_ends, self.edges, self.actions) < 1:
+            raise InputError("a search needs at least one attempt, dead end, way and action; give numbers from 1 on")
+        if self.deadline is not None and self.deadline <= 0:
+            raise InputError(f"a deadline of {self.deadline:g} s leaves no time; give seconds above 0")
+
+
+@dataclass(frozen=True)
+class HybridProgress:
+    """One report of a running search."""
+
+    reached: int
+    """Steps of the longest plan so far."""
+    steps: int
+    attempt: int
+    dead_ends: int
+    seconds: float
+
+
+Progress = Callable[[HybridProgress], None]
+
+
+@dataclass(frozen=True, eq=False)
+class HybridResult:
+    """End of a search for a robot plan."""
+
+    plan: RobotPlan | None
+    """From the start to the target, or None."""
+    partial: RobotPlan | None
+    """Where there is no plan: the longest one that was found, if it has any step."""
+    explanation: Explanation | None
+    """Where there is no plan: why."""
+    statistics: dict[str, Any]
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a plan."""
+        return self.plan is not None
+
+
+def plan_robots(
+    assembly: Assembly,
+    cell: Cell,
+    *,
+    task: Task | None = None,
+    configurations: Sequence[ArrayLike] | None = None,
+    held: Sequence[int | None] | None = None,
+    oracle: Stability | None = None,
+    guide: Guide | None = None,
+    settings: HybridSettings = HybridSettings(),
+    progress: Progress | None = None,
+    graph: KeyframeGraph | None = None,
+) -> HybridResult:
+    """Find a plan with motions for the robots of a cell.
+
+    Args:
+        assembly: the structure.
+        cell: the robots and what is around them.
+        task: from which state to which, and rules; by default the complete structure is taken apart. Its number of
+            robots is that of the cell, and every part that is removed needs a clear way out.
+        configurations: where the robots are at the start, one a robot, shape (joints,) each; at home if not given.
+        held: the part that each robot holds at the start; needed if the start state has held parts.
+        oracle: decides stability; hand in the one you have, for it remembers what it was asked.
+        guide: ranks actions, such as a trained policy.
+        settings: how hard to look.
+        progress: called now and then.
+        graph: keyframe graph of the same structure and cell, whose motions are used again.
+
+    Raises:
+        InputError: configurations that do not fit the robots, or in which something collides.
+        StateError: held parts that do not go with the start state.
+    """
+    search = _Search(assembly, cell, task, oracle or Stability(assembly), guide, settings, progress, graph)
+    return search.run(search.root(configurations, held))
+
+
+class _Search:
+    """One call of `plan_robots`."""
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        cell: Cell,
+        task: Task | None,
+        oracle: Stability,
+        guide: Guide | None,
+        settings: HybridSettings,
+        progress: Progress | None,
+        graph: KeyframeGraph | None,
+    ) -> None:
+        self.began = time.perf_counter()
+        self.assembly, self.cell, self.oracle, self.guide = assembly, cell, oracle, guide
+        self.settings, self.progress = settings, progress
+        self.task = task_in_cell(assembly, cell, task)
+        self.reasons = Reasons() if graph is None else graph.reasons
+        self.graph = graph or KeyframeGraph(
+            assembly, cell, settings=settings.keyframes, seed=settings.seed, reasons=self.reasons
+        )
+        self.proposals = Proposals(assembly, self.task, oracle, guide=guide, seed=settings.seed)
+        self.abstract: SearchResult | None = None
+        self.best: list[Edge] = []
+        self.tried: Counter[tuple[str, int]] = Counter()
+        self.dead: set[bytes] = set()
+        self.impossible: set[tuple[bytes, int]] = set()
+        self.counts: Counter[str] = Counter()
+        self.attempt = 0
+        self.unreachable: list[int] | None = None
+        self._reported = self.began
+
+    def root(self, configurations: Sequence[ArrayLike] | None, held: Sequence[int | None] | None) -> Node:
+        """The keyframe to begin with, checked."""
+        robots = self.cell.robots
+        values = self.cell.homes if configurations is None else tuple(configurations)
+        held = (None,) * len(robots) if held is None else tuple(held)
+        if len(values) != len(robots) or len(held) != len(robots):
+            raise InputError(f"{self.cell.name} has {len(robots)} robots; say of each where it is and what it holds")
+        checked = tuple(
+            robot.model.check_configuration(entry, f"configuration of {robot.name}")
+            for robot, entry in zip(robots, values, strict=True)
+        )
+        start = self.task.start
+        wanted = np.flatnonzero((start == HELD) & ~self.assembly.boundary).tolist()
+        named = sorted(part for part in held if part is not None)
+        if named != wanted:
+            raise StateError(
+                f"the robots hold parts {named}, the start state has {wanted} held; say which robot holds which part"
+            )
+        node = self.graph.start(start, checked, held)
+        for robot in range(len(robots)):
+            pair = self.graph.collision(node, robot)
+            if pair is not None:
+                raise InputError(f"at the start {pair[0]} is too near {pair[1]}; move {robots[robot].name} away first")
+        return node
+
+    def run(self, root: Node) -> HybridResult:
+        """Find an abstract plan, then motions for it or for one near it."""
+        self.abstract = self.proposals.prepare(self.late)
+        if not self.abstract.found:
+            return self.failed(root, self._abstract_outcome(), "")
+        if self.task.steps == 0:
+            return self.solved(root, [])
+        limit = ""
+        while self.attempt < self.settings.attempts:
+            chain = self.dive(root, np.random.default_rng([self.settings.seed, self.attempt]))
+            self.attempt += 1
+            if chain is not None:
+                return self.solved(root, chain)
+            if self.late():
+                limit = f"the deadline of {self.settings.deadline:g} s has passed"
+                return self.failed(root, "interrupted", limit)
+            if self._hopeless():
+                limit = "more searching would be in vain"
+                break
+            limit = f"{self.attempt} searches did not do"
+        return self.failed(root, "not_found", limit)
+
+    def dive(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
+        """One search in depth; the edges of a plan, or None after too many dead ends."""
+        nodes, chain = [root], []
+        options = [self._options(root, rng)]
+        dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
+        target = self.task.target
+        while nodes:
+            if self.late():
+                return None
+            edge = next(options[-1], None)
+            if edge is None:
+                self.dead.add(nodes[-1].key)
+                self._note_dead_end(nodes[-1], len(chain))
+                nodes.pop()
+                options.pop()
+                if chain:
+                    chain.pop()
+                dead_ends += 1
+                self.counts["dead_ends"] += 1
+                if dead_ends > allowed:
+                    return None
+                continue
+            chain.append(edge)
+            if len(chain) > len(self.best):
+                self.best = list(chain)
+                self.tried.clear()
+            self._report(dead_ends)
+            if np.array_equal(edge.node.state, target):
+                return chain
+            nodes.append(edge.node)
+            options.append(self._options(edge.node, rng))
+        return None
+
+    def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
+        """Edges out of a keyframe in the order in which to try them."""
+        tried = 0
+        for action in self._ranked(node, rng):
+            if (node.key, action) in self.impossible or self.late():
+                continue
+            if not self.proposals.solvable(node.state, action):
+                self.counts["unsolvable"] += 1
+                continue
+            self.counts["actions"] += 1
+            found = 0
+            for edge in self.graph.edges(node, action):
+                found += 1
+                if edge.node.key not in self.dead:
+                    yield edge
+                if found == self.settings.edges:
+                    break
+            if not found:
+                self.counts["rejected"] += 1
+                self.impossible.add((node.key, action))
+            tried += 1
+            if tried == self.settings.actions:
+                return
+
+    def _ranked(self, node: Node, rng: np.random.Generator) -> list[int]:
+        """Legal actions in the order in which to try them: as the guide says, else what motions make easy.
+
+        Removals first: they set a robot free. Then parts that nothing blocks, high up, near a free robot and far
+        from the busy ones.
+        """
+        actions = self.proposals.legal(node.state)
+        if not actions:
+            return []
+        parts = self.assembly.part_count
+        if self.guide is not None:
+            allowed: Mask = np.zeros((1, 2 * parts), dtype=bool)
+            allowed[0, actions] = True
+            scores = np.asarray(self.guide(node.state[None], allowed, Direction.DISASSEMBLY), float)[0, actions]
+            scores = scores + rng.gumbel(size=len(actions)) * (0.0 if self.attempt == 0 else 0.5)
+            return [actions[k] for k in np.argsort(-scores, kind="stable")]
+        scores = np.array([self._ease(node, action) for action in actions])
+        scores += rng.normal(size=len(actions)) * (0.1 if self.attempt == 0 else 0.4 * min(self.attempt, 4))
+        return [actions[k] for k in np.argsort(-scores, kind="stable")]
+
+    def _ease(self, node: Node, action: int) -> float:
+        """How easy an action is for the robots, by rules of thumb."""
+        known = 0.5 * self.proposals.known(node.state, action)
+        if action >= self.assembly.part_count:
+            return 100.0 + known
+        center = self.graph.parts.center[action]
+        score = known - 5.0 * min(self.graph.blocked_by(action, node.state), 4)
+        score += 2.0 * (center[2] - self.graph.lowest) / self.graph.height
+        robots = self.cell.robots
+        free = [robot.base[:2, 3] for robot, held in zip(robots, node.held, strict=True) if held is None]
+        near = min(float(np.linalg.norm(base - center[:2])) for base in free)
+        score -= near / self.graph.spread
+        for part in node.held:
+            if part is not None:
+                apart = float(np.linalg.norm(self.graph.parts.center[part] - center)) / self.graph.spread
+                score += min(apart, 1.0)
+        return score
+
+    def _note_dead_end(self, node: Node, depth: int) -> None:
+        """Actions that failed where the search came farthest."""
+        if depth < len(self.best):
+            return
+        parts = self.assembly.part_count
+        for action in self.proposals.legal(node.state):
+            if (node.key, action) in self.impossible:
+                self.tried["hold" if action < parts else "remove", action % parts] += 1
+
+    def _hopeless(self) -> bool:
+        """Whether a part must leave that no robot can hold even where it stands alone."""
+        if self.unreachable is None:
+            leaving = np.flatnonzero((self.task.target == REMOVED) & (self.task.start != REMOVED))
+            self.unreachable = [part for part in leaving.tolist() if not self.graph.reachable(part)]
+        return bool(self.unreachable)
+
+    def late(self) -> bool:
+        """Whether the deadline has passed."""
+        limit = self.settings.deadline
+        return limit is not None and time.perf_counter() - self.began > limit
+
+    def _abstract_outcome(self) -> str:
+        assert self.abstract is not None
+        if self.abstract.outcome is Outcome.PROVED_IMPOSSIBLE:
+            return "proved_impossible"
+        return "interrupted" if self.late() else "not_found"
+
+    def _report(self, dead_ends: int) -> None:
+        now = time.perf_counter()
+        if self.progress is not None and now - self._reported > 0.1:
+            self._reported = now
+            self.progress(HybridProgress(len(self.best), self.task.steps, self.attempt, dead_ends, now - self.began))
+
+    def solved(self, root: Node, chain: list[Edge]) -> HybridResult:
+        """Prove and time a chain of edges."""
+        plan = self._plan(root, chain)
+        return HybridResult(plan, None, None, plan.statistics)
+
+    def failed(self, root: Node, outcome: str, limit: str) -> HybridResult:
+        """Say why there is no plan, and keep what there is."""
+        why = explain(
+            outcome,
+            len(self.best),
+            self.task.steps,
+            self.reasons,
+            self.tried,
+            [robot.name for robot in self.cell.robots],
+            self.assembly.names,
+            limit=limit,
+            unreachable=self.unreachable or [],
+            abstract=self.abstract is not None and not self.abstract.found,
+        )
+        partial = self._plan(root, self.best, why) if self.best else None
+        statistics = self._statistics() if partial is None else partial.statistics
+        return HybridResult(None, partial, why, statistics)
+
+    def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
+        states: States = np.array([root.state, *(edge.node.state for edge in chain)], dtype=np.uint8)
+        route = Route(states, np.array([edge.action for edge in chain], dtype=np.int64))
+        task = self.proposals.task
+        statistics = self._statistics()
+        if why is not None:
+            statistics["failure"] = why.record()
+        plan = make_robot_plan(
+            self.assembly, self.cell, task, self.oracle, route, root, chain, forces=self.settings.forces
+        )
+        statistics["seconds"] = round(time.perf_counter() - self.began, 3)
+        plan.statistics.update(statistics)
+        return plan
+
+    def _statistics(self) -> dict[str, Any]:
+        return {
+            "seed": self.settings.seed,
+            "seconds": round(time.perf_counter() - self.began, 3),
+            "attempts": self.attempt,
+            "dead_ends": self.counts["dead_ends"],
+            "actions": self.counts["actions"],
+            "rejected": self.counts["rejected"],
+            "unsolvable": self.counts["unsolvable"],
+            "solvable_states": len(self.proposals),
+            "free_motions": self.graph.motions,
+            "free_motions_used_again": self.graph.motions_kept,
+            "verdicts": self.oracle.counters.asked,
+        }
+
+
+def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None) -> Task:
+    """A task with as many robots as the cell has, and with clear ways out.
+
+    Raises:
+        InputError: more parts held at start or target than there are robots.
+    """
+    given = task or Task.create(assembly.boundary, cell.robot_count, identity=assembly.identity)
+    return Task.create(
+        assembly.boundary,
+        cell.robot_count,
+        start=given.start,
+        target=given.target,
+        fixed=given.fixed,
+        missing=given.missing,
+        clearance=assembly.clearance,
+        identity=assembly.identity,
+    )

@@ -1,0 +1,146 @@
+"""Which actions keep the way to the target open: states that are known to be solvable, and a search that joins them.
+
+One abstract plan is found first. Its states are solvable, and so is every state from which a short search, forwards and
+narrow, meets one that is. The set grows with every answer, so that alternatives near a plan are cheap to judge.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, States
+from falsework.search.guide import Guide, SupportGuide
+from falsework.search.planner import Planner, PlannerSettings
+from falsework.search.result import SearchResult, Stop
+from falsework.search.task import Direction, Task
+from falsework.stability.oracle import Stability
+
+_LEVELS = 12
+"""Steps that the joining search looks ahead."""
+_WIDTH = 10
+"""States that it keeps at each step."""
+_FIRST = 256
+"""Widest beam for the first plan."""
+
+
+class Proposals:
+    """Abstract actions for the hybrid planner, with the certainty that the structure can still come apart."""
+
+    def __init__(
+        self, assembly: Assembly, task: Task, oracle: Stability, *, guide: Guide | None = None, seed: int = 0
+    ) -> None:
+        """Nothing is known yet but the target.
+
+        Args:
+            assembly: the structure.
+            task: rules, with clear ways out.
+            oracle: decides stability.
+            guide: ranks actions in the search for the first plan; by default parts with much support go in first.
+            seed: of that search.
+        """
+        self.task, self.oracle = task, oracle
+        self._guide = guide or SupportGuide(assembly)
+        self._assembly, self._seed = assembly, seed
+        self._solvable: set[bytes] = {task.target.tobytes()}
+        self._not_found: set[bytes] = set()
+        self._moves: dict[bytes, list[int]] = {}
+
+    def __len__(self) -> int:
+        return len(self._solvable)
+
+    def prepare(self, stop: Stop | None = None) -> SearchResult:
+        """Find one abstract plan. Where parts are missing, the task then says how late they can come."""
+        settings = PlannerSettings(width=_FIRST, seed=self._seed)
+        planner = Planner(self.task, self.oracle, settings, guide=self._guide)
+        result = planner.run(stop=stop)
+        if result.found:
+            self.task = self.task.postpone(planner.postponed)
+            for route in planner.routes:
+                self._solvable.update(state.tobytes() for state in route.states)
+        return result
+
+    def legal(self, state: States) -> list[int]:
+        """Actions that the rules allow, stability aside."""
+        key = state.tobytes()
+        if key not in self._moves:
+            self._moves[key] = np.flatnonzero(self.task.moves(state[None], Direction.DISASSEMBLY)[0]).tolist()
+        return self._moves[key]
+
+    def known(self, state: States, action: int) -> bool:
+        """Whether the state after an action is known to be solvable."""
+        return self._after(state, action).tobytes() in self._solvable
+
+    def solvable(self, state: States, action: int) -> bool:
+        """Whether the state after an action stands and a way from there to the target is found; asked once."""
+        after = self._after(state, action)
+        key = after.tobytes()
+        if key in self._solvable:
+            return True
+        if key in self._not_found:
+            return False
+        removal = action >= self.task.part_count
+        if (removal and not self.oracle.stable(after[None], parents=state[None])[0]) or not self._join(after):
+            self._not_found.add(key)
+            return False
+        return True
+
+    def _after(self, state: States, action: int) -> States:
+        return self.task.follow(state[None], np.array([action]), Direction.DISASSEMBLY)[0]
+
+    def _join(self, start: States) -> bool:
+        """Search forwards from a stable state until one is met that is solvable; all on the way then are."""
+        levels: list[States] = [start[None]]
+        parents: list[np.ndarray] = []
+        for _ in range(_LEVELS):
+            states = levels[-1]
+            rows, actions = np.nonzero(self.task.moves(states, Direction.DISASSEMBLY))
+            if not len(rows):
+                return False
+            after = self.task.follow(states[rows], actions, Direction.DISASSEMBLY)
+            first, after = _distinct(after)
+            rows, actions = rows[first], actions[first]
+            hit = next((k for k, state in enumerate(after) if state.tobytes() in self._solvable), None)
+            if hit is not None:  # what is solvable is stable, so the step to it needs no verdict
+                self._remember(levels, parents, int(rows[hit]))
+                return True
+            kept = self._stable_few(states[rows], after, actions)
+            if not len(kept):
+                return False
+            levels.append(after[kept])
+            parents.append(rows[kept])
+        return False
+
+    def _stable_few(self, before: States, after: States, actions: np.ndarray) -> np.ndarray:
+        """The most promising successors that stand: few held, then the guide's taste."""
+        removal = actions >= self.task.part_count
+        mask = np.zeros((len(before), 2 * self.task.part_count), dtype=bool)
+        mask[np.arange(len(before)), actions] = True
+        score = np.asarray(self._guide(before, mask, Direction.DISASSEMBLY))[np.arange(len(before)), actions]
+        held = ((after == HELD) & ~self.task.boundary).sum(axis=1)
+        order = np.lexsort((-score, held))
+        kept: list[int] = []
+        holds = 0
+        for k in order.tolist():
+            if removal[k]:
+                if self.oracle.stable(after[k][None], parents=before[k][None])[0]:
+                    kept.append(k)
+            elif holds < 2 * _WIDTH:
+                holds += 1
+                kept.append(k)
+            if len(kept) >= 3 * _WIDTH:
+                break
+        return np.array(kept[: 3 * _WIDTH], dtype=np.intp)
+
+    def _remember(self, levels: list[States], parents: list[np.ndarray], row: int) -> None:
+        for level in range(len(levels) - 1, -1, -1):
+            self._solvable.add(levels[level][row].tobytes())
+            if level:
+                row = int(parents[level - 1][row])
+
+
+def _distinct(states: States) -> tuple[np.ndarray, States]:
+    keys = np.ascontiguousarray(states).view(np.dtype((np.void, states.shape[1]))).ravel()
+    _, first = np.unique(keys, return_index=True)
+    first = np.sort(first)
+    return first, states[first]
