@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.learn.checkpoint import Run
     from falsework.learn.data import Dataset
+    from falsework.learn.environment import Environment
+    from falsework.learn.evaluate import Sets
     from falsework.learn.policy import Policy
 
 
@@ -40,7 +42,8 @@ class Evaluate(Command):
     search: bool = False
     """Search where the policy fails, and say for what share of the test states there is a proven plan then."""
     targets: bool = False
-    """Go to target states drawn at random in place of the empty structure, for policies trained with two states."""
+    """Go to other target states than the empty structure. A policy that was not trained with two states is not told;
+    the rules alone then keep what the target keeps."""
     states: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """States of each set, a fixed sample."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -56,6 +59,7 @@ class Evaluate(Command):
         from falsework.learn.checkpoint import load_run
         from falsework.learn.environment import Environment
         from falsework.learn.evaluate import EvaluateSettings, evaluate
+        from falsework.learn.hindsight import OneState
         from falsework.learn.imitation import Network
         from falsework.search.shards import joined
 
@@ -66,21 +70,19 @@ class Evaluate(Command):
             trained = load_run(self.folder, device)
             settings = trained.settings
             assembly, policy = self._subject(trained)
-            data = self._data(trained, assembly, str(device))
             environment = Environment(
                 assembly, settings.robots, device=device, clearance=settings.removable_only_if_clear
             )
-            network = Network(policy, settings.precision if device.type == "cuda" else "float32")
+            network: Any = Network(policy, settings.precision if device.type == "cuda" else "float32")
+            if self.targets:
+                sets = self._pairs(trained, assembly, environment)
+                network = network if settings.policy.two_states else OneState(network)
+            else:
+                data = self._data(trained, assembly, str(device))
+                sets = {"train": (data.train, None), "test": (data.test, None)}
             options = EvaluateSettings(states=self.states or 0, search=self.search, seed=self.seed)
             with output.bar("evaluating") as show:
-                found = evaluate(
-                    environment,
-                    network,
-                    {"train": data.train, "test": data.test},
-                    options,
-                    shards=shards,
-                    report=show,
-                )
+                found = evaluate(environment, network, sets, options, shards=shards, report=show)
             if not shards.first:
                 return Exit.DONE
         record = {
@@ -90,6 +92,8 @@ class Evaluate(Command):
             "robots": settings.robots,
             "method": settings.method,
             "policy": settings.policy.kind,
+            "two_states": settings.policy.two_states,
+            "targets": self.targets,
             **found,
             "seconds": round(time.perf_counter() - begun, 3),
             "device": str(device),
@@ -113,6 +117,19 @@ class Evaluate(Command):
         device = next(trained.policy.parameters()).device
         policy = transfer(trained.policy.state_dict(), trained.settings.policy, assembly, device)
         return assembly, policy.eval()
+
+    def _pairs(self, trained: Run, assembly: Assembly, environment: Environment) -> Sets:
+        """Pairs of states and targets, the same for all runs of a structure."""
+        from dataclasses import replace
+
+        from falsework.learn.material import find_pairs
+        from falsework.search.tensor_judge import oracle_on
+        from falsework.stability import Stability
+
+        device = environment.device
+        settings = replace(trained.settings, data="width64")  # what only serves to learn from is not needed
+        pairs = find_pairs(assembly, settings, oracle_on(Stability(assembly), device), device=device)
+        return {"train": (pairs.train.states, pairs.train.targets), "test": (pairs.test.states, pairs.test.targets)}
 
     def _data(self, trained: Run, assembly: Assembly, device: str) -> Dataset:
         """States of the run if they are there and of this structure, else found by the same searches."""
