@@ -243,6 +243,21 @@ def test_deadline_is_kept(name: str) -> None:
             assert answer.plan.validate(assembly).good
 
 
+def test_deadline_is_kept_in_company() -> None:
+    """Who has a deadline does not wait for those who have none and ask for much."""
+    vault = load_structure("vault")
+    replanner = Replanner(vault)
+    complete = complete_state(vault.boundary)
+    requests = [Request(complete, alternatives=4), Request(complete, seed=1, deadline=0.2), Request(complete, seed=2)]
+    order: list[int] = []
+    answers = replanner.replan_many(requests, finished=lambda number, _: order.append(number))
+    assert order[0] == 1
+    assert answers[1].seconds < 0.2 + 0.3
+    assert answers[1].found or answers[1].deadline_passed
+    assert answers[0].found
+    assert answers[2].found
+
+
 def test_best_answer_at_the_deadline(alone: Replanner) -> None:
     """What was found before the clock ran out is handed back, and said to be cut short."""
     arch = load_structure("arch:blocks=15")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -76,12 +76,15 @@ class Clock:
 class TimedOracle:
     """An oracle that looks at the clock between small batches; anything that searches can be stopped with it."""
 
-    def __init__(self, oracle: Oracle, clock: Clock) -> None:
-        """Ask `oracle` until `clock` has run out."""
+    def __init__(self, oracle: Oracle, clock: Clock, between: Callable[[], None] | None = None) -> None:
+        """Ask `oracle` until `clock` has run out; call `between` before each batch."""
         self.asked = 0
         """States asked about."""
+        self.limited = clock.limited
+        """Whether somebody waits for a deadline, so that batches must be small."""
         self._oracle = oracle
         self._clock = clock
+        self._between = between or (lambda: None)
 
     def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
         """As `falsework.search.judge.Oracle`.
@@ -90,9 +93,10 @@ class TimedOracle:
             TimeUp: the clock has run out.
         """
         verdicts = Verdicts.blank(len(states))
-        pace = Pace(limited=self._clock.limited)
+        pace = Pace(limited=self.limited)
         begin = 0
         while begin < len(states):
+            self._between()
             if self._clock.passed:
                 raise TimeUp
             rows = np.arange(begin, min(begin + pace.batch, len(states)))

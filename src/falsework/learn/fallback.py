@@ -87,18 +87,19 @@ def _first_plan(job: Job, guide: Guide) -> Iterator[None]:
     # Later missing parts are looked for once there is a plan.
     task = replace(job.task, missing=(), postponed=())
     rivals = [_Turns(Planner(task, job.oracle, settings, guide=guide), Decider.SEARCH, _PLAIN_LEVELS)]
-    if _affordable(job):
-        timed = _TimedGuide(job.kit.guide.for_task(job.task), job.clock)
+    policy = job.kit.guide
+    if policy is not None and _affordable(job, policy):
+        timed = _TimedGuide(policy.for_task(job.task), job.clock)
         rivals.insert(0, _Turns(_Widening(job, timed), Decider.GUIDED, 1))
     yield from _finish(rivals, job)
 
 
-def _affordable(job: Job) -> bool:
-    """Whether there is a policy, and time for a beam that it guides beside the plain search."""
-    guide, widths = job.kit.guide, job.kit.settings.widths
-    if guide is None or not widths:
+def _affordable(job: Job, policy: PolicyGuide) -> bool:
+    """Whether there is time for a beam that the policy guides beside the plain search."""
+    widths = job.kit.settings.widths
+    if not widths:
         return False
-    return guide.seconds_for(widths[0]) * job.task.steps < _SHARE * (job.clock.left - job.clock.reserve)
+    return policy.seconds_for(widths[0]) * job.task.steps < _SHARE * (job.clock.left - job.clock.reserve)
 
 
 def _better_plans(job: Job, guide: Guide) -> Iterator[None]:
@@ -120,7 +121,7 @@ def _finish(rivals: list[_Turns], job: Job) -> Iterator[None]:
     """Let searches take turns until one finds a plan or proves that there is none, all are at an end, or time is up."""
     while rivals:
         for rival in list(rivals):
-            result = rival.take(job.clock)
+            result = rival.take(job)
             if result is not None:
                 job.ended(result, rival.decider)
                 rivals.remove(rival)
@@ -141,24 +142,30 @@ class _Turns:
         self.decider = decider
         self._levels = levels
         self._left = 0
-        self._clock: Clock | None = None
+        self._job: Job | None = None
 
-    def take(self, clock: Clock) -> SearchResult | None:
+    def take(self, job: Job) -> SearchResult | None:
         """Search for a turn; the result if the search is at its end.
 
         Raises:
             KeyboardInterrupt: somebody at the keyboard wants an end.
         """
-        self._left, self._clock = self._levels, clock
-        result = self.search.run(stop=self._over)
+        self._left, self._job, job.busy = self._levels, job, True
+        try:
+            result = self.search.run(stop=self._over)
+        finally:
+            job.busy = False
         if not result.interrupted:
             return result
-        if self._left > 0 and not clock.passed:  # not told to stop
+        if self._left > 0 and not job.clock.passed:  # not told to stop
             raise KeyboardInterrupt
         return None
 
     def _over(self) -> bool:
-        over = self._left == 0 or (self._clock is not None and self._clock.passed)
+        job = self._job
+        if job is not None:
+            job.others()
+        over = self._left == 0 or (job is not None and job.clock.passed)
         self._left = 0 if over else self._left - 1
         return over
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,11 +80,15 @@ class Job:
         self.kit = kit
         self.task = request.task(kit.assembly)
         self.way = request.way(kit.assembly)
-        self.oracle = TimedOracle(kit.prover.oracle, self.clock)
+        self.oracle = TimedOracle(kit.prover.oracle, self.clock, lambda: self.others())
         needed = _SAFETY * kit.prover.seconds_for(self.task.steps // 2 + 2)
         self.clock.reserve = min(needed, _PROVING * request.deadline) if request.deadline is not None else 0.0
         self.routes: list[Route] = []
         """The best one first."""
+        self.others: Callable[[], None] = lambda: None
+        """Called every now and then, so that other requests need not wait for this one beyond their deadlines."""
+        self.busy = False
+        """Whether a search for this request is under way, which then ends by itself when the clock has run out."""
         self.decided_by = Decider.NOBODY
         self.outcome = Outcome.NOT_FOUND
         self.result: SearchResult | None = None

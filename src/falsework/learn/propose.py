@@ -37,7 +37,7 @@ def follow_greedily(jobs: Sequence[Job], kit: Kit) -> None:
     if kit.guide is None:
         return
     jobs = [job for job in jobs if not job.settled]
-    jobs = _with_time([(job, len(_hopes(job))) for job in jobs], kit.guide)
+    jobs = with_time([(job, len(_hopes(job))) for job in jobs], kit.guide)
     variants = [(job, task) for job in jobs for task in _hopes(job)]
     if not variants:
         return
@@ -48,7 +48,7 @@ def follow_greedily(jobs: Sequence[Job], kit: Kit) -> None:
             [task for _, task in variants],
             [task.start for _, task in variants],
             np.arange(len(variants)),
-            stop=lambda number: owners[number].clock.passed,
+            stop=lambda number: _late(owners[number]),
         )
     proven = _proven_steps(owners, rollouts)
     for job, rollout, steps in zip(owners, rollouts, proven, strict=True):
@@ -64,7 +64,7 @@ def follow_samples(jobs: Sequence[Job], kit: Kit) -> None:
     count = kit.settings.samples
     if not count or kit.guide is None:
         return
-    jobs = _with_time([(job, count) for job in jobs], kit.guide)
+    jobs = with_time([(job, count) for job in jobs], kit.guide)
     if not jobs:
         return
     prefixes = [prefix for job in jobs for prefix in _branches(job, count)]
@@ -72,9 +72,6 @@ def follow_samples(jobs: Sequence[Job], kit: Kit) -> None:
 
     def stable(numbers: NDArray[np.int64], states: States, parents: States) -> Mask:
         return _judge([jobs[number] for number in numbers.tolist()], states, parents) > 0
-
-    def stop(number: int) -> bool:
-        return jobs[number].clock.passed
 
     before = [sum(job.clock.spent.values()) for job in jobs]
     begun = time.perf_counter()
@@ -86,7 +83,7 @@ def follow_samples(jobs: Sequence[Job], kit: Kit) -> None:
         rng=np.random.default_rng([job.request.seed for job in jobs]),
         temperature=kit.settings.temperature,
         stable=stable,
-        stop=stop,
+        stop=lambda number: _late(jobs[number]),
     )
     for job, spent in zip(jobs, before, strict=True):
         job.clock.add("policy", time.perf_counter() - begun - (sum(job.clock.spent.values()) - spent))
@@ -96,7 +93,14 @@ def follow_samples(jobs: Sequence[Job], kit: Kit) -> None:
             jobs[rollout.task].found([Route.through(states)], Decider.SAMPLED)
 
 
-def _with_time(wanted: Sequence[tuple[Job, int]], guide: PolicyGuide) -> list[Job]:
+def _late(job: Job) -> bool:
+    """Whether the clock of a job has run out; if so, it need not wait for the others any longer."""
+    if job.clock.passed:
+        job.others()
+    return job.clock.passed
+
+
+def with_time(wanted: Sequence[tuple[Job, int]], guide: PolicyGuide) -> list[Job]:
     """Jobs whose deadline leaves time for rollouts, and as much again for a search if they fail.
 
     Args:
@@ -172,6 +176,7 @@ def _judge(owners: Sequence[Job], states: States, parents: States) -> NDArray[np
     while begin < len(states):
         rows = np.arange(begin, min(begin + pace.batch, len(states)))
         begin += len(rows)
+        owners[0].others()
         rows = np.array([row for row in rows.tolist() if not owners[row].clock.passed], dtype=np.int64)
         if len(rows) == 0:
             continue

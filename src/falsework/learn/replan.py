@@ -8,7 +8,7 @@ an answer is a plan of proven states, a proof that there is none, or the admissi
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,10 +24,10 @@ from falsework.learn.fallback import search_on
 from falsework.learn.guide import PolicyGuide
 from falsework.learn.job import Job, Kit
 from falsework.learn.job import ReplanSettings as ReplanSettings
-from falsework.learn.propose import follow_greedily, follow_samples
+from falsework.learn.propose import follow_greedily, follow_samples, with_time
 from falsework.learn.prover import Prover
 from falsework.learn.request import Request as Request
-from falsework.search.guide import SupportGuide
+from falsework.search.guide import Guide, SupportGuide
 from falsework.search.task import Direction
 from falsework.stability.oracle import Stability
 
@@ -100,41 +100,7 @@ class Replanner:
         clocks = [Clock(request.deadline) for request in requests]
         with self._lock:
             jobs = [Job(request, self._kit, clock) for request, clock in zip(requests, clocks, strict=True)]
-            answers: dict[int, Replan] = {}
-
-            def give(number: int) -> None:
-                answers[number] = jobs[number].answer()
-                if finished is not None:
-                    finished(number, answers[number])
-
-            self._check_ends(jobs)
-            if self._kit.guide is not None:
-                follow_greedily(jobs, self._kit)
-                follow_samples([job for n, job in enumerate(jobs) if self._open(n, job, answers, give)], self._kit)
-            waiting: dict[int, Iterator[None]] = {}
-            for number, job in enumerate(jobs):
-                if self._open(number, job, answers, give):
-                    waiting[number] = search_on(job, self._support)
-            while waiting:
-                for number in sorted(waiting, key=lambda n: jobs[n].clock.left):
-                    if next(waiting[number], _END) is _END:
-                        del waiting[number]
-                        give(number)
-            return [answers[number] for number in range(len(jobs))]
-
-    @staticmethod
-    def _open(number: int, job: Job, answers: dict[int, Replan], give: Callable[[int], None]) -> bool:
-        """Whether work on a job goes on; if not, its answer is given, unless it was already."""
-        if job.settled and number not in answers:
-            give(number)
-        return number not in answers
-
-    def _check_ends(self, jobs: Sequence[Job]) -> None:
-        """Judge start and target of all jobs."""
-        if jobs:
-            verdicts = self.oracle.judge(np.concatenate([[job.task.start, job.task.target] for job in jobs]))
-            for number, job in enumerate(jobs):
-                job.check_ends(verdicts[2 * number : 2 * number + 2])
+            return _Round(jobs, self._kit, self._support, finished).run()
 
     def _warm(self) -> None:
         """Have everything loaded and compiled, and learn how long a proof takes."""
@@ -145,6 +111,69 @@ class Replanner:
         if self._kit.guide is not None:
             for _ in range(2):  # what the first call takes says nothing about the next
                 self._kit.guide.practise(state[0], self._kit.settings.samples)
+
+
+class _Round:
+    """Works on requests that came together until all have their answers."""
+
+    def __init__(self, jobs: Sequence[Job], kit: Kit, support: Guide, finished: Finished | None) -> None:
+        self._jobs = jobs
+        self._kit = kit
+        self._support = support
+        self._finished = finished
+        self._answers: dict[int, Replan] = {}
+        for job in jobs:
+            job.others = self._answer_overdue
+            job.oracle.limited = any(other.clock.limited for other in jobs)
+
+    def run(self) -> list[Replan]:
+        """Follow the policy for all in lock-step, then let searches take turns."""
+        if not self._jobs:
+            return []
+        self._check_ends()
+        if self._kit.guide is not None:
+            # Who cannot wait for rollouts of all the others is searched for at once.
+            patient = with_time([(job, 1) for job in self._open()], self._kit.guide)
+            self._search([number for number, job in enumerate(self._jobs) if job not in patient])
+            follow_greedily(self._open(), self._kit)
+            follow_samples(self._open(), self._kit)
+        self._search(range(len(self._jobs)))
+        return [self._answers[number] for number in range(len(self._jobs))]
+
+    def _open(self) -> list[Job]:
+        """Jobs on which work goes on; the others get their answers."""
+        for number, job in enumerate(self._jobs):
+            if job.settled:
+                self._answer(number)
+        return [job for number, job in enumerate(self._jobs) if number not in self._answers]
+
+    def _search(self, numbers: Iterable[int]) -> None:
+        """Let the searches of some jobs take turns until all have their answers, the most urgent job first."""
+        self._open()
+        searches = {number: search_on(self._jobs[number], self._support) for number in numbers}
+        while searches := {number: search for number, search in searches.items() if number not in self._answers}:
+            for number in sorted(searches, key=lambda number: self._jobs[number].clock.left):
+                if number not in self._answers and next(searches[number], _END) is _END:
+                    self._answer(number)
+
+    def _answer_overdue(self) -> None:
+        """Answer jobs whose clocks ran out while another one was worked on."""
+        for number, job in enumerate(self._jobs):
+            if job.clock.passed and not job.busy:
+                self._answer(number)
+
+    def _answer(self, number: int) -> None:
+        if number not in self._answers:
+            self._answers[number] = self._jobs[number].answer()
+            if self._finished is not None:
+                self._finished(number, self._answers[number])
+
+    def _check_ends(self) -> None:
+        """Judge start and target of all jobs."""
+        ends = np.concatenate([[job.task.start, job.task.target] for job in self._jobs])
+        verdicts = self._kit.prover.oracle.judge(ends)
+        for number, job in enumerate(self._jobs):
+            job.check_ends(verdicts[2 * number : 2 * number + 2])
 
 
 def replan(
