@@ -1,6 +1,8 @@
 """What a network is told of the geometry of a structure: numbers of parts and of pairs of parts.
 
-All of it is invariant to translation and to the unit of length, and made once for a structure.
+All of it is invariant to translation and to the unit of length, and made once for a structure. Where a part stands in
+the structure is left out, but for its height: a network would learn to know parts by their place, not by what is
+around them, and nothing of that holds for another structure.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from scipy.sparse.csgraph import shortest_path
 
 from falsework.assembly.model import Assembly
 
-PART_FEATURES = 17
+PART_FEATURES = 14
 PAIR_FEATURES = 24
 PORTS = 7
 
@@ -23,7 +25,7 @@ class PartFeatures:
     """Geometry of the parts of one structure, read-only float32 arrays."""
 
     part: NDArray[np.float32]
-    """Shape (parts, PART_FEATURES): place, height, mass, extents, and how contacts surround the part."""
+    """Shape (parts, PART_FEATURES): height, mass, extents, and how contacts surround the part."""
     pair: NDArray[np.float32]
     """Shape (parts, parts, PAIR_FEATURES): what part `i` (first index) sees of part `j`."""
     ports: NDArray[np.float32]
@@ -72,7 +74,6 @@ class PartFeatures:
         low = bounds[movable, 0, 2].min()
         part = np.concatenate(
             [
-                (centre - middle) / size,
                 ((centre[:, 2] - low) / size)[:, None],
                 np.clip(np.log(assembly.mass.mass / np.median(assembly.mass.mass[movable])), -4, 4)[:, None],
                 np.minimum(extent / size, 4.0),
