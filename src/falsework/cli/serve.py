@@ -71,15 +71,21 @@ class Serve(Command):
 
     def _load(self) -> tuple[Assembly, Path | None]:
         """The structure, and the run if there is one."""
+        from falsework.learn.door import check_torch
+
         folder = Path(self.structure.spec)
         if not (folder / "run.json").is_file():
-            return self.structure.load(), self.policy
+            assembly = self.structure.load()
+            if self.policy is not None:
+                check_torch()
+                from falsework.learn.checkpoint import check_structure, read_run
+
+                check_structure(self.policy, read_run(self.policy), assembly)
+            return assembly, self.policy
         if self.policy is not None:
             raise InputError(f"{folder} is a run already; leave --policy out, or name the structure instead")
         if self.structure.given():
             raise InputError(f"{folder} is a run, which says what its structure is; leave {self._first_given()} out")
-        from falsework.learn.door import check_torch
-
         check_torch()
         from falsework.learn.checkpoint import load_structure_of, read_run
 
