@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from falsework.assembly import load_structure
 from falsework.learn.policy_settings import PolicySettings
 from falsework.learn.settings import ImitationSettings, ImproveRounds, TrainSettings
 from falsework.learn.train import train
+from falsework.learn.trainer import Trainer
 from falsework.search.shards import Shards, joined
 
 
@@ -20,7 +22,7 @@ def main() -> None:
     from falsework.learn import train as module
 
     settings = TrainSettings(
-        method=sys.argv[2],  # type: ignore[arg-type]
+        method=sys.argv[2],  # pyright: ignore[reportArgumentType]
         steps=20,
         block=10,
         widths=(8,),
@@ -29,17 +31,16 @@ def main() -> None:
         imitation=ImitationSettings(batch=16),
         improve=ImproveRounds(first=0.0, every=1, starts=10),
     )
-    kept = {}
-    trainer = module.Trainer
+    kept: dict[str, Trainer] = {}
 
-    class Kept(trainer):  # type: ignore[misc, valid-type]
+    class Kept(Trainer):
         """Shows the trainer of each process to this script."""
 
-        def __init__(self, *arguments: object) -> None:
-            super().__init__(*arguments)  # type: ignore[arg-type]
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
             kept["trainer"] = self
 
-    module.Trainer = Kept  # type: ignore[misc]
+    setattr(module, "Trainer", Kept)  # noqa: B010
     folder = Path(sys.argv[1])
     with joined("cpu"):
         result = train(load_structure("arch:blocks=7"), settings, folder=folder / "run", device="cpu", logs=())

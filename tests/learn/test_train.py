@@ -36,6 +36,8 @@ from falsework.learn.settings import (  # noqa: E402
     TrainSettings,
 )
 from falsework.learn.train import TrainResult, train  # noqa: E402
+from falsework.learn.trainer import Trainer  # noqa: E402
+from falsework.search.archive import write_whole  # noqa: E402
 
 SMALL = TrainSettings(
     method="search",
@@ -164,7 +166,7 @@ def test_a_disk_that_fills_up_costs_checkpoints_only(
     arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Training goes on and says so; when it cannot save its result either, the last good checkpoint resumes."""
-    settings, whole = replace(SMALL, checkpoint_every=0.0), checkpoint.write_whole
+    settings, whole = replace(SMALL, checkpoint_every=0.0), write_whole
     expected = train(arch, settings, folder=tmp_path / "whole", device="cpu")
     written = 0
 
@@ -191,10 +193,9 @@ def test_test_states_are_not_learned_from(tmp_path: Path, monkeypatch: pytest.Mo
     """None is stored, started from, or among mistakes and outcomes, whatever rollouts come across."""
     arch = load_structure("arch:blocks=9")
     kept: dict[str, Any] = {}
-    build = module.Trainer
 
     def keep(*arguments: Any) -> Any:
-        kept["trainer"] = build(*arguments)
+        kept["trainer"] = Trainer(*arguments)
         return kept["trainer"]
 
     monkeypatch.setattr(module, "Trainer", keep)

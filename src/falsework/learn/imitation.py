@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,13 @@ def unlearning_loss(logits: torch.Tensor, mask: torch.Tensor, actions: torch.Ten
     looked = torch.where(choice[:, None], others, mask)
     rest = torch.logsumexp(torch.where(looked, log_probability, _LOW), dim=1)
     return -(rest * choice).sum() / choice.sum().clamp(min=1)
+
+
+def blend(tensors: Sequence[torch.Tensor], others: Sequence[torch.Tensor], share: float) -> None:
+    """Move tensors by a share of the way to others, in place and in one call; all the way for 1."""
+    with torch.no_grad():
+        every: Any = torch._foreach_lerp_  # pyright: ignore[reportPrivateImportUsage]
+        every(list(tensors), [other.detach() for other in others], share)
 
 
 class Imitation:
@@ -177,7 +185,7 @@ class Imitation:
             self.steps += 1
             # The first averages are over few steps, or they would remember the random weights of the beginning.
             keep = min(self.settings.average, (1 + self.steps) / (10 + self.steps))
-            torch._foreach_lerp_(self._average, [weight.detach() for weight in self._weights], 1.0 - keep)
+            blend(self._average, self._weights, 1.0 - keep)
             numbers = torch.stack([loss.detach(), norm.detach(), self._one, odd.float()])
             self._sums += torch.where(odd, self._left_out, numbers)
         self.policy.eval()
@@ -207,13 +215,12 @@ class Imitation:
         """Begin with the weights of another policy of the same kind."""
         self.policy.load_state_dict(policy.state_dict())
         with torch.no_grad():
-            torch._foreach_copy_(self._average, [weight.detach() for weight in self._weights])
+            blend(self._average, self._weights, 1.0)
 
     def averaged(self, policy: Policy) -> Policy:
         """Write the moving average of the weights into another policy of the same kind."""
         with torch.no_grad():
-            weights = [weight for weight in policy.parameters() if weight.requires_grad]
-            torch._foreach_copy_(weights, self._average)
+            blend([weight for weight in policy.parameters() if weight.requires_grad], self._average, 1.0)
         return policy.eval()
 
     def tensors(self) -> dict[str, torch.Tensor]:

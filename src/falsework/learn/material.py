@@ -93,6 +93,8 @@ def find_material(
         data = dataset or build_dataset(
             assembly, task, searches, oracle=oracle, device=str(device), shards=shards, report=report
         )
+        if not data.complete and note is not None:
+            note("not every search reached the complete structure, so little is known of it; wider ones may")
         if shards.first and path is not None:
             try:
                 data.save(path)

@@ -27,7 +27,7 @@ def train(
     assembly: Assembly,
     settings: TrainSettings = TrainSettings(),
     *,
-    folder: Path | str,
+    folder: Path | str | None,
     source: Mapping[str, Any] | None = None,
     device: str = "auto",
     resume: bool = False,
@@ -42,7 +42,7 @@ def train(
     Args:
         assembly: the structure.
         settings: what to do; with `resume`, only `minutes` and `steps` of it count, where they are given.
-        folder: of the run.
+        folder: of the run; None keeps nothing but what is returned.
         source: where the structure can be loaded from again; a built-in of the name of the assembly if not given.
         device: `auto`, `cpu` or `cuda`.
         resume: go on with the run in the folder.
@@ -55,19 +55,23 @@ def train(
         InputError: no such device, a folder that holds another run, nothing to resume, or no room to write.
     """
     with joined(device) as (shards, where):
-        folder = Path(folder)
+        place = None if folder is None else Path(folder)
         begun = time.perf_counter()
-        kept = _begin(folder, assembly, settings, where, resume)
+        kept = _begin(place, assembly, settings, where, resume)
         with _repeatable(kept), _threads(kept, where):
-            trainer = Trainer(assembly, kept, folder, dict(source or {"built_in": assembly.name}), where, shards)
+            trainer = Trainer(assembly, kept, place, dict(source or {"built_in": assembly.name}), where, shards)
             trainer.report = report or trainer.report
             return trainer.run(begun, resume=resume, logs=logs, dataset=dataset)
 
 
 def _begin(
-    folder: Path, assembly: Assembly, settings: TrainSettings, device: torch.device, resume: bool
+    folder: Path | None, assembly: Assembly, settings: TrainSettings, device: torch.device, resume: bool
 ) -> TrainSettings:
     """Settings filled in, those of the run that is resumed if so."""
+    if folder is None:
+        if resume:
+            raise InputError("there is nothing to resume without the folder of a run; name it")
+        return settings.resolved(assembly.part_count, device.type)
     if not resume:
         if (folder / FILE).exists():
             raise InputError(f"{folder} holds a run already; go on with it by --resume, or choose another folder")

@@ -23,7 +23,7 @@ from falsework.learn.learners import Learner, PpoLearner, SearchLearner, merged,
 from falsework.learn.log import Journal
 from falsework.learn.material import find_material
 from falsework.learn.pace import Pace
-from falsework.learn.policy import describe, make_policy
+from falsework.learn.policy import Policy, describe, make_policy
 from falsework.learn.refine import Refinement
 from falsework.learn.settings import TrainSettings, as_json
 from falsework.learn.solved import SolvedStates
@@ -44,7 +44,7 @@ _COMPILE_FROM = 4.0
 class TrainResult:
     """What training came to."""
 
-    folder: Path
+    folder: Path | None
     steps: int
     """Steps of the optimizer."""
     seconds: float
@@ -63,6 +63,10 @@ class TrainResult:
     device: str
     throughput: dict[str, Any]
     """Of the environment, in this piece of the run."""
+    policy: Policy
+    """With the weights that were evaluated, as `load_run` reads them."""
+    curve: tuple[dict[str, float], ...] = ()
+    """What `progress.jsonl` says, of this piece of the run."""
     notes: tuple[str, ...] = ()
     first: bool = True
     """This process is the one that reports."""
@@ -91,7 +95,7 @@ class Trainer:
         self,
         assembly: Assembly,
         settings: TrainSettings,
-        folder: Path,
+        folder: Path | None,
         source: dict[str, Any],
         device: torch.device,
         shards: Shards,
@@ -106,7 +110,8 @@ class Trainer:
         self.pace = Pace(minutes=settings.minutes, steps=settings.steps, shards=shards, device=device)
         self._structure = describe_structure(assembly, source)
         self._results: dict[str, Any] = {}
-        self._checkpoint = CheckpointFile(folder)
+        self._checkpoint = None if folder is None else CheckpointFile(folder)
+        self._curve: list[dict[str, float]] = []
         self._saved = time.perf_counter()
         self._oracle = Stability(assembly)
         self._environment = WatchedEnvironment(
@@ -126,8 +131,10 @@ class Trainer:
     def run(self, begun: float, *, resume: bool, logs: Sequence[str], dataset: Dataset | None) -> TrainResult:
         """Data, blocks, result."""
         self.pace.before = time.perf_counter() - begun
-        saved = self._checkpoint.load() if resume and self._checkpoint.exists() else None
-        if self.shards.first:
+        saved = None
+        if resume and self._checkpoint is not None and self._checkpoint.exists():
+            saved = self._checkpoint.load()
+        if self.shards.first and self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_run(self.folder, self._metadata())
         self._material = find_material(
@@ -155,7 +162,7 @@ class Trainer:
         if not len(self._solved):
             raise InputError(f"no state of {self.assembly.name} is left to learn from; use wider searches")
         journal = None
-        if self.shards.first:
+        if self.shards.first and self.folder is not None:
             at = self.steps if saved is not None else None
             journal = Journal(self.folder, logs, configuration=self._metadata()["settings"], resumed_at=at)
             self.notes += journal.notes
@@ -195,8 +202,9 @@ class Trainer:
         result = self._result(success, bool(interrupted), time.perf_counter() - here)
         self._results = result.as_json()
         self._save(learner)
-        if self.shards.first:
-            save_run(self.folder, learner.best(self._best), self._metadata())
+        learner.best(self._best)
+        if self.shards.first and self.folder is not None:
+            save_run(self.folder, self._best, self._metadata())
         return replace(result, notes=tuple(self.notes))
 
     def _phases(self) -> tuple[tuple[str, float], ...]:
@@ -268,11 +276,12 @@ class Trainer:
         return success
 
     def _log(self, journal: Journal | None, numbers: dict[str, float], success: dict[str, Success]) -> None:
-        if journal is None:
-            return
-        curve = {f"success/{name}": one.share for name, one in success.items()}
-        curve |= {"seconds": round(self.pace.seconds, 3), "test_states_met": self._solved.met_share}
-        journal.write(self.steps, {**curve, **{f"train/{name}": value for name, value in numbers.items()}})
+        line = {f"success/{name}": one.share for name, one in success.items()}
+        line |= {"seconds": round(self.pace.seconds, 3), "test_states_met": self._solved.met_share}
+        line |= {f"train/{name}": value for name, value in numbers.items()}
+        self._curve.append({"step": self.steps, **line})
+        if journal is not None:
+            journal.write(self.steps, line)
 
     def _words(self, numbers: dict[str, float], test: Success) -> str:
         loss = f"loss {numbers['loss']:.3f}" if "loss" in numbers else ""
@@ -281,6 +290,8 @@ class Trainer:
 
     def _save(self, learner: Learner) -> None:
         """Write a checkpoint, in all processes together; a disk that is full is worth a note, not the run."""
+        if self._checkpoint is None:
+            return
         own = merged(learner.own_tensors(), self.shards, self.device)
         self._saved = time.perf_counter()
         if not self.shards.first:
@@ -323,6 +334,8 @@ class Trainer:
             self.shards.size,
             torch.cuda.get_device_name(self.device) if gpu else platform.processor() or "cpu",
             throughput(self._environment, seconds, self.shards),
+            self._best,
+            tuple(self._curve),
             first=self.shards.first,
         )
 

@@ -1,0 +1,317 @@
+"""Train policies and evaluate them by the paper's protocols: one JSON object a line.
+
+    python benchmarks/learning.py table3                             # all rows, three seeds for the small ones
+    python benchmarks/learning.py table3 --rows vault-62:2 --data width64 --seeds 0
+    python benchmarks/learning.py table3 --rows vault-62:2 --search --keep runs
+    python benchmarks/learning.py table4 --rows bottle-12:2 dome-37:2
+    python benchmarks/learning.py table5 --rows bottle-12:2
+    python benchmarks/learning.py transfer
+    python benchmarks/learning.py methods --rows bottle-12:2 --minutes 1 > curves.jsonl
+    python benchmarks/learning.py plot --curves curves.jsonl --picture curves.png
+    torchrun --nproc-per-node 4 benchmarks/learning.py table3 --rows vault-62:6
+
+A row is a structure, by the name of a real one (FALSEWORK_DATA, else the folder `shared` beside the repository), of a
+built-in one or by its path, and a number of robots. `table3`: greedy success on the training and the test set, all
+states of them, `paper` beside it where the paper has the row, `target` what is asked for; `--data width64` learns from
+the paper's data alone, `--search` adds the share of test states with a proven plan. `table4`: two states, beside a
+policy that is not told the target. `table5`: graph network, attention between parts and perceptrons with the same
+budget. `transfer`: a policy of the bottle asked about the dog. `methods`: curves of all ways to train. `minutes` is the
+budget for everything from the meshes on, `seconds` what it came to; evaluating all states comes on top. Rows are
+independent: run them as processes of their own, each with its CUDA_VISIBLE_DEVICES.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from falsework.assembly import load_structure
+from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
+from falsework.learn.environment import Environment
+from falsework.learn.evaluate import EvaluateSettings, evaluate
+from falsework.learn.hindsight import OneState
+from falsework.learn.imitation import Network
+from falsework.learn.material import find_pairs
+from falsework.learn.policy import Policy, transfer
+from falsework.learn.policy_settings import PolicySettings
+from falsework.learn.settings import METHODS, TrainSettings
+from falsework.learn.train import TrainResult, train
+from falsework.search.shards import Shards, joined
+from falsework.search.tensor_judge import oracle_on
+from falsework.stability import Stability
+
+TABLE_3: dict[str, tuple[float, float, float, float, float]] = {
+    "bottle-12:2": (95.7, 86.5, 0.28, 97, 2),
+    "tetris-17:2": (98.0, 92.6, 0.25, 98, 2),
+    "tetris-14:2": (94.3, 86.6, 0.21, 97, 2),
+    "tetris-13:2": (97.3, 92.3, 0.15, 98, 2),
+    "dog-35:2": (99.2, 99.0, 1.14, 99.5, 5),
+    "dome-37:2": (97.4, 91.0, 1.6, 98, 5),
+    "vault-62:2": (92.3, 38.9, 21.3, 95, 20),
+    "vault-62:3": (97.9, 53.4, 9.5, 96, 20),
+    "vault-62:4": (96.2, 69.0, 9.0, 97, 20),
+    "vault-62:5": (94.6, 70.8, 9.0, 97, 20),
+    "vault-62:6": (91.2, 78.4, 9.0, 97, 20),
+    "dome-72:2": (97.6, 96.4, 16.05, 98.5, 15),
+}
+"""For each row the paper's success in training and in test in %, its hours, and what is asked for: test in %, minutes."""
+SMALL = 20
+"""Parts up to which a row is run with three seeds."""
+
+
+def find(name: str) -> str:
+    """Path of a real structure where there is one of that name, else the name."""
+    named = os.environ.get("FALSEWORK_DATA")
+    data = Path(named) if named else Path(__file__).resolve().parents[2] / "shared"
+    path = data / "assemblies" / name
+    return str(path) if path.is_dir() else name
+
+
+def rows_of(options: argparse.Namespace) -> Iterator[tuple[str, Any, int, tuple[int, ...]]]:
+    """Name, structure, robots and seeds of every row."""
+    for row in options.rows or TABLE_3:
+        name, _, robots = row.rpartition(":")
+        if not robots.isdigit():
+            name, robots = row, "2"
+        if not options.rows and find(name) == name:
+            continue  # the real structures are not on this machine
+        assembly = load_structure(find(name))
+        seeds = tuple(options.seeds) or ((0, 1, 2) if assembly.part_count <= SMALL else (0,))
+        yield name, assembly, int(robots), seeds
+
+
+def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, **changes: Any) -> TrainSettings:
+    """What is asked for on the command line, with the budget of the row."""
+    target = TABLE_3.get(f"{row}:{robots}")
+    minutes = options.minutes or (target[4] if target and options.device != "cpu" else 0.0)
+    given: dict[str, Any] = {"robots": robots, "seed": seed, "minutes": minutes, "steps": options.steps}
+    given |= {"data": options.data, "widths": tuple(options.widths)}
+    if options.method:
+        given["method"] = options.method
+    if options.policy:
+        given["policy"] = PolicySettings(options.policy)
+    return TrainSettings(**{**given, **changes})
+
+
+def report(**values: Any) -> None:
+    """Print one line, in the first process only."""
+    if Shards.of_group().first:
+        machine = {"torch": torch.__version__, "cores": os.cpu_count(), "python": platform.python_version()}
+        print(json.dumps({**values, **machine}), flush=True)
+
+
+def run(options: argparse.Namespace, name: str, assembly: Any, settings: TrainSettings, label: str) -> TrainResult:
+    """Train, with a line on standard error now and then."""
+    last = time.perf_counter()
+
+    def show(done: float, text: str) -> None:
+        nonlocal last
+        if not options.quiet and time.perf_counter() - last > 10 and Shards.of_group().first:
+            last = time.perf_counter()
+            sys.stderr.write(f"{label}: {100 * done:5.1f} % {text}\n")
+
+    folder = None
+    if options.keep:
+        folder = Path(options.keep) / label.replace(":", "-").replace(" ", "-").replace("/", "-")
+    source = {"path": str(Path(find(name)).resolve())} if find(name) != name else {"built_in": name}
+    return train(
+        assembly,
+        settings,
+        folder=folder,
+        source=source,
+        device=options.device,
+        resume=folder is not None and (folder / "run.json").exists(),
+        report=show,
+    )
+
+
+def evaluated(
+    options: argparse.Namespace, result: TrainResult, settings: TrainSettings, assembly: Any, *, one_state: bool = False
+) -> dict[str, Any]:
+    """Success on all states of both sets, or on all pairs."""
+    device = next(result.policy.parameters()).device
+    filled = settings.resolved(assembly.part_count, device.type)
+    environment = Environment(assembly, settings.robots, device=device, clearance=settings.removable_only_if_clear)
+    network: Any = Network(result.policy, filled.precision)
+    if settings.policy.two_states or one_state:
+        narrow = replace(filled, data="width64")
+        pairs = find_pairs(assembly, narrow, oracle_on(Stability(assembly), device), device=device)
+        sets: Any = {
+            "train": (pairs.train.states, pairs.train.targets),
+            "test": (pairs.test.states, pairs.test.targets),
+        }
+        network = OneState(network) if one_state else network
+    else:
+        data = protocol(assembly, settings, str(device))
+        sets = {"train": (data.train, None), "test": (data.test, None)}
+    chosen = EvaluateSettings(states=options.states, search=options.search)
+    return evaluate(environment, network, sets, chosen, shards=Shards.of_group())
+
+
+def protocol(assembly: Any, settings: TrainSettings, device: str) -> Dataset:
+    """The two sets of the paper's protocol; the same states as in training, since the seed is."""
+    task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
+    return build_dataset(assembly, task, DataSettings(seed=settings.data_seed), device=device)
+
+
+def line(
+    benchmark: str, name: str, settings: TrainSettings, result: TrainResult, found: dict[str, Any], **more: Any
+) -> None:
+    """One row."""
+    paper = TABLE_3.get(f"{name}:{settings.robots}")
+    known: dict[str, Any] = {}
+    if paper and benchmark == "table3":
+        known["paper"] = {"train": paper[0] / 100, "test": paper[1] / 100, "hours": paper[2]}
+        known["target"] = {"test": paper[3] / 100, "minutes": paper[4]}
+    report(
+        benchmark=f"learning {benchmark}",
+        structure=name,
+        robots=settings.robots,
+        seed=settings.seed,
+        data=settings.data,
+        method=settings.method,
+        policy=result.policy.settings.kind,
+        two_states=settings.policy.two_states,
+        **found,
+        **known,
+        seconds=round(result.seconds, 1),
+        data_seconds=round(result.data_seconds, 1),
+        training_seconds=round(result.seconds - result.data_seconds, 1),
+        steps=result.steps,
+        states_learned_from=result.solved,
+        test_states_met=round(result.met_share, 4),
+        device=result.device,
+        processes=result.processes,
+        environment=result.throughput,
+        notes=result.notes,
+        **more,
+    )
+
+
+def table3(options: argparse.Namespace) -> None:
+    """Greedy success from states that a policy has not seen."""
+    for name, assembly, robots, seeds in rows_of(options):
+        for seed in seeds:
+            settings = settings_of(options, name, robots, seed)
+            result = run(options, name, assembly, settings, f"{name}:{robots} {settings.data} seed {seed}")
+            line("table3", name, settings, result, evaluated(options, result, settings, assembly))
+
+
+def table4(options: argparse.Namespace) -> None:
+    """Greedy success from states to other states, told the target and not told."""
+    for name, assembly, robots, seeds in rows_of(options):
+        for seed in seeds[:1]:
+            for two in (True, False):
+                kind = PolicySettings(options.policy) if options.policy else PolicySettings()
+                settings = settings_of(options, name, robots, seed, policy=replace(kind, two_states=two))
+                label = f"{name}:{robots} {'two states' if two else 'one state'} seed {seed}"
+                result = run(options, name, assembly, settings, label)
+                line(
+                    "table4", name, settings, result, evaluated(options, result, settings, assembly, one_state=not two)
+                )
+
+
+def table5(options: argparse.Namespace) -> None:
+    """Networks against each other with the same budget."""
+    for name, assembly, robots, seeds in rows_of(options):
+        for seed in seeds:
+            for kind in ("residual", "parts", "graph", "mlp"):
+                settings = settings_of(options, name, robots, seed, policy=PolicySettings(kind))
+                result = run(options, name, assembly, settings, f"{name}:{robots} {kind} seed {seed}")
+                line("table5", name, settings, result, evaluated(options, result, settings, assembly))
+
+
+def carry_over(options: argparse.Namespace) -> None:
+    """A policy trained on one structure and asked about another (paper: bottle to dog, 66 %)."""
+    source, goal = options.rows or ("bottle-12:2", "dog-35:2")
+    name, _, robots = source.rpartition(":")
+    other = load_structure(find(goal.rpartition(":")[0]))
+    assembly = load_structure(find(name))
+    for seed in options.seeds or (0,):
+        kind = PolicySettings(options.policy or "parts")
+        settings = settings_of(options, name, int(robots), seed, policy=kind)
+        result = run(options, name, assembly, settings, f"{name} seed {seed}")
+        device = next(result.policy.parameters()).device
+        moved: Policy = transfer(result.policy.state_dict(), settings.policy, other, device)
+        there = replace(result, policy=moved.eval())
+        found = evaluated(options, there, settings, other)
+        line("transfer", name, settings, result, found, asked_about=goal.rpartition(":")[0], paper_train=0.66)
+
+
+def methods(options: argparse.Namespace) -> None:
+    """Curves of all ways to train."""
+    for name, assembly, robots, seeds in rows_of(options):
+        for seed in seeds[:1]:
+            for method in METHODS:
+                settings = settings_of(options, name, robots, seed, method=method)
+                result = run(options, name, assembly, settings, f"{name}:{robots} {method} seed {seed}")
+                points = [[one["seconds"], one["success/train"], one["success/test"]] for one in result.curve]
+                found = {"train": result.train.as_json(), "test": result.test.as_json()}
+                line("methods", name, settings, result, found, curve=points)
+
+
+def plot(options: argparse.Namespace) -> None:
+    """Draw what `methods` printed."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    lines = [json.loads(text) for text in Path(options.curves).read_text(encoding="utf-8").splitlines()]
+    structures = list(dict.fromkeys(one["structure"] for one in lines))
+    figure, axes = pyplot.subplots(1, len(structures), figsize=(6 * len(structures), 4), squeeze=False)
+    for axis, structure in zip(axes[0], structures, strict=True):
+        for one in (one for one in lines if one["structure"] == structure):
+            seconds, _, test = zip(*one["curve"], strict=True)
+            axis.plot(seconds, [100 * share for share in test], marker=".", label=one["method"])
+        axis.set(title=structure, xlabel="seconds, data included", ylabel="unseen states, greedy success in %")
+        axis.set_ylim(0, 101)
+        axis.grid(alpha=0.3)
+        axis.legend()
+    figure.tight_layout()
+    figure.savefig(options.picture, dpi=150)
+
+
+def main() -> None:
+    """Read the command line and run a benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    whats = {"table3": table3, "table4": table4, "table5": table5, "transfer": carry_over}
+    whats |= {"methods": methods, "plot": plot}
+    parser.add_argument("what", choices=list(whats))
+    parser.add_argument("--rows", nargs="*", default=[], help="structure:robots; all of the table if not given")
+    parser.add_argument(
+        "--seeds", nargs="*", type=int, default=[], help="default: three for small structures, else one"
+    )
+    parser.add_argument("--minutes", type=float, default=0.0, help="default: what the table allows")
+    parser.add_argument("--steps", type=int, default=0, help="in place of minutes")
+    parser.add_argument("--data", choices=("wide", "width64"), default="wide")
+    parser.add_argument("--widths", nargs="*", type=int, default=[], help="of the wide searches")
+    parser.add_argument("--method", choices=METHODS, default="")
+    parser.add_argument("--policy", choices=("residual", "parts", "graph", "mlp"), default="")
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--states", type=int, default=0, help="states evaluated of each set; 0 for all")
+    parser.add_argument("--search", action="store_true", help="search where the policy fails")
+    parser.add_argument("--keep", default="", help="folder to keep the runs in; those that are there are gone on with")
+    parser.add_argument("--curves", default="curves.jsonl", help="what methods printed, for plot")
+    parser.add_argument("--picture", default="curves.png", help="file for plot")
+    parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
+    options = parser.parse_args()
+    if options.what == "plot":
+        plot(options)
+        return
+    with joined(options.device):
+        whats[options.what](options)
+
+
+if __name__ == "__main__":
+    main()
