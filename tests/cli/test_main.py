@@ -55,7 +55,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 @pytest.mark.parametrize("name", entry.COMMANDS)
 def test_every_command_has_help_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert entry.main([name, "--help"]) == 0
+    assert entry.main([*name.split(), "--help"]) == 0
     text = capsys.readouterr().out
     assert f"  falsework {name}" in text.split("Example", 1)[1]
     assert "--json" in text
@@ -66,6 +66,8 @@ def test_every_command_has_help_with_an_example(name: str, capsys: pytest.Captur
     ("arguments", "hint"),
     [
         ([], "structures"),
+        (["robots"], "export"),
+        (["robots", "dance"], "plan"),
         (["pla"], "plan"),
         (["plan"], "STRUCTURE"),
         (["plan", "arch", "--robot", "2"], "--robots"),

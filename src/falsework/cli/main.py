@@ -35,8 +35,11 @@ COMMANDS = {
     "view": "View",
     "picture": "MakePicture",
     "animate": "Animate",
+    "robots plan": "PlanRobots",
+    "robots check": "CheckRobots",
+    "robots export": "ExportRobots",
 }
-"""Module of each subcommand in this package, named like it, and its class there."""
+"""Module of each subcommand in this package, named like the first word, and its class there."""
 
 _ABOUT = """Plan how robots build structures of rigid blocks with nothing but their grippers as falsework.
 
@@ -91,16 +94,18 @@ def _parse(arguments: list[str]) -> Command | None:
     if arguments == ["--version"]:
         sys.stdout.write(f"falsework {__version__}\n")
         return None
-    named = arguments[0] if arguments and arguments[0] in COMMANDS else None
+    named = next((name for name in (" ".join(arguments[:2]), *arguments[:1]) if name in COMMANDS), None)
     if named is not None:
         kind: Any = _command_class(named)
-        about, program, rest = _help_text(kind), f"falsework {named}", arguments[1:]
+        about, program, rest = _help_text(kind), f"falsework {named}", arguments[len(named.split()) :]
     else:
+        group = [name for name in COMMANDS if " " in name and name.split()[:1] == arguments[:1]]
         classes = [
-            Annotated[kind, tyro.conf.subcommand(name, description=_first_line(kind))]
-            for name, kind in ((name, _command_class(name)) for name in COMMANDS)
+            Annotated[kind, tyro.conf.subcommand(name.split()[-1] if group else name, description=_first_line(kind))]
+            for name, kind in ((name, _command_class(name)) for name in group or COMMANDS)
         ]
-        kind, about, program, rest = Union[tuple(classes)], _ABOUT, "falsework", arguments  # noqa: UP007
+        program, rest = ("falsework", arguments) if not group else (f"falsework {arguments[0]}", arguments[1:])
+        kind, about = Union[tuple(classes)], _ABOUT  # noqa: UP007
     markers = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes)
     complaint = io.StringIO()
     try:
@@ -113,7 +118,7 @@ def _parse(arguments: list[str]) -> Command | None:
 
 
 def _command_class(name: str) -> type[Command]:
-    return getattr(importlib.import_module(f"falsework.cli.{name}"), COMMANDS[name])
+    return getattr(importlib.import_module(f"falsework.cli.{name.split()[0]}"), COMMANDS[name])
 
 
 def _first_line(kind: type[Command]) -> str:

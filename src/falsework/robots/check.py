@@ -30,7 +30,7 @@ class CheckSettings:
     """No joint moves farther between two samples, rad or m."""
     tolerance: float = 0.0005
     """A part that leaves its place, or arrives there, may overlap its neighbours by so much, metres; where the
-    structure's own meshes overlap by more, by half as much again as they do."""
+    structure's own meshes overlap by more at that place, this is doubled until they do not."""
     reach: float = 0.005
     """A gripper holds a part if it is no farther from it than this, metres."""
     joins: float = 1e-5
@@ -80,6 +80,8 @@ class CheckReport:
     velocity_share: float
     """Largest speed of a joint as a share of what the cell allows."""
     acceleration_share: float
+    tolerance: float
+    """Most that a part was shrunk where it leaves or arrives, metres."""
     seconds: float
     """That the check took."""
 
@@ -95,9 +97,7 @@ class _Checker:
     def __init__(self, plan: RobotPlan, assembly: Assembly, cell: Cell, settings: CheckSettings) -> None:
         self.plan, self.cell, self.settings = plan, cell, settings
         parts = place_parts(assembly, cell.placement)
-        _, overlap = assembly.contact_settings.lengths(assembly.meshes)
-        tolerance = max(settings.tolerance, 1.5 * overlap * cell.placement.scale)
-        self.judge = Judge(cell, parts, tolerance)
+        self.judge = Judge(cell, parts, settings.tolerance)
         self.boundary = assembly.boundary
         self.problems: list[Problem] = []
         self.samples = self.trajectories = 0
@@ -301,5 +301,6 @@ def check_robot_plan(
         checker.largest_join,
         checker.velocity,
         checker.acceleration,
+        checker.judge.slack,
         time.perf_counter() - began,
     )

@@ -105,6 +105,8 @@ class Judge:
         self._obstacles = [(o.name, self._convex(p)) for o in cell.obstacles for p in o.pieces]
         self._parts = [self._surface(mesh, mesh.vertices) for mesh in parts.meshes]
         self._shrunken: dict[int, Any] = {}
+        self.slack = tolerance
+        """Most that a part had to be shrunk so far, metres."""
         self._floor = coal.Box(np.array([100.0, 100.0, 1.0]))
 
     def prepare(
@@ -211,11 +213,36 @@ class Judge:
         entry = self.cell.robots[robot]
         # A part at its place has the identity as its pose, so in the flange it is the inverse of the flange's pose.
         placement = entry.model.flange @ inverse_pose(self.flange(robot, grip))
-        if at_place and part not in self._shrunken:
-            mesh = self.parts.meshes[part]
-            self._shrunken[part] = self._surface(mesh, shrink(mesh, self.tolerance))
-        shape = self._shrunken[part] if at_place else self._parts[part]
+        shape = self._loose(part) if at_place else self._parts[part]
         return Body(f"part {self.parts.names[part]}", shape, self._joints[robot][-1], placement)
+
+    def _loose(self, part: int) -> Any:
+        """A part shrunk so far that it touches nothing at its place in the complete structure.
+
+        By the tolerance; where the meshes themselves overlap by more, that is doubled until they come apart.
+        """
+        if part not in self._shrunken:
+            mesh, here = self.parts.meshes[part], self._coal.Transform3s()
+            low, high = mesh.bounds
+            near = [
+                other
+                for other, mesh in enumerate(self.parts.meshes)
+                if other != part and (mesh.bounds[0] <= high).all() and (mesh.bounds[1] >= low).all()
+            ]
+            slack, most = self.tolerance, mesh.thickness / 8
+            while True:
+                shape = self._surface(mesh, shrink(mesh, slack))
+                request = self._coal.CollisionRequest
+                hits = (
+                    self._coal.collide(shape, here, self._parts[other], here, request(), self._coal.CollisionResult())
+                    for other in near
+                )
+                if 2 * slack > most or not any(hits):
+                    break
+                slack *= 2
+            self._shrunken[part] = shape
+            self.slack = max(self.slack, slack)
+        return self._shrunken[part]
 
     def _standing(self, robot: int, present: NDArray[np.bool_]) -> list[tuple[str, int, Body]]:
         found: list[tuple[str, int, Body]] = []

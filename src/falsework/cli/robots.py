@@ -1,0 +1,275 @@
+"""`falsework robots`: motions of real arms for a plan, an independent check of them, and files for controllers."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from tyro.conf import Positional, arg
+
+from falsework.cli.arguments import parse_parts, parse_state
+from falsework.cli.command import UNSET, Command, Exit, LoadOptions, StructureOptions
+from falsework.cli.planning import writable
+from falsework.errors import InputError
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.cli.output import Output
+    from falsework.robots.cell import Cell
+    from falsework.robots.hybrid import HybridResult
+    from falsework.robots.robot_plan import RobotPlan
+    from falsework.search.guide import Guide
+    from falsework.search.task import Task
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanRobots(Command):
+    """Plan how the arms of a cell take a structure apart, and so, played backwards, how they build it.
+
+    Actions and motions are planned together: every state is proven stable, every motion is free of collisions, one
+    robot moves at a time. Exit code 1 if no plan was found; the report says which parts no robot reaches, what is in
+    the way, and how far it came, and what was found is saved all the same.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework robots plan my-folder --cell cell.toml --out robot_plan.json",
+        "falsework robots plan my-folder --cell cell.toml --policy my-run --robots-seed 3 --deadline 60",
+    )
+
+    structure: StructureOptions
+    cell: Annotated[str, arg(metavar="CELL")]
+    """Cell file, or the name of a built-in cell such as dome-37."""
+    out: Annotated[Path, arg(metavar="FILE")] = Path("robot_plan.json")
+    """File to write."""
+    policy: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
+    """Trained run whose policy proposes the actions."""
+    robots_seed: int = 0
+    """Same seed, same machine, same result."""
+    deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
+    """Give up after so long."""
+    start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
+    """State to start from: `complete`, digits such as 2110, or a file. It must not have held parts."""
+    target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
+    """State to end in: `empty`, digits, or a file."""
+    missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
+    """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
+    assembly_order: bool = False
+    """Write the motions in the order of assembly."""
+    proofs: bool = False
+    """Write the contact forces that prove each state into the plan too."""
+
+    def run(self, output: Output) -> Exit:
+        """Search, save, report."""
+        from falsework.robots.cell_file import load_cell
+        from falsework.robots.hybrid import HybridSettings, plan_robots
+        from falsework.stability import Stability
+
+        writable(self.out)
+        settings = HybridSettings(seed=self.robots_seed, deadline=self.deadline, forces=self.proofs)
+        cell = load_cell(self.cell)
+        assembly = self.structure.load()
+        task = self._task(assembly, cell)
+        guide = self._guide(assembly, task)
+        with output.bar("planning motions") as show:
+            result = plan_robots(
+                assembly,
+                cell,
+                task=task,
+                oracle=Stability(assembly),
+                guide=guide,
+                settings=settings,
+                progress=lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}"),
+            )
+        return self._report(result, output)
+
+    def _task(self, assembly: Assembly, cell: Cell) -> Task:
+        from falsework.search.task import Task
+
+        return Task.create(
+            assembly.boundary,
+            cell.robot_count,
+            start=None if self.start is None else parse_state(self.start, "--start", assembly),
+            target=None if self.target is None else parse_state(self.target, "--target", assembly),
+            missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
+            clearance=assembly.clearance,
+            identity=assembly.identity,
+        )
+
+    def _guide(self, assembly: Assembly, task: Task) -> Guide | None:
+        if self.policy is None:
+            return None
+        from falsework.learn.checkpoint import load_run
+        from falsework.learn.guide import PolicyGuide
+
+        return PolicyGuide(load_run(self.policy, assembly=assembly).policy, task=task)
+
+    def _report(self, result: HybridResult, output: Output) -> Exit:
+        found = result.plan or result.partial
+        if found is not None:
+            saved = self._save(found)
+            output.record(
+                {
+                    "robot_plan": str(self.out),
+                    "found": result.found,
+                    "steps": len(saved),
+                    "motion_seconds": round(saved.seconds, 3),
+                    **result.statistics,
+                }
+            )
+            if result.found:
+                output.say(
+                    f"{self.out}: {len(saved)} steps for {len(saved.robots)} robots, {saved.seconds:.0f} s of motion, "
+                    f"every state proven stable ({result.statistics['seconds']:.1f} s)"
+                )
+                return Exit.DONE
+            output.note(f"the {len(saved)} steps that were found are in {self.out}")
+        else:
+            why = result.explanation.record() if result.explanation else {}
+            output.record({"robot_plan": None, "found": False, "failure": why, **result.statistics})
+        if result.explanation is not None:
+            output.note(f"falsework: {result.explanation.text}")
+        return Exit.NO
+
+    def _save(self, plan: RobotPlan) -> RobotPlan:
+        cell_source = self.cell
+        if Path(self.cell).is_file():
+            cell_source = Path(os.path.relpath(Path(self.cell).resolve(), self.out.resolve().parent)).as_posix()
+        abstract = replace(plan.plan, source=self.structure.source(self.out))
+        plan = replace(plan, plan=abstract, cell_source=cell_source)
+        plan = plan.reverse() if self.assembly_order else plan
+        plan.save(self.out)
+        return plan
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckRobots(Command):
+    """Verify all motions of a robot plan with libraries that share nothing with the planner, and every state.
+
+    Pinocchio moves the arms and Coal looks for collisions, every 0.01 rad; limits of position, velocity and
+    acceleration are checked, and that motions join. The stability of the states is decided by the exact solver. Exit
+    code 1 if anything is wrong.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework robots check robot_plan.json",
+        "falsework robots check robot_plan.json --cell cell.toml --steps",
+    )
+
+    plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
+    """Plan to check, as `falsework robots plan` wrote it."""
+    structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
+    """Structure to check it on, instead of the one that the plan names."""
+    cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint=UNSET)] = None
+    """Cell to check it in, instead of the one that the plan names."""
+    reading: LoadOptions
+    resolution: float = 0.01
+    """No joint moves farther between two samples, rad."""
+    motions_only: bool = False
+    """Leave the stability of the states out."""
+    steps: bool = False
+    """Print the steps in words as well."""
+
+    def run(self, output: Output) -> Exit:
+        """Load, compare, verify."""
+        from falsework.cli.loading import structure_of
+        from falsework.robots.cell_file import load_cell
+        from falsework.robots.check import CheckSettings, check_robot_plan
+        from falsework.robots.robot_plan import RobotPlan
+
+        settings = CheckSettings(step=self.resolution)
+        plan = RobotPlan.load(self.plan)
+        assembly = structure_of(plan.plan, self.plan, self.structure, **self.reading.given())
+        cell = load_cell(self.cell or self._cell_of(plan))
+        with output.bar("checking motions") as show:
+            report = check_robot_plan(
+                plan, assembly, cell, settings, progress=lambda done, total: show(done, total, f"step {done}")
+            )
+        stable = None if self.motions_only else plan.plan.validate(assembly)
+        output.record(
+            {
+                "robot_plan": str(self.plan),
+                "good": report.good and (stable is None or stable.good),
+                "samples": report.samples,
+                "trajectories": report.trajectories,
+                "largest_step": report.largest_step,
+                "largest_join": report.largest_join,
+                "velocity_share": report.velocity_share,
+                "acceleration_share": report.acceleration_share,
+                "tolerance": report.tolerance,
+                "stable": None if stable is None else stable.good,
+                "problems": [
+                    {
+                        "step": problem.step,
+                        "robot": problem.robot,
+                        "what": problem.what,
+                        "pair": problem.pair,
+                        "seconds": problem.seconds,
+                        "configuration": problem.configuration,
+                    }
+                    for problem in report.problems
+                ],
+                "seconds": report.seconds,
+            }
+        )
+        if self.steps:
+            for step in range(len(plan)):
+                output.say(f"{step + 1:4d}  {plan.describe(step)}")
+        for problem in report.problems:
+            output.note(f"falsework: {problem}")
+        if stable is not None and not stable.good:
+            output.note(f"falsework: {self.plan}: {stable.reason}")
+        if not report.good or (stable is not None and not stable.good):
+            return Exit.NO
+        states = "" if stable is None else f", all {stable.states} states are stable"
+        output.say(
+            f"{self.plan}: no collision in {report.samples} configurations of {report.trajectories} motions, limits "
+            f"kept{states}"
+        )
+        return Exit.DONE
+
+    def _cell_of(self, plan: RobotPlan) -> str:
+        if plan.cell_source is None:
+            raise InputError(f"{self.plan} does not say where its cell is; name it with --cell")
+        beside = self.plan.resolve().parent / plan.cell_source
+        return str(beside) if beside.is_file() else plan.cell_source
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportRobots(Command):
+    """Write the motions of a robot plan for those who carry them out.
+
+    ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file a step and one for the plan; ABB RAPID as
+    one module a robot.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework robots export robot_plan.json --format ros2-json --out motions",
+        "falsework robots export robot_plan.json --format rapid --assembly-order --out rapid",
+    )
+
+    plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
+    """Plan to export, as `falsework robots plan` wrote it."""
+    format: Literal["ros2-json", "ros2-yaml", "csv", "rapid"] = "ros2-json"
+    """What to write."""
+    out: Annotated[Path, arg(metavar="FOLDER")]
+    """Folder to write into."""
+    rate: float = 50.0
+    """Rows a second, for csv."""
+    assembly_order: bool = False
+    """Write the motions in the order of assembly, whichever order the plan is in."""
+
+    def run(self, output: Output) -> Exit:
+        """Load and write."""
+        from falsework.robots.export import export_plan
+        from falsework.robots.robot_plan import RobotPlan
+        from falsework.search.task import Direction
+
+        plan = RobotPlan.load(self.plan)
+        if self.assembly_order and plan.direction is Direction.DISASSEMBLY:
+            plan = plan.reverse()
+        paths = export_plan(plan, self.out, self.format, rate=self.rate)
+        output.record({"folder": str(self.out), "files": [path.name for path in paths]})
+        output.say(f"{len(paths)} files in {self.out}")
+        return Exit.DONE
