@@ -245,10 +245,10 @@ def test_deadline_is_kept(name: str) -> None:
 
 def test_deadline_is_kept_in_company() -> None:
     """Who has a deadline does not wait for those who have none and ask for much."""
-    vault = load_structure("vault")
-    replanner = Replanner(vault)
-    complete = complete_state(vault.boundary)
-    requests = [Request(complete, alternatives=4), Request(complete, seed=1, deadline=0.2), Request(complete, seed=2)]
+    dome = load_structure("dome:rings=3,blocks=6")
+    replanner = Replanner(dome)
+    complete = complete_state(dome.boundary)
+    requests = [Request(complete, alternatives=3), Request(complete, seed=1, deadline=0.2), Request(complete, seed=2)]
     order: list[int] = []
     answers = replanner.replan_many(requests, finished=lambda number, _: order.append(number))
     assert order[0] == 1
