@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +37,7 @@ def learner(environment: Environment, settings: PpoSettings = PpoSettings(), see
     return PPO(policy, environment, settings, environment.generator(seed), **options)
 
 
-def weights_of(ppo: PPO) -> list[torch.Tensor]:
+def weights_of(ppo: PPO) -> list[Any]:
     return [weight.detach().clone() for weight in ppo.policy.parameters()]
 
 
