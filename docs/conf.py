@@ -91,7 +91,8 @@ def _write_help_texts() -> None:
         if code != 0:
             raise RuntimeError(f"falsework {name} --help failed")
         lines = [line if line[:1] in ("", " ") else textwrap.fill(line, 84) for line in text.getvalue().splitlines()]
-        (folder / f"help-{name.replace(' ', '-') or 'falsework'}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        page = f"help-{name.replace(' ', '-') or 'falsework'}.txt"
+        (folder / page).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _write_benchmarks() -> None:
