@@ -64,7 +64,7 @@ TABLE_3: dict[str, tuple[float, float, float, float, float]] = {
     "vault-62:6": (91.2, 78.4, 9.0, 97, 20),
     "dome-72:2": (97.6, 96.4, 16.05, 98.5, 15),
 }
-"""For each row the paper's success in training and in test in %, its hours, and what is asked for: test in %, minutes."""
+"""For each row the paper's success in training and test in %, its hours, and what is asked for: test in %, minutes."""
 SMALL = 20
 """Parts up to which a row is run with three seeds."""
 
