@@ -10,12 +10,12 @@ os.environ.setdefault("MPLBACKEND", "agg")
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "pictures"))
 
-import arch  # noqa: E402
+import commands  # noqa: E402
 import diagrams  # noqa: E402
 import exits  # noqa: E402
 import force_torque  # noqa: E402
 import scaling  # noqa: E402
-from sheet import plan_of_a_vault  # noqa: E402
+import screen  # noqa: E402
 
 
 def main() -> None:
@@ -23,17 +23,22 @@ def main() -> None:
     folder = HERE / "images"
     folder.mkdir(exist_ok=True)
     pictures = {
-        "vault-plan": plan_of_a_vault,
+        "vault-plan": commands.vault_plan,
         "friction-cone": diagrams.friction_cone,
         "slope": diagrams.slope,
-        "arches": arch.proofs,
-        "state-graph": arch.state_graph,
+        "arch-stands.svg": commands.arch_that_stands,
+        "arch-falls.svg": commands.arch_that_falls,
+        "state-graph": commands.state_graph,
         "clear-exits": exits.clear_exits,
         "force-torque-graph": force_torque.force_torque_graph,
         "scaling": scaling.cost_against_parts,
+        **{f"gallery-{name}": commands.gallery for name in commands.BUILT_IN},
+        **{f"real-{name}": commands.real for name in commands.REAL},
+        "arch-plan.gif": commands.film,
+        "page": screen.page,
     }
     for name in sys.argv[1:] or pictures:
-        path = folder / f"{name}.png"
+        path = folder / (name if "." in name else f"{name}.png")
         pictures[name](path)
         print(path)
 

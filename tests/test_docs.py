@@ -22,6 +22,12 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
 
 
+@pytest.fixture
+def nobody_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page in the browser is served, and closed at once."""
+    monkeypatch.setattr("falsework.viewer.page.Page.wait", lambda _: None)
+
+
 def name_of(page: Path) -> str:
     return str(page.relative_to(REPOSITORY))
 
@@ -41,6 +47,7 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "sh")], ids=name_of)
+@pytest.mark.usefixtures("nobody_waits")
 def test_commands_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Lines that begin with `falsework`, one after the other; none may be refused as wrong input."""
     monkeypatch.chdir(tmp_path)
@@ -53,13 +60,14 @@ def test_commands_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
                 assert main(words[1:]) in (0, 1), line
 
 
+@pytest.mark.usefixtures("nobody_waits")
 def test_examples_in_help_texts_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from falsework.cli import main as entry
 
     monkeypatch.chdir(tmp_path)
     assert main(["export", "arch:blocks=5", "--out", "my-folder"]) == 0
     Path("states.json").write_text("[[1, 1, 1, 1, 1, 2, 2]]")
-    for name in ("structures", "export", "plan", "check", "stability", "graph", "replan"):
+    for name in ("structures", "plan", "export", "check", "stability", "graph", "replan", "view", "picture"):
         for example in entry._command_class(name).examples:
             words = shlex.split(example)
             assert words[:2] == ["falsework", name]

@@ -1,8 +1,9 @@
-"""Colours of all pictures; the robots' are told apart by colour-blind people too (Okabe and Ito)."""
+"""Colours of the diagrams, those of the package where it has them."""
 
-SAND = "#dccdb2"
-BOUNDARY = "#56585c"
-INK = "#22252a"
-ROBOTS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9")
+from falsework.viewer.palette import BOUNDARY as BOUNDARY
+from falsework.viewer.palette import INK as INK
+from falsework.viewer.palette import INSTALLED as SAND  # noqa: F401
+from falsework.viewer.palette import ROBOTS as ROBOTS
+
 FORCE = "#d55e00"
 GRAVITY = "#22252a"

@@ -55,7 +55,7 @@ def test_a_ghost_lets_through_what_is_behind() -> None:
     alone, both = (render(solids, camera, BOUNDS, floor=False)[30, 40] for solids in ([ghost], [ghost, behind]))
     only_blue = render([behind], camera, BOUNDS, floor=False)[30, 40]
     # Half of the ghost's own colour and half of what is there without it.
-    np.testing.assert_allclose(both - 0.5 * only_blue, alone - 0.5, atol=1e-9)
+    np.testing.assert_allclose(both - 0.5 * only_blue, alone - 0.5, atol=1e-6)
     hidden = render(
         [Solid(ghost.vertices + [0, 8.0, 0], FACES, RED, 0.5), Solid(BOX - [0, 5.0, 0], FACES, BLUE)],
         camera,

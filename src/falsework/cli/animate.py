@@ -32,9 +32,9 @@ class Animate(Command):
     subject: SubjectOptions
     out: Annotated[Path, arg(metavar="FILE")] = Path("plan.mp4")
     """File to write; it ends in .mp4 or .gif."""
-    seconds: float = 0.5
+    seconds: float = 0.4
     """Length of a step."""
-    rate: float = 12.0
+    rate: float = 10.0
     """Pictures a second."""
     width: int = 800
     """Pixels across."""

@@ -110,6 +110,11 @@ class Page:
         while not self._stop.wait(1.0):
             pass
 
+    def sync(self) -> None:
+        """Bring slider, scene and words up to date after the model was changed from outside."""
+        self._set_slider()
+        self.refresh()
+
     def refresh(self) -> None:
         """Bring scene and words up to date with the model."""
         with self._lock, self.server.atomic():
@@ -133,7 +138,7 @@ class Page:
             "/floor", 3 * SIZE, 3 * SIZE, position=(0.0, 0.0, -0.002 * SIZE), cell_color=(228, 229, 231),
             section_color=(210, 212, 215), infinite_grid=False,
         )  # fmt: skip
-        scene.add_light_ambient("/ambient", color=(255, 255, 255), intensity=1.1)
+        scene.add_light_ambient("/ambient", color=(255, 255, 255), intensity=0.6)
         # A little to the right of the middle, since the controls cover the right of the window.
         aside = np.array([0.80, 0.60, 0.0]) * 0.17 * SIZE
         middle = np.array([0.0, 0.0, 0.42 * self.scene.height])

@@ -90,8 +90,7 @@ def render(solids: Sequence[Solid], camera: Camera, bounds: Array, *, floor: boo
     image, depth = eye.draw(_Surface.of(opaque), floor=floor)
     if ghosts:
         veil, _ = eye.draw(_Surface.of(ghosts), floor=False, behind=depth)
-        share = veil[..., 3:]
-        image = image * (1 - share) + veil
+        _lay_over(image, veil)
     return _average(image, samples)
 
 
@@ -175,14 +174,32 @@ def moved(solid: Solid, shift: Array) -> Solid:
     return replace(solid, vertices=solid.vertices + shift)
 
 
-def _average(image: Array, samples: int) -> Image:
-    height, width = image.shape[0] // samples, image.shape[1] // samples
-    return image[..., :3].reshape(height, samples, width, samples, 3).mean((1, 3))
-
-
 def _unit(vector: Any) -> Array:
     vector = np.asarray(vector, dtype=float)
     return vector / np.linalg.norm(vector)
+
+
+@numba.njit(cache=True, nogil=True)
+def _lay_over(image, veil):  # pragma: no cover - compiled
+    """Blend a picture with opacity into one without, in place."""
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            share = veil[row, column, 3]
+            if share > 0:
+                for channel in range(4):
+                    image[row, column, channel] = image[row, column, channel] * (1 - share) + veil[row, column, channel]
+
+
+@numba.njit(cache=True, nogil=True)
+def _average(image, samples):  # pragma: no cover - compiled
+    """Mean over squares of pixels, without opacity."""
+    height, width = image.shape[0] // samples, image.shape[1] // samples
+    mean = np.zeros((height, width, 3))
+    for row in range(height * samples):
+        for column in range(width * samples):
+            for channel in range(3):
+                mean[row // samples, column // samples, channel] += image[row, column, channel]
+    return mean / samples**2
 
 
 @numba.njit(cache=True, nogil=True)
@@ -228,7 +245,7 @@ def _shade(
     """Colours of pixels whose nearest triangle is known: light, shadow and edges."""
     height, width = face.shape
     size = shadow.shape[0]
-    image = np.zeros((height, width, 4))
+    image = np.zeros((height, width, 4), dtype=np.float32)
     light = light_axes[2]
     jump = 18.0 / scale
     lift = 0.004 * reach

@@ -1,0 +1,94 @@
+"""Pictures that are made by the command line alone, as a reader would make them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from falsework.cli.main import main
+
+BUILT_IN = {
+    "arch": "arch:blocks=11",
+    "catenary": "catenary:blocks=13",
+    "dome": "dome",
+    "vault": "vault",
+    "wall": "wall",
+    "stack": "stack",
+    "corbel": "corbel",
+    "bottle": "bottle",
+    "polycube": "polycube",
+    "house": "house",
+    "shelf": "shelf",
+}
+"""Pictures of the gallery, and the structures on them."""
+REAL = ("bottle-12", "tetris-14", "cube-17", "dog-35", "dome-37", "vault-62")
+"""Published structures, one of each kind; see `real`."""
+
+
+def run(*words: str, answers: Sequence[int] = (0,)) -> int:
+    """Run one command; one that fails ends the making of pictures."""
+    code = main(list(words))
+    if code not in answers:
+        raise SystemExit(f"falsework {' '.join(words)} ended with {code}")
+    return code
+
+
+def vault_plan(path: Path) -> None:
+    """Contact sheet of a plan for the built-in vault."""
+    with tempfile.TemporaryDirectory() as folder:
+        plan = str(Path(folder) / "plan.json")
+        run("plan", "vault", "--robots", "2", "--width", "256", "--out", plan)
+        run("picture", plan, "--out", str(path))
+
+
+def state_graph(path: Path) -> None:
+    """All states of a small arch that stand and can be reached, and one plan."""
+    with tempfile.TemporaryDirectory() as folder:
+        graph = str(Path(folder) / "graph.npz")
+        run("graph", "arch:blocks=4,thickness=0.3", "--width", "1000", "--direction", "disassembly", "--out", graph)
+        run("picture", graph, "--out", str(path))
+
+
+def arch_that_stands(path: Path) -> None:
+    """A thick arch with the forces that prove it stable."""
+    run("picture", "arch:blocks=15,thickness=0.2", "--svg", "--forces", "--width", "420", "--out", str(path))
+
+
+def arch_that_falls(path: Path) -> None:
+    """A thin arch with the motion that proves it unstable."""
+    run("picture", "arch:blocks=15,thickness=0.08", "--svg", "--forces", "--width", "420", "--out", str(path))
+
+
+def gallery(path: Path) -> None:
+    """A built-in structure, whole."""
+    name = path.stem.removeprefix("gallery-")
+    run("picture", BUILT_IN[name], "--width", "420", "--title", BUILT_IN[name], "--out", str(path))
+
+
+def real(path: Path) -> None:
+    """Four steps of a plan for a published structure, where its data is there; else the picture stays as it was."""
+    name = path.stem.removeprefix("real-")
+    named = os.environ.get("FALSEWORK_DATA")
+    data = Path(named) if named else Path(__file__).parents[3] / "shared"
+    structure = data / "assemblies" / name
+    if not structure.is_dir():
+        print(f"{path} is left as it is: there is no {structure}")
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        plan = str(Path(folder) / "plan.json")
+        for robots in ("2", "3"):
+            if run("plan", str(structure), "--robots", robots, "--out", plan, answers=(0, 1)) == 0:
+                break
+        run("picture", plan, "--frames", "4", "--columns", "4", "--width", "300", "--out", str(path))
+
+
+def film(path: Path) -> None:
+    """A plan for an arch as a short film."""
+    with tempfile.TemporaryDirectory() as folder:
+        plan, draft = str(Path(folder) / "plan.json"), str(Path(folder) / path.name)
+        run("plan", "arch:blocks=7", "--out", plan)
+        run("animate", plan, "--width", "360", "--rate", "6", "--out", draft)
+        shutil.copyfile(draft, path)
