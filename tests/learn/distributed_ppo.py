@@ -1,0 +1,46 @@
+"""What each process of `test_ppo_processes.py` runs: some updates, whose weights go to a file."""
+
+from __future__ import annotations
+
+import sys
+
+import torch
+from safetensors.torch import save_file
+
+from falsework.assembly import load_structure
+from falsework.learn.curriculum import Curriculum
+from falsework.learn.environment import Environment
+from falsework.learn.policy import make_policy
+from falsework.learn.policy_settings import PolicySettings
+from falsework.learn.ppo import PPO
+from falsework.learn.ppo_settings import PpoSettings
+from falsework.search import BeamSearch, BeamSettings, task_of
+from falsework.search.shards import joined
+
+
+def main() -> None:
+    """Learn with the processes that the environment names."""
+    torch.set_num_threads(1)
+    with joined("cpu") as (shards, device):
+        assembly = load_structure("arch:blocks=5")
+        environment = Environment(assembly, 2, device=device)
+        search = BeamSearch(task_of(assembly), environment.oracle, BeamSettings(width=4))
+        search.run()
+        states = torch.from_numpy(search.states())
+        policy = make_policy(assembly, PolicySettings(kind="mlp", layers=1, channels=16), device, 0)
+        generator = environment.generator(shards.rank)
+        ppo = PPO(policy, environment, PpoSettings(batch=64, epochs=2), generator, shards=shards)
+        curriculum = Curriculum(
+            states, environment.rules, generator=environment.generator(9 + shards.rank), shards=shards
+        )
+        numbers = [ppo.learn(curriculum, 12 + 20 * shards.rank) for _ in range(3)]
+        # One process has nothing to learn; it must not keep the others waiting.
+        there = environment.rules.targets(environment.rules.complete(4))
+        numbers.append(ppo.update(there if shards.rank else environment.rules.complete(4)))
+        report = {f"report.{name}": torch.tensor([one[name] for one in numbers]) for name in numbers[-1]}
+        tensors = {**ppo.tensors(), **curriculum.tensors(), **report}
+        save_file({name: one.clone().contiguous() for name, one in tensors.items()}, f"{sys.argv[1]}/{shards.rank}")
+
+
+if __name__ == "__main__":
+    main()
