@@ -45,7 +45,7 @@ autodoc_default_options = {"members": True, "show-inheritance": True}
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 # Optional packages are not installed to build the pages.
-autodoc_mock_imports = ["torch", "gurobipy", "gymnasium", "safetensors"]
+autodoc_mock_imports = ["torch", "gurobipy", "gymnasium", "safetensors", "fastapi", "starlette", "pydantic", "uvicorn", "prometheus_client", "reportlab"]
 
 suppress_warnings = ["misc.highlighting_failure"]
 
