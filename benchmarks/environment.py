@@ -12,7 +12,7 @@ sb3-contrib's MaskablePPO through the Gymnasium face, in this process, with a ne
 epochs, and `sb3 rollouts` its collection of rollouts alone. The rows of one run share a structure, start states and
 machine. Shares are of the time in rollouts; on a GPU the device is waited for after each kind of work in a second
 run of the same length, `shares_measured`, since otherwise they are those of the host. Each row tells the speed
-relative to `sb3` where that ran. With several processes, rollouts are sharded and their steps summed.
+relative to `sb3` where that ran. With several processes, each plays as many rollouts, and their steps are summed.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Options:
     kind: str = "mlp"
     """Of the policy: mlp, parts or graph."""
     rollouts: int = 0
-    """Rollouts at once, over all processes; 0: 4096 on a GPU, 256 on the processor."""
+    """Rollouts at once in each process; 0: 4096 on a GPU, 256 on the processor."""
     width: int = 64
     """Of the search that the start states come from."""
     seconds: float = 10.0
@@ -85,7 +85,7 @@ class Bench:
         states, _ = search_states(self.task, oracle_on(oracle, device), options.width, 0, device=device, shards=shards)
         self.graph = StateGraph.build(self.task, states)
         self.rows: dict[str, float] = {}
-        self.count = max((options.rollouts or (4096 if device.type == "cuda" else 256)) // shards.size, 1)
+        self.count = options.rollouts or (4096 if device.type == "cuda" else 256)
 
     def run(self) -> None:
         """Print all rows."""
