@@ -114,7 +114,9 @@ def make_work(chain: Chain, bodies: Bodies, obstacles: Obstacles, rules: Rules) 
 @nb.njit(**INNER)
 def place_frames(values, chain, frames):
     """Forward kinematics: poses of all frames in the world, shape (joints + 1, 3, 4)."""
-    frames[0] = chain.base
+    for r in range(3):  # entry by entry: assigning rows to rows would compile the text of its errors, for seconds
+        for c in range(4):
+            frames[0, r, c] = chain.base[r, c]
     for j in range(len(values)):
         before, step, after = frames[j], chain.origin[j], frames[j + 1]
         cos, sin, slide = 1.0, 0.0, 0.0
@@ -249,13 +251,6 @@ def first_hit(values, share, chain, bodies, obstacles, rules, work):
         if found <= margin:
             return count * many + count + k
     return CLEAR
-
-
-@nb.njit(**OUTER)
-def check_many(configurations, chain, bodies, obstacles, rules, work, found):
-    """`first_hit` for a batch, shape (batch, joints), into `found`, shape (batch,)."""
-    for i in range(len(configurations)):
-        found[i] = first_hit(configurations[i], 0.0, chain, bodies, obstacles, rules, work)
 
 
 @nb.njit(**OUTER)

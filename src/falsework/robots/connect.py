@@ -70,8 +70,8 @@ def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, o
     return True
 
 
-@nb.njit(**OUTER)
-def edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened):
+@nb.njit(**INNER)
+def _edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened):
     """Number of leading edges of a path that are free, shape (points, joints)."""
     values = np.empty(path.shape[1])
     for i in range(len(path) - 1):
@@ -103,8 +103,8 @@ def _nearest(tree, size, target):
     return found, math.sqrt(best)
 
 
-@nb.njit(**OUTER)
-def grow(
+@nb.njit(**INNER)
+def _grow(
     trees, parents, sizes, low, high, stride, rounds, resolution, seed, chain, bodies, obstacles, rules, work, opened
 ):
     """Grow two trees towards each other for some rounds (RRT-Connect, Kuffner and LaValle 2000).
@@ -140,7 +140,8 @@ def grow(
         if not edge_free(trees[one, near], fresh, resolution, chain, bodies, obstacles, rules, work, values, opened):
             continue
         leaf = sizes[one]
-        trees[one, leaf] = fresh
+        for j in range(joints):
+            trees[one, leaf, j] = fresh[j]
         parents[one, leaf] = near
         sizes[one] += 1
         near, far = _nearest(trees[other], sizes[other], fresh)
@@ -160,7 +161,8 @@ def grow(
                 return 1, near, leaf
             if sizes[other] >= trees.shape[1]:
                 return -1, 0, 0
-            trees[other, sizes[other]] = target
+            for j in range(joints):
+                trees[other, sizes[other], j] = target[j]
             parents[other, sizes[other]] = near
             near = sizes[other]
             sizes[other] += 1
@@ -168,8 +170,8 @@ def grow(
     return 0, 0, 0
 
 
-@nb.njit(**OUTER)
-def shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rules, work, opened):
+@nb.njit(**INNER)
+def _shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rules, work, opened):
     """Replace stretches of a path by straight edges where those are free; the number of points left.
 
     Args:
@@ -210,13 +212,100 @@ def shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rules
         change = 2 - (k - i)
         if size + change > len(path):
             continue
-        if change > 0:
-            for m in range(size - 1, k, -1):
-                path[m + change] = path[m]
-        elif change < 0:
-            for m in range(k + 1, size):
-                path[m + change] = path[m]
-        path[i + 1] = a
-        path[i + 2] = b
+        for j in range(joints):
+            if change > 0:
+                for m in range(size - 1, k, -1):
+                    path[m + change, j] = path[m, j]
+            elif change < 0:
+                for m in range(k + 1, size):
+                    path[m + change, j] = path[m, j]
+            path[i + 1, j] = a[j]
+            path[i + 2, j] = b[j]
         size += change
     return size
+
+
+CHECK, EDGES, GROW, SHORTEN = range(4)
+_NOTHING = np.zeros((0, 0))
+_NO_TREES, _NO_PARENTS = np.zeros((2, 0, 0)), np.zeros((2, 0), np.int64)
+_NO_LIMITS, _NO_INTEGERS, _NO_SEED = np.zeros(0), np.zeros(0, np.int64), np.zeros(1, np.uint64)
+_NOTHING_OPENED = np.zeros((2, 0), np.int64)
+
+
+@nb.njit(**OUTER)
+def _run(
+    what,
+    path,
+    found,
+    count,
+    length,
+    trees,
+    parents,
+    sizes,
+    low,
+    high,
+    resolution,
+    seed,
+    chain,
+    bodies,
+    obstacles,
+    rules,
+    work,
+    opened,
+):
+    """The one door for Python: what is behind it is compiled once, and not once for every question."""
+    if what == CHECK:
+        for i in range(len(path)):
+            found[i] = first_hit(path[i], 0.0, chain, bodies, obstacles, rules, work)
+        return 0, 0, 0
+    if what == EDGES:
+        return _edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened), 0, 0
+    if what == GROW:
+        return _grow(
+            trees,
+            parents,
+            sizes,
+            low,
+            high,
+            length,
+            count,
+            resolution,
+            seed,
+            chain,
+            bodies,
+            obstacles,
+            rules,
+            work,
+            opened,
+        )
+    return _shorten(path, sizes[0], count, resolution, seed, chain, bodies, obstacles, rules, work, opened), 0, 0
+
+
+def check_many(configurations, chain, bodies, obstacles, rules, work, found) -> None:
+    """`first_hit` for a batch, shape (batch, joints), into `found`, shape (batch,)."""
+    arrays = (chain, bodies, obstacles, rules, work, _NOTHING_OPENED)
+    rest = (_NO_TREES, _NO_PARENTS, _NO_INTEGERS, _NO_LIMITS, _NO_LIMITS, 0.0, _NO_SEED)
+    _run(CHECK, configurations, found, 0, 0.0, *rest, *arrays)
+
+
+def edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened) -> int:
+    """Number of leading edges of a path that are free, shape (points, joints)."""
+    arrays = (chain, bodies, obstacles, rules, work, opened)
+    rest = (_NO_TREES, _NO_PARENTS, _NO_INTEGERS, _NO_LIMITS, _NO_LIMITS, resolution, _NO_SEED)
+    return _run(EDGES, path, _NO_INTEGERS, 0, 0.0, *rest, *arrays)[0]
+
+
+def grow(
+    trees, parents, sizes, low, high, stride, rounds, resolution, seed, chain, bodies, obstacles, rules, work, opened
+) -> tuple[int, int, int]:
+    """Grow two trees towards each other; see `_grow`."""
+    arrays = (chain, bodies, obstacles, rules, work, opened)
+    rest = (trees, parents, sizes, low, high, resolution, seed)
+    return _run(GROW, _NOTHING, _NO_INTEGERS, rounds, stride, *rest, *arrays)
+
+
+def shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rules, work, opened) -> int:
+    """Replace stretches of a path by straight edges; see `_shorten`."""
+    arrays = (chain, bodies, obstacles, rules, work, opened)
+    rest = (_NO_TREES, _NO_PARENTS, np.array([size]), _NO_LIMITS, _NO_LIMITS, resolution, seed)
+    return _run(SHORTEN, path, _NO_INTEGERS, tries, 0.0, *rest, *arrays)[0]

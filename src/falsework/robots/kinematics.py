@@ -26,7 +26,7 @@ def link_poses(model: RobotModel, configurations: ArrayLike, base: Array | None 
     values = np.ascontiguousarray(np.atleast_2d(configurations), dtype=np.float64)
     chain = make_chain(model, np.eye(4) if base is None else base)
     frames = np.empty((len(values), model.joints + 1, 3, 4))
-    _frames(values, chain, frames)
+    place_many(values, chain, frames)
     found = np.zeros((len(values), model.joints + 1, 4, 4))
     found[..., :3, :] = frames
     found[..., 3, 3] = 1.0
@@ -68,7 +68,7 @@ def jacobian(model: RobotModel, configurations: ArrayLike, tool: Array | None = 
 
 
 @nb.njit(**OUTER)
-def _frames(values, chain, found):
+def place_many(values, chain, found):
     """`place_frames` for a batch, shape (batch, joints + 1, 3, 4)."""
     for i in range(len(values)):
         place_frames(values[i], chain, found[i])

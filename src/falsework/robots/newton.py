@@ -116,7 +116,8 @@ def reach_poses(guesses, targets, chain, tail, steps, damping, longest, follow, 
     error = np.empty(6)
     for i in range(len(targets)):
         if follow and i > 0:
-            guesses[i] = guesses[i - 1]
+            for j in range(joints):
+                guesses[i, j] = guesses[i - 1, j]
         reached[i] = _reach_pose(
             guesses[i], targets[i], chain, tail, steps, damping, longest, frames, columns, system, error
         )

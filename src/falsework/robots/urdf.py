@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from falsework.errors import CellError, DependencyError, InputError
 from falsework.robots.cell import CellRobot, Gripper
 from falsework.robots.chain import make_bodies, make_chain, make_obstacles, self_pairs
-from falsework.robots.collision import Rules, check_many, make_work
+from falsework.robots.collision import Rules, make_work
+from falsework.robots.connect import check_many
 from falsework.robots.model import ACCELERATION_TIME, RobotModel
 from falsework.robots.shapes import cylinder, move
 from falsework.robots.simplify import outer_hull

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 
 from falsework.errors import CellError
 from falsework.robots.cell import Cell
-from falsework.robots.collision import CLEAR, distance_between
+from falsework.robots.collision import CLEAR
 from falsework.robots.parts import PartShapes
 from falsework.robots.shapes import Pieces, move
 from falsework.robots.world import CollisionWorld, Scene
@@ -36,7 +37,7 @@ def check_cell(cell: Cell, parts: PartShapes | None = None) -> None:
     for index, (robot, base) in enumerate(zip(cell.robots, bases, strict=True)):
         others = [(f"the base of {cell.robots[k].name}", bases[k]) for k in range(index)]
         for name, pieces in (*stands, *others):
-            if any(distance_between(np.array(a), np.array(b)) <= 0 for a in base for b in pieces):
+            if any(_overlap(a, b) for a in base for b in pieces):
                 raise CellError(f"{cell.name}: the base of robot {robot.name} is inside {name}; move one of them")
         lowest = min((float(piece[:, 2].min()) for piece in base), default=np.inf)
         if cell.floor is not None and lowest < cell.floor:
@@ -85,6 +86,15 @@ def _check_payload(cell: Cell, parts: PartShapes) -> None:
 def no_parts() -> PartShapes:
     """A structure without parts."""
     return PartShapes((), np.zeros(0, bool), (), (), np.zeros(0), np.zeros((0, 3)), np.eye(3))
+
+
+def _overlap(a: Array, b: Array) -> bool:
+    """Whether two convex pieces share space: whether no plane has one on each side."""
+    if (a.min(axis=0) > b.max(axis=0)).any() or (b.min(axis=0) > a.max(axis=0)).any():
+        return False
+    middle = b.mean(axis=0)
+    sides = np.concatenate([np.c_[a - middle, -np.ones(len(a))], np.c_[middle - b, np.ones(len(b))]])
+    return linprog(np.zeros(4), A_ub=sides, b_ub=-np.ones(len(sides)), bounds=(None, None)).status == 2
 
 
 def _shrunk(pieces: Pieces) -> Pieces:

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.errors import InputError
 from falsework.robots.cell import Cell
 from falsework.robots.chain import Carried, make_bodies, make_chain, make_obstacles, self_pairs
-from falsework.robots.collision import CLEAR, Bodies, Chain, Obstacles, Rules, Work, check_many, make_work
+from falsework.robots.collision import CLEAR, Bodies, Chain, Obstacles, Rules, Work, make_work
+from falsework.robots.connect import check_many
 from falsework.robots.kinematics import link_poses
 from falsework.robots.parts import PartShapes
 from falsework.robots.shapes import Pieces, inverse_pose, move
