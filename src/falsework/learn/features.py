@@ -1,8 +1,9 @@
 """What a network is told of the geometry of a structure: numbers of parts and of pairs of parts.
 
-All of it is invariant to translation and to the unit of length, and made once for a structure. Where a part stands in
-the structure is left out, but for its height: a network would learn to know parts by their place, not by what is
-around them, and nothing of that holds for another structure.
+All of it is invariant to translation and to the unit of length, and made once for a structure. Lengths are in units of
+a typical part, so that a joint looks the same in a small structure and in a large one. Where a part stands in the
+structure is left out, but for its height: a network would learn to know parts by their place, not by what is around
+them, and nothing of that holds for another structure.
 """
 
 from __future__ import annotations
@@ -44,8 +45,6 @@ class PartFeatures:
         extent = bounds[:, 1] - bounds[:, 0]
         movable = ~fixed if not fixed.all() else fixed
         length = float(np.median(np.linalg.norm(extent[movable], axis=1)))
-        middle = centre[movable].mean(axis=0)
-        size = max(float(np.sqrt(((centre[movable] - middle) ** 2).sum(axis=1).mean())), length / 2)
 
         contacts = assembly.contacts
         a, b = contacts.parts.T
@@ -74,9 +73,9 @@ class PartFeatures:
         low = bounds[movable, 0, 2].min()
         part = np.concatenate(
             [
-                ((centre[:, 2] - low) / size)[:, None],
+                np.log1p(np.maximum(centre[:, 2] - low, 0.0) / length)[:, None],
                 np.clip(np.log(assembly.mass.mass / np.median(assembly.mass.mass[movable])), -4, 4)[:, None],
-                np.minimum(extent / size, 4.0),
+                np.minimum(extent / length, 4.0),
                 (share * fixed[None]).sum(axis=1)[:, None],
                 touches.sum(axis=1)[:, None] / 6.0,
                 (push.sum(axis=1) / whole[:, None]),
@@ -91,9 +90,9 @@ class PartFeatures:
         near = np.where(np.isfinite(hops), 1.0 / (1.0 + hops), 0.0)
         pair = np.concatenate(
             [
-                apart / size,
+                np.sign(apart) * np.log1p(np.abs(apart) / length),
                 np.tanh(apart / length),
-                (distance / size)[:, :, None],
+                np.log1p(distance / length)[:, :, None],
                 np.tanh(distance / length)[:, :, None],
                 touches[:, :, None],
                 direction,
