@@ -35,6 +35,7 @@ COMMANDS = {
     "view": "View",
     "picture": "MakePicture",
     "animate": "Animate",
+    "cell check": "CheckCell",
     "robots plan": "PlanRobots",
     "robots check": "CheckRobots",
     "robots export": "ExportRobots",

@@ -33,11 +33,11 @@ def check_cell(cell: Cell, parts: PartShapes | None = None) -> None:
     stands = [(f"obstacle {obstacle.name}", obstacle.pieces) for obstacle in cell.obstacles]
     if parts is not None:
         stands += [(f"part {name}", pieces) for name, pieces in zip(parts.names, parts.pieces, strict=True)]
-    bases = [_shrunk(tuple(move(robot.base, p) for p in robot.model.pieces[0])) for robot in cell.robots]
+    bases = [shrunk(tuple(move(robot.base, p) for p in robot.model.pieces[0])) for robot in cell.robots]
     for index, (robot, base) in enumerate(zip(cell.robots, bases, strict=True)):
         others = [(f"the base of {cell.robots[k].name}", bases[k]) for k in range(index)]
         for name, pieces in (*stands, *others):
-            if any(_overlap(a, b) for a in base for b in pieces):
+            if any(overlap(a, b) for a in base for b in pieces):
                 raise CellError(f"{cell.name}: the base of robot {robot.name} is inside {name}; move one of them")
         lowest = min((float(piece[:, 2].min()) for piece in base), default=np.inf)
         if cell.floor is not None and lowest < cell.floor:
@@ -88,7 +88,7 @@ def no_parts() -> PartShapes:
     return PartShapes((), np.zeros(0, bool), (), (), np.zeros(0), np.zeros((0, 3)), np.eye(3))
 
 
-def _overlap(a: Array, b: Array) -> bool:
+def overlap(a: Array, b: Array) -> bool:
     """Whether two convex pieces share space: whether no plane has one on each side."""
     if (a.min(axis=0) > b.max(axis=0)).any() or (b.min(axis=0) > a.max(axis=0)).any():
         return False
@@ -97,7 +97,7 @@ def _overlap(a: Array, b: Array) -> bool:
     return linprog(np.zeros(4), A_ub=sides, b_ub=-np.ones(len(sides)), bounds=(None, None)).status == 2
 
 
-def _shrunk(pieces: Pieces) -> Pieces:
+def shrunk(pieces: Pieces) -> Pieces:
     """Pieces drawn towards their middle by `SINK` along every axis, so that standing on something is no overlap."""
     found = []
     for piece in pieces:

@@ -1,0 +1,128 @@
+"""`falsework cell check`: which robot of a cell reaches which part, and where robots would stand better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from tyro.conf import Positional, arg
+
+from falsework.cli.command import UNSET, Command, Exit, StructureOptions
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.cli.output import Output
+    from falsework.robots.cell import Cell
+    from falsework.robots.parts import PartShapes
+    from falsework.robots.reach import BaseProposal, ReachTable
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckCell(Command):
+    """Say which robot of a cell can hold which part of a structure, and propose better bases.
+
+    Every part is tried alone on the boundary, with the other robots at home. Exit code 1 if a part is out of reach of
+    all robots.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework cell check cell.toml my-folder --picture reach.png",
+        "falsework cell check dome-37 my-folder --json",
+    )
+
+    cell: Annotated[Positional[str], arg(metavar="CELL")]
+    """TOML file, or a built-in cell such as `dome-37`."""
+    structure: StructureOptions
+    picture: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
+    """Draw parts and robots from above, coloured by how many robots reach a part."""
+    propose: Literal["auto", "always", "never"] = "auto"
+    """Look for better bases; auto: if a robot cannot reach a part."""
+
+    def run(self, output: Output) -> Exit:
+        """Load, try, print."""
+        from falsework.robots.cell_file import load_cell
+        from falsework.robots.compile import compile_kernels
+        from falsework.robots.parts import place_parts
+        from falsework.robots.reach import Reach, propose_bases, reach_table
+        from falsework.robots.validate import check_cell
+
+        if self.picture is not None:
+            from falsework.robots.reach_picture import check_picture
+
+            check_picture(self.picture)
+        compile_kernels(output.note)
+        cell = load_cell(self.cell)
+        assembly = self.structure.load()
+        parts = place_parts(assembly, cell.placement)
+        check_cell(cell, parts)
+        with output.bar("reaching") as show:
+            table = reach_table(assembly, cell, parts, lambda done, total: show(done, total, f"part {done} of {total}"))
+        proposal = None
+        if self.propose == "always" or (self.propose == "auto" and (table.levels == Reach.OUT_OF_REACH).any()):
+            with output.bar("looking for bases") as show:
+                proposal = propose_bases(
+                    assembly, cell, parts, lambda done, total: show(done, total, f"place {done} of {total}")
+                )
+        self._say(output, assembly, cell, parts, table)
+        self._propose(output, cell, proposal)
+        if self.picture is not None:
+            from falsework.robots.reach_picture import draw_reach
+
+            draw_reach(cell, parts, table, self.picture)
+            output.note(f"picture written to {self.picture}")
+        missing = [assembly.names[part] for part in table.unreached]
+        if missing:
+            output.note(f"falsework: no robot reaches {len(missing)} parts: {', '.join(missing[:12])}")
+        return Exit.NO if missing else Exit.DONE
+
+    def _say(self, output: Output, assembly: Assembly, cell: Cell, parts: PartShapes, table: ReachTable) -> None:
+        """One row a part."""
+        from rich.table import Table
+
+        from falsework.robots.reach import Reach
+
+        shown = Table("part", "kg", *table.robots, box=None, pad_edge=False, header_style="bold")
+        for row, part in enumerate(table.parts.tolist()):
+            levels = [Reach(int(level)) for level in table.levels[row]]
+            record: dict[str, Any] = {
+                "part": part,
+                "name": assembly.names[part],
+                "mass": round(float(parts.mass[part]), 4),
+                "reach": {name: level.name.lower() for name, level in zip(table.robots, levels, strict=True)},
+            }
+            near = [(k, table.pairs[part, k]) for k in range(len(levels)) if (part, k) in table.pairs]
+            pairs = {table.robots[k]: list(pair) for k, pair in near}
+            output.record({**record, "too_near": pairs})
+            words = [
+                f"{level.words} ({' and '.join(pairs[name])})" if name in pairs else level.words
+                for name, level in zip(table.robots, levels, strict=True)
+            ]
+            shown.add_row(assembly.names[part], f"{parts.mass[part]:.2f}", *words)
+        output.say(shown)
+        reached = (table.levels == Reach.REACHED).sum(axis=0)
+        counts = ", ".join(f"{name} {count}" for name, count in zip(table.robots, reached, strict=True))
+        output.say(f"{cell.name}: of {len(table.parts)} parts within reach: {counts}")
+
+    def _propose(self, output: Output, cell: Cell, proposal: BaseProposal | None) -> None:
+        """Where robots would stand better."""
+        import numpy as np
+
+        if proposal is None:
+            return
+        better = proposal.after > proposal.before
+        bases = {
+            robot.name: {
+                "position": np.round(robot.base[:3, 3], 3).tolist(),
+                "yaw": round(float(np.degrees(np.arctan2(robot.base[1, 0], robot.base[0, 0]))), 1),
+            }
+            for robot in proposal.cell.robots
+        }
+        output.record({"proposal": bases if better else None, "before": proposal.before, "after": proposal.after})
+        if not better:
+            output.say(f"no better bases found: {proposal.before} of {proposal.pairs} pairs of robot and part in reach")
+            return
+        counts = f"{proposal.after} of {proposal.pairs} pairs of robot and part"
+        output.say(f"better bases, with {counts} within reach instead of {proposal.before}:")
+        for name, base in bases.items():
+            output.say(f"  {name}: base = {{ position = {base['position']}, yaw = {base['yaw']} }}")
