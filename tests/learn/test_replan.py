@@ -158,6 +158,7 @@ def test_an_arch_needs_two_robots(alone: Replanner, guided: Replanner) -> None:
     for replanner in (alone, guided):
         answer = replanner.replan(COMPLETE, robots=1)
         assert answer.outcome is Outcome.PROVED_IMPOSSIBLE
+        assert answer.decided_by is Decider.EXHAUSTIVE
         assert answer.moving
         assert answer.plan is None
 
@@ -329,6 +330,7 @@ def test_oracle_of_another_structure(alone: Replanner) -> None:
     [
         ({"robots": 0}, "at least 1"),
         ({"alternatives": 0}, "ask for at least 1"),
+        ({"alternatives": 10**9}, "at most 1000"),
         ({"deadline": 0}, "give more than 0"),
         ({"deadline": float("nan")}, "give more than 0"),
         ({"target": [1, 1, 1, 1, 1]}, "expected"),
@@ -392,6 +394,8 @@ def test_interruption_is_passed_on(alone: Replanner, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(Planner, "_advance", interrupted)
     with pytest.raises(KeyboardInterrupt):
         alone.replan(COMPLETE)
+    monkeypatch.undo()
+    assert alone.replan(COMPLETE).found  # it can be asked again
 
 
 def test_errors_are_ours() -> None:

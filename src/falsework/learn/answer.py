@@ -31,7 +31,7 @@ class Decider(StrEnum):
     SEARCH = "search"
     """A beam search without a policy."""
     EXHAUSTIVE = "exhaustive"
-    """A search through all states."""
+    """A search through all states that can be reached."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -142,6 +142,7 @@ class _Turns:
         self.decider = decider
         self._levels = levels
         self._left = 0
+        self._told = False
         self._job: Job | None = None
 
     def take(self, job: Job) -> SearchResult | None:
@@ -150,14 +151,14 @@ class _Turns:
         Raises:
             KeyboardInterrupt: somebody at the keyboard wants an end.
         """
-        self._left, self._job, job.busy = self._levels, job, True
+        self._left, self._job, self._told, job.busy = self._levels, job, False, True
         try:
             result = self.search.run(stop=self._over)
         finally:
             job.busy = False
         if not result.interrupted:
             return result
-        if self._left > 0 and not job.clock.passed:  # not told to stop
+        if not self._told and not job.clock.passed:
             raise KeyboardInterrupt
         return None
 
@@ -165,9 +166,9 @@ class _Turns:
         job = self._job
         if job is not None:
             job.others()
-        over = self._left == 0 or (job is not None and job.clock.passed)
-        self._left = 0 if over else self._left - 1
-        return over
+        self._told = self._left == 0 or (job is not None and job.clock.passed)
+        self._left -= 1
+        return self._told
 
 
 class _Widening:

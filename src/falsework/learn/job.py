@@ -132,7 +132,8 @@ class Job:
         if result.found:
             self.found(list(result.routes), by)
         elif result.outcome is Outcome.PROVED_IMPOSSIBLE and not self.routes:
-            self.outcome, self.decided_by = result.outcome, by
+            # A search that left nothing out has been through all states, whatever it was meant to be.
+            self.outcome, self.decided_by = result.outcome, Decider.EXHAUSTIVE
 
     def check_ends(self, verdicts: Verdicts) -> None:
         """Take the verdicts on start and target."""

@@ -13,6 +13,9 @@ from falsework.assembly.state import HELD, REMOVED, States, as_states, complete_
 from falsework.errors import InputError, StateError
 from falsework.search.task import STAGE, Direction, Task
 
+MOST_PLANS = 1000
+"""Alternatives that can be asked for."""
+
 
 @dataclass(frozen=True, eq=False)
 class Request:
@@ -75,8 +78,9 @@ class Request:
         Raises:
             InputError: it makes no sense for this structure; the message says what to do.
         """
-        if self.alternatives < 1:
-            raise InputError(f"{self.alternatives} alternatives is no number of plans; ask for at least 1")
+        if not 1 <= self.alternatives <= MOST_PLANS:
+            limits = f"at least 1 and at most {MOST_PLANS}"
+            raise InputError(f"{self.alternatives} alternatives is no number of plans; ask for {limits}")
         if self.deadline is not None and not self.deadline > 0:
             raise InputError(f"a deadline of {self.deadline} s leaves no time; give more than 0")
         state = _state(self.state, assembly, "state")
