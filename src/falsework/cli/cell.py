@@ -113,7 +113,7 @@ class CheckCell(Command):
         better = proposal.after > proposal.before
         bases = {
             robot.name: {
-                "position": np.round(robot.base[:3, 3], 3).tolist(),
+                "position": (np.round(robot.base[:3, 3], 3) + 0.0).tolist(),
                 "yaw": round(float(np.degrees(np.arctan2(robot.base[1, 0], robot.base[0, 0]))), 1),
             }
             for robot in proposal.cell.robots

@@ -24,6 +24,8 @@ GRASPS = 24
 """Grasps of a part that are tried."""
 ANGLES, DISTANCES = 24, (0.55, 0.65, 0.75, 0.85)
 """Places around the structure that are tried for a base: turns, and shares of the arm's reach."""
+APART = 0.7
+"""Least distance between two bases, as a share of the arm's reach."""
 SWEEPS = 2
 """How often every robot is moved while the others stand."""
 
@@ -179,8 +181,9 @@ def _on_ring(base: Array, middle: Array, distance: float, turn: float) -> Array:
 
 
 def _stands_free(cell: Cell, robot: int, base: Array, others: list[Array], stands: list[Array]) -> bool:
-    """Whether a base is clear of parts, obstacles and, by half a metre, of other bases."""
-    if any(np.linalg.norm(other[:2, 3] - base[:2, 3]) < 0.5 for other in others):
+    """Whether a base is clear of parts and obstacles, and far enough from other bases for two arms to work."""
+    apart = APART * cell.robots[robot].model.reach
+    if any(np.linalg.norm(other[:2, 3] - base[:2, 3]) < apart for other in others):
         return False
     own = shrunk(tuple(move(base, piece) for piece in cell.robots[robot].model.pieces[0]))
     return not any(overlap(a, b) for a in own for b in stands)

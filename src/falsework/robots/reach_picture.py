@@ -44,7 +44,7 @@ def draw_reach(cell: Cell, parts: PartShapes, table: ReachTable, path: Path) -> 
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8, 8), dpi=150, layout="constrained")
+    figure = Figure(figsize=(8, 6), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.set_aspect("equal")
@@ -69,7 +69,7 @@ def draw_reach(cell: Cell, parts: PartShapes, table: ReachTable, path: Path) -> 
         turn = np.linspace(0, 2 * np.pi, 120)
         distance = robot.model.reach
         axes.plot(x + distance * np.cos(turn), y + distance * np.sin(turn), color="0.6", linewidth=0.8, linestyle="--")
-        axes.annotate(robot.name, (x, y), ha="center", va="center", color="white", fontsize=8, zorder=4)
+        axes.annotate(robot.name, (x, y), (0, -30), textcoords="offset points", ha="center", va="top", fontsize=8)
         if len(robot.places):
             axes.scatter(robot.places[:, 0, 3], robot.places[:, 1, 3], marker="+", color="0.3", s=30)
     for count, colour in enumerate(colours):
