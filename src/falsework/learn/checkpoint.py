@@ -14,6 +14,7 @@ import torch
 
 from falsework.assembly.model import Assembly
 from falsework.errors import FalseworkError, InputError
+from falsework.learn import policy as policies
 from falsework.learn.policy import Policy, make_policy
 from falsework.learn.settings import TrainSettings, from_json
 from falsework.search.archive import write_whole
@@ -36,7 +37,7 @@ class Run:
     folder: Path
     assembly: Assembly
     settings: TrainSettings
-    policy: Policy
+    policy: policies.Policy
     """With the trained weights, on the device asked for, ready to be asked."""
     metadata: dict[str, Any]
     """What `run.json` says."""

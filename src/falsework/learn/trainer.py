@@ -14,6 +14,7 @@ import torch
 from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
+from falsework.learn import policy as policies
 from falsework.learn.checkpoint import CheckpointFile, describe_structure, save_run, write_run
 from falsework.learn.data import Dataset
 from falsework.learn.distributed import decided, same_weights
@@ -23,7 +24,7 @@ from falsework.learn.learners import Learner, PpoLearner, SearchLearner, merged,
 from falsework.learn.log import Journal
 from falsework.learn.material import find_material
 from falsework.learn.pace import Pace
-from falsework.learn.policy import Policy, describe, make_policy
+from falsework.learn.policy import describe, make_policy
 from falsework.learn.refine import Refinement
 from falsework.learn.settings import TrainSettings, as_json
 from falsework.learn.solved import SolvedStates
@@ -63,7 +64,7 @@ class TrainResult:
     device: str
     throughput: dict[str, Any]
     """Of the environment, in this piece of the run."""
-    policy: Policy
+    policy: policies.Policy
     """With the weights that were evaluated, as `load_run` reads them."""
     curve: tuple[dict[str, float], ...] = ()
     """What `progress.jsonl` says, of this piece of the run."""
