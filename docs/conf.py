@@ -47,7 +47,8 @@ napoleon_numpy_docstring = False
 # Optional packages are not installed to build the pages.
 autodoc_mock_imports = ["torch", "gurobipy", "gymnasium", "safetensors", "fastapi", "starlette", "pydantic", "uvicorn", "prometheus_client", "reportlab"]
 
-suppress_warnings = ["misc.highlighting_failure"]
+# Names such as Policy and Outcome mean different things in different rooms, and annotations give the short name only.
+suppress_warnings = ["misc.highlighting_failure", "ref.python"]
 
 
 def _code_in_backticks(_app, _what, _name, _object, _options, lines: list[str]) -> None:
