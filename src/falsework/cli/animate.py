@@ -65,6 +65,7 @@ class Animate(Command):
                 seconds=self.seconds,
                 rate=self.rate,
                 camera=camera,
+                arms=subject.arms,
                 progress=lambda done, total: show(done, total, f"picture {done} of {total}"),
             )
         output.record({"out": str(self.out), "pictures": count, "steps": len(subject.timeline)})

@@ -30,7 +30,7 @@ class MakePicture(Command):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework picture plan.json --out sheet.png",
-        "falsework picture plan.json --step 12 --out step.png",
+        "falsework picture plan.json --step 4 --out step.png",
         "falsework picture arch:blocks=9 --svg --forces --out arch.svg",
     )
 
@@ -95,7 +95,12 @@ class MakePicture(Command):
             write_svg(out, drawing(timeline, places, columns=columns, width=width, arrows=arrows, key=key))
         elif single is not None:
             words = self.title or None
-            write_png(out, one_state(timeline, single, self._camera(1200, 2 / 3), arrows=arrows, key=key, words=words))
+            write_png(
+                out,
+                one_state(
+                    timeline, single, self._camera(1200, 2 / 3), arrows=arrows, key=key, words=words, arms=subject.arms
+                ),
+            )
             places = [single]
         else:
             sheet = contact_sheet(

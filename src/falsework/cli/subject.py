@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.search.graph import StateGraph
     from falsework.search.plan import Plan
+    from falsework.viewer.arms import Arms
     from falsework.viewer.timeline import Timeline
 
 
@@ -30,8 +31,8 @@ class Subject:
     policy: Any = None
     """`torch.nn.Module` of a run."""
     graph: StateGraph | None = None
-    robot_plan: Any = None
-    """`falsework.robots.robot_plan.RobotPlan`."""
+    arms: Arms | None = None
+    """The robots of a robot plan."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +43,8 @@ class SubjectOptions(LoadOptions):
     """Plan, run, robot plan, state graph, or a structure: built-in, folder or file of meshes."""
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
     """Structure of the plan or graph, where the file does not name it or it has moved."""
+    cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint=UNSET)] = None
+    """Cell of a robot plan, where the file does not name it or it has moved."""
     order: Literal["assembly", "disassembly"] = "assembly"
     """Order in which the steps of a plan are shown."""
 
@@ -92,13 +95,22 @@ class SubjectOptions(LoadOptions):
 
     def _robot_plan(self, path: Path, direction: Any) -> Subject:
         from falsework.cli.loading import structure_of
+        from falsework.robots.cell_file import load_cell
         from falsework.robots.robot_plan import RobotPlan
+        from falsework.viewer.arms import Arms
         from falsework.viewer.timeline import Timeline
 
         robot_plan = RobotPlan.load(path)
         assembly = structure_of(robot_plan.plan, path, self.structure, **self.given())
-        timeline = Timeline.of(robot_plan.plan, assembly, direction)
-        return Subject("robot plan", assembly, timeline, robot_plan.plan, robot_plan=robot_plan)
+        source = self.cell if self.cell is not None else robot_plan.cell_source
+        if source is None:
+            raise InputError(f"{path} does not say where its cell is; name it with --cell")
+        beside = path.resolve().parent / source
+        cell = load_cell(str(beside) if self.cell is None and beside.is_file() else source)
+        robot_plan.check_identity(assembly, cell)
+        arms = Arms(robot_plan, cell, direction)
+        timeline = Timeline.of(robot_plan.plan, assembly, direction, arms.holders())
+        return Subject("robot plan", assembly, timeline, robot_plan.plan, arms=arms)
 
     def _run(self, path: Path) -> Subject:
         from falsework.assembly.state import complete_state

@@ -66,7 +66,14 @@ class View(Command):
             from falsework.learn.checkpoint import load_run
 
             policy = load_run(self.policy, assembly=subject.assembly).policy
-        model = Model(subject.timeline, plan=subject.plan, policy=policy, graph=subject.graph, deadline=self.deadline)
+        model = Model(
+            subject.timeline,
+            plan=subject.plan,
+            policy=policy,
+            graph=subject.graph,
+            arms=subject.arms,
+            deadline=self.deadline,
+        )
         page = Page(model, host=host, port=self.port)
         if warning is not None:
             output.note(f"falsework: warning: {warning}")

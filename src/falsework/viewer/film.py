@@ -9,9 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
 from falsework.search.archive import write_whole
+from falsework.viewer.arms import Arms, bounds_with_arms
+from falsework.viewer.look import bounds_of
+from falsework.viewer.palette import BOUNDARY, INSTALLED, MISSING, ROBOTS, rgb
 from falsework.viewer.render import Camera
 from falsework.viewer.sheet import Pixels, bounds_with_ways, import_pillow, one_state
 from falsework.viewer.timeline import Timeline
@@ -23,7 +27,13 @@ FILM = Camera(width=800, height=560, zoom=0.95)
 
 
 def frames_of(
-    timeline: Timeline, *, seconds: float, rate: float, camera: Camera = FILM, samples: int = 2
+    timeline: Timeline,
+    *,
+    seconds: float,
+    rate: float,
+    camera: Camera = FILM,
+    arms: Arms | None = None,
+    samples: int = 2,
 ) -> Iterator[Pixels]:
     """Pictures of a film, one after the other.
 
@@ -32,15 +42,16 @@ def frames_of(
         seconds: length of a step.
         rate: pictures a second.
         camera: how to look at it.
+        arms: robots that carry the plan out.
         samples: as for `render`.
     """
-    box = bounds_with_ways(timeline)
+    box = bounds_with_ways(timeline) if arms is None else bounds_with_arms(arms, bounds_of(timeline.assembly))
     # The step is written as soon as it begins.
     still = max(round(HOLD * rate), 1)
     for place in frame_places(len(timeline), seconds, rate):
         step = int(np.ceil(place)) if place % 1 else int(place)
         words = None if len(timeline) == 0 else _words(timeline, step)
-        picture = one_state(timeline, place, camera, bounds=box, words=words, samples=samples)
+        picture = one_state(timeline, place, camera, bounds=box, words=words, arms=arms, samples=samples)
         repeat = still if place in (0.0, float(len(timeline))) else 1
         for _ in range(repeat):
             yield picture
@@ -67,6 +78,7 @@ def write_film(
     seconds: float = 0.5,
     rate: float = 12.0,
     camera: Camera = FILM,
+    arms: Arms | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> int:
     """Write a film, whole or not at all.
@@ -77,6 +89,7 @@ def write_film(
         seconds: length of a step.
         rate: pictures a second.
         camera: how to look at it.
+        arms: robots that carry the plan out.
         progress: called with the number of pictures drawn and of all.
 
     Returns:
@@ -92,7 +105,7 @@ def write_film(
         raise InputError(f"{path} ends in {kind or 'nothing'}; films are written as {' or '.join(KINDS)}")
     even = replace(camera, width=camera.width + camera.width % 2)
     total = len(frame_places(len(timeline), seconds, rate)) + 2 * (max(round(HOLD * rate), 1) - 1)
-    pictures = frames_of(timeline, seconds=seconds, rate=rate, camera=even)
+    pictures = frames_of(timeline, seconds=seconds, rate=rate, camera=even, arms=arms)
 
     def counted() -> Iterator[Pixels]:
         for number, picture in enumerate(pictures):
@@ -105,6 +118,8 @@ def write_film(
 
 def _write_gif(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
     pillow = import_pillow()
+    palette = pillow.Image.new("P", (1, 1))
+    palette.putpalette(_gif_colors().ravel().tolist())
     frames: list[Any] = []
     lengths: list[int] = []
     last: Pixels | None = None
@@ -112,7 +127,7 @@ def _write_gif(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
         if last is not None and picture is last:
             lengths[-1] += round(1000 / rate)
             continue
-        frames.append(pillow.Image.fromarray(picture).quantize(64, dither=pillow.Image.Dither.NONE))
+        frames.append(pillow.Image.fromarray(picture).quantize(palette=palette, dither=pillow.Image.Dither.NONE))
         lengths.append(round(1000 / rate))
         last = picture
 
@@ -123,6 +138,19 @@ def _write_gif(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
 
     write_whole(path, save)
     return len(frames)
+
+
+def _gif_colors() -> NDArray[np.uint8]:
+    """The 256 colours of all frames, so that none flickers: every colour of the scheme in light and shade.
+
+    Shape (256, 3).
+    """
+    grey = np.repeat(np.linspace(0, 255, 40)[:, None], 3, axis=1)
+    named = np.array([rgb(color) for color in (INSTALLED, BOUNDARY, *ROBOTS, MISSING)], dtype=float)
+    light = np.linspace(0.4, 1.06, 16)[None, :, None] * named[:, None]
+    pale = 255 - np.linspace(0.25, 0.75, 8)[None, :, None] * (255 - named[:, None])
+    every = np.concatenate([grey, light.reshape(-1, 3), pale.reshape(-1, 3)])
+    return np.clip(np.concatenate([every, np.zeros((256 - len(every), 3))]), 0, 255).round().astype(np.uint8)
 
 
 def _write_mp4(path: Path, pictures: Iterator[Pixels], rate: float) -> int:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, REMOVED, States, action_mask
 from falsework.search.task import Direction
 from falsework.stability.oracle import Stability
+from falsework.viewer.arms import Arms, Moment, look_with_arms
 from falsework.viewer.disruption import Disruption, Tool, chance_of_parts
 from falsework.viewer.look import Look, look_at, pick
 from falsework.viewer.palette import FIXED, SELECTED
@@ -53,6 +54,7 @@ class Model:
         plan: Plan | None = None,
         policy: Any = None,
         graph: StateGraph | None = None,
+        arms: Arms | None = None,
         oracle: Stability | None = None,
         deadline: float | None = 60.0,
     ) -> None:
@@ -63,6 +65,7 @@ class Model:
             plan: the plan that it shows, to compare new ones with.
             policy: proposes actions, a `torch.nn.Module`; None if there is none.
             graph: state graph to show beside it.
+            arms: robots that carry the plan out, in the same order as the timeline.
             oracle: decides stability.
             deadline: seconds that a new plan may take; None for as long as it takes.
         """
@@ -70,6 +73,7 @@ class Model:
         self.plan = plan
         self.policy = policy
         self.graph = graph
+        self.arms = arms
         self.place = 0.0
         self.tool = Tool.LOOK
         self.selected: int | None = None
@@ -81,7 +85,7 @@ class Model:
         self._proofs: OrderedDict[bytes, StateProof] = OrderedDict()
         self._replanner: Any = None
         self._guide: PolicyGuide | None = None
-        self._before: list[tuple[Timeline, Plan | None, Disruption, float]] = []
+        self._before: list[tuple[Timeline, Plan | None, Disruption, float, Arms | None]] = []
 
     @property
     def assembly(self) -> Assembly:
@@ -120,6 +124,7 @@ class Model:
         with self.lock:
             if direction is not self.direction:
                 self.timeline = self.timeline.turned(direction)
+                self.arms = None if self.arms is None else self.arms.turned(direction)
                 self.place = len(self.timeline) - self.place
 
     def look(self) -> Look:
@@ -129,13 +134,21 @@ class Model:
             marks = dict.fromkeys(self.disruption.fixed, FIXED)
             if self.selected is not None:
                 marks[self.selected] = SELECTED
-            return look_at(
+            look = look_at(
                 self.timeline,
                 self.place,
                 state=self.site if disrupted else None,
                 chances=self.chances() if self.show_chances else None,
                 marks=marks,
+                travelling=self.arms is None,
             )
+            moment = self.moment()
+            return look if moment is None or disrupted else look_with_arms(look, moment)
+
+    def moment(self) -> Moment | None:
+        """Where the arms are now; None where there are none."""
+        with self.lock:
+            return None if self.arms is None else self.arms.at(self.place)
 
     @property
     def pale(self) -> Sequence[int]:
@@ -295,7 +308,8 @@ class Model:
         words = f"{len(answer.plan)} steps in {seconds:.2f} s, decided by {decided}. "
         words += self._compare(old, answer.plan)
         with self.lock:
-            self._before.append((self.timeline, self.plan, self.disruption, self.place))
+            self._before.append((self.timeline, self.plan, self.disruption, self.place, self.arms))
+            self.arms = None  # the new plan has no motions yet
             self.timeline = Timeline.of(answer.plan, self.assembly)
             self.plan = answer.plan
             self.place = 0.0
@@ -312,7 +326,7 @@ class Model:
         """Show the plan before the last one again, with the marks that were set then."""
         with self.lock:
             if self._before:
-                self.timeline, self.plan, self.disruption, self.place = self._before.pop()
+                self.timeline, self.plan, self.disruption, self.place, self.arms = self._before.pop()
 
     def _compare(self, old: Plan | None, new: Plan) -> str:
         if old is None:

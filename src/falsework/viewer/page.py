@@ -77,7 +77,6 @@ class Page:
         self._stop = threading.Event()
         self._playing = threading.Event()
         self._quiet = False
-        self._robot_scene: Any = None
         self.scene = Scene(self.server.scene, model.timeline)
         self._arrange(title or model.assembly.name)
         self._controls()
@@ -118,11 +117,15 @@ class Page:
     def refresh(self) -> None:
         """Bring scene and words up to date with the model."""
         with self._lock, self.server.atomic():
-            model = self.model
-            look = model.look()
-            self.scene.show(look, missing=model.disruption.missing, pale=model.pale, labels=model.labels(look))
+            self._draw()
             self._show_proof()
             self._say()
+
+    def _draw(self) -> None:
+        model = self.model
+        look = model.look()
+        self.scene.show(look, missing=model.disruption.missing, pale=model.pale, labels=model.labels(look))
+        self.scene.show_arms(model.arms, model.moment())
 
     # What the page is made of.
 
@@ -157,7 +160,9 @@ class Page:
         with gui.add_folder("Play"):
             self._play_button = gui.add_button("Play", disabled=steps == 0)
             self._play_button.on_click(lambda event: self._guard(event, self._toggle_play))
-            self._speed = gui.add_slider("Steps a second", min=0.5, max=8.0, step=0.5, initial_value=2.0)
+            self._speed = gui.add_slider(
+                "Steps a second", min=0.5, max=8.0, step=0.5, initial_value=2.0 if model.arms is None else 0.5
+            )
             words = {Direction.ASSEMBLY: "assembly", Direction.DISASSEMBLY: "disassembly"}
             self._order = gui.add_dropdown("Order", tuple(words.values()), initial_value=words[model.direction])
             self._order.on_update(lambda event: self._guard(event, self._turned))
@@ -333,8 +338,7 @@ class Page:
                 self.refresh()
             else:
                 with self._lock, self.server.atomic():
-                    look = model.look()
-                    self.scene.show(look, missing=model.disruption.missing, pale=model.pale, labels=model.labels(look))
+                    self._draw()
             if model.place >= len(model.timeline):
                 self._playing.clear()
                 self._play_button.label = "Play"

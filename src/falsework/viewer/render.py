@@ -134,7 +134,7 @@ class _Eye:
         self._light_axes = np.stack([side, np.cross(self._light, side), self._light])
         self._reach = float(np.linalg.norm(bounds[1] - bounds[0]))
 
-    def draw(self, surface: _Surface, *, floor: bool, behind: Array | None = None) -> tuple[Array, Array]:
+    def draw(self, surface: _Surface, *, floor: bool, behind: Array | None = None) -> tuple[NDArray[np.float32], Array]:
         """Red, green, blue times opacity, and opacity, shape (height, width, 4), and the depth at each pixel.
 
         Args:

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.viewer.arms import Arms, Moment, wxyz_of
 from falsework.viewer.arrows import KINDS, Arrows
 from falsework.viewer.look import Look, bounds_of, diagonal
-from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, rgb
+from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, rgb, robot_color
 from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
@@ -65,6 +66,9 @@ class Scene:
         self._ghosts: dict[int, tuple[bytes, Any]] = {}
         self._labels: dict[int, tuple[str, Any]] = {}
         self._opacity: float | None = None
+        self._arms: list[Any] = []
+        self._carried: list[tuple[int, Any]] = []
+        self._robots: Any = None
         self.order(timeline)
 
     def order(self, timeline: Timeline) -> None:
@@ -159,6 +163,50 @@ class Scene:
             )  # fmt: skip
             self._keep("/motion", points.tobytes(), node)
 
+    def show_arms(self, arms: Arms | None, moment: Moment | None) -> None:
+        """Bring the arms, and the part that one of them carries, up to date.
+
+        Args:
+            arms: the robots; None if there are none any more.
+            moment: where they are.
+        """
+        if arms is None or moment is None:
+            for node in (*self._arms, *(node for _, node in self._carried)):
+                node.remove()
+            self._arms, self._carried, self._robots = [], [], None
+            return
+        if self._robots is not arms.cell:
+            self.show_arms(None, None)
+            self._robots = arms.cell
+            for number, link in enumerate(arms.links):
+                color = tuple(round(255 * channel) for channel in link.color)
+                vertices = (link.vertices * self.scale).astype(np.float32)
+                self._arms.append(
+                    self._scene.add_mesh_simple(
+                        f"/arms/{number}", vertices, link.faces.astype(np.uint32), color=color, flat_shading=True
+                    )
+                )
+        for node, pose in zip(self._arms, moment.poses, strict=True):
+            node.position = self.place(pose[:3, 3])
+            node.wxyz = wxyz_of(pose[:3, :3])
+        if self._carried and self._carried[0][0] != moment.carried:
+            self._carried.pop()[1].remove()
+        if moment.carried is None:
+            return
+        if not self._carried:
+            part = moment.carried
+            node = self._scene.add_mesh_simple(
+                "/carried",
+                self._vertices[part],
+                self._faces[part],
+                color=rgb(robot_color(moment.carrier)),
+                flat_shading=True,
+            )
+            self._carried.append((part, node))
+        turn, shift = moment.carried_pose[:3, :3], moment.carried_pose[:3, 3]
+        self._carried[0][1].wxyz = wxyz_of(turn)
+        self._carried[0][1].position = self.place(turn @ self.origin + shift)
+
     def see_through(self, wanted: bool) -> None:
         """Make the parts see-through, so that arrows inside them are seen, or solid again."""
         opacity = 0.4 if wanted else None
@@ -172,7 +220,7 @@ class Scene:
     @property
     def node_count(self) -> int:
         """Nodes that the browser draws now."""
-        return len(self._shown) + len(self._ghosts)
+        return len(self._shown) + len(self._ghosts) + len(self._arms) + len(self._carried)
 
     def _merge(self, name: str, parts: Sequence[int]) -> int:
         key = np.asarray(parts, dtype=np.int32).tobytes()

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
 from falsework.search.archive import write_whole
-from falsework.viewer.arrows import Arrows, arrow_mesh
+from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms
+from falsework.viewer.arrows import Arrows
 from falsework.viewer.look import TRAVEL, Look, bounds_of, diagonal, look_at
-from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, ROBOTS, robot_color, unit_rgb
+from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, ROBOTS, robot_color
 from falsework.viewer.render import Camera, Image, Solid, render
 from falsework.viewer.timeline import NOBODY, Timeline, interesting
 
@@ -129,7 +130,7 @@ def one_state(
     *,
     arrows: Sequence[Arrows] = (),
     key: Sequence[tuple[str, str]] | None = None,
-    extra: Sequence[Solid] = (),
+    arms: Arms | None = None,
     bounds: NDArray[np.float64] | None = None,
     words: str | None = None,
     samples: int = 3,
@@ -142,14 +143,19 @@ def one_state(
         camera: how to look at it.
         arrows: drawn as well.
         key: the legend, colour and words; of the timeline if not given.
-        extra: other meshes.
+        arms: robots that carry the plan out.
         bounds: what the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
         words: the line above; the step if not given.
         samples: pixels are averaged over `samples` squared.
     """
     pillow = import_pillow()
-    look = look_at(timeline, place)
+    extra: Sequence[Solid] = ()
+    look = look_at(timeline, place, travelling=arms is None)
     box = bounds_with_ways(timeline) if bounds is None else bounds
+    if arms is not None:
+        moment = arms.at(place)
+        look, extra = look_with_arms(look, moment), solids_of_arms(arms, moment, timeline.assembly)
+        box = bounds_with_arms(arms, bounds_of(timeline.assembly)) if bounds is None else bounds
     tips = [some.ends.reshape(-1, 3) for some in arrows if len(some)]
     if tips:
         points = np.concatenate([box, *tips])
@@ -222,11 +228,6 @@ def write_png(path: Path | str, pixels: Pixels) -> None:
     pillow = import_pillow()
     image = pillow.Image.fromarray(pixels)
     write_whole(path, lambda file: image.save(file, format="PNG", optimize=True))
-
-
-def arrow_solid(tail: NDArray[np.float64], tip: NDArray[np.float64], thickness: float, color: str) -> Solid:
-    """One arrow as a mesh."""
-    return Solid(*arrow_mesh(tail, tip, thickness), unit_rgb(color))
 
 
 def import_pillow() -> Any:

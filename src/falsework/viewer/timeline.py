@@ -49,13 +49,20 @@ class Timeline:
     """Contact forces in each state, shape (steps + 1, points, 3), N."""
 
     @classmethod
-    def of(cls, plan: Plan, assembly: Assembly, direction: Direction | None = None) -> Timeline:
+    def of(
+        cls,
+        plan: Plan,
+        assembly: Assembly,
+        direction: Direction | None = None,
+        who: NDArray[np.int64] | None = None,
+    ) -> Timeline:
         """Timeline of a plan.
 
         Args:
             plan: the plan.
             assembly: its structure.
             direction: order in which it is shown; that of the plan if not given.
+            who: robot that holds each part in each state, in the order of disassembly; given out if not given.
 
         Raises:
             PlanError: the plan is for another structure.
@@ -63,8 +70,9 @@ class Timeline:
         check_identity(plan, assembly)
         apart = plan if plan.direction is Direction.DISASSEMBLY else plan.reverse()
         # Robots are given out in the order of the plan, so that nobody changes hands on the way.
-        who = holders(plan.states, assembly.boundary)
-        who = who if plan.direction is Direction.DISASSEMBLY else who[::-1]
+        if who is None:
+            who = holders(plan.states, assembly.boundary)
+            who = who if plan.direction is Direction.DISASSEMBLY else who[::-1]
         shown = plan.direction if direction is None else direction
         return cls(assembly, apart.states, apart.actions, who, shown, plan.robots, apart.forces)
 

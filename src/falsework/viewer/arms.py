@@ -1,0 +1,246 @@
+"""Arms, grippers and the part that they carry at any moment of a robot plan, in the frame of the structure.
+
+A cell may build a structure at another size and place; here everything is taken back to the structure as it is, so
+that arms can be drawn beside parts that never move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.search.task import Direction
+from falsework.viewer.look import Look
+from falsework.viewer.palette import robot_color, unit_rgb
+from falsework.viewer.render import Solid
+from falsework.viewer.timeline import NOBODY
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.robots.cell import Cell, CellRobot
+    from falsework.robots.robot_plan import RobotPlan
+
+Array = NDArray[np.float64]
+
+ARM = (0.80, 0.81, 0.83)
+"""Colour of the links; the gripper has that of its robot."""
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """One rigid piece of a robot."""
+
+    robot: int
+    frame: int
+    """Link of the robot, 0 for the base; the gripper comes after the last."""
+    vertices: Array
+    """In its own frame, in lengths of the structure, shape (vertices, 3)."""
+    faces: NDArray[np.int64]
+    """Shape (faces, 3)."""
+    gripper: bool
+
+    @property
+    def color(self) -> tuple[float, float, float]:
+        """Red, green, blue from 0 to 1."""
+        return unit_rgb(robot_color(self.robot)) if self.gripper else ARM
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """Where all arms are."""
+
+    poses: Array
+    """Of every link in the frame of the structure, rotation and translation, shape (links, 4, 4)."""
+    carried: int | None
+    """Part that is on its way in a gripper."""
+    carried_pose: Array
+    """From the place of the carried part to where it is, shape (4, 4)."""
+    carrier: int = NOBODY
+    """Robot that carries it."""
+    arrived: int | None = None
+    """Part that has come to its place in this step, before the step is over."""
+    gone: int | None = None
+    """Part that has left in this step, before the step is over."""
+
+
+class Arms:
+    """All robots of a robot plan, moving with its steps."""
+
+    def __init__(self, robot_plan: RobotPlan, cell: Cell, direction: Direction) -> None:
+        """Prepare the links.
+
+        Args:
+            robot_plan: the motions.
+            cell: where the robots stand.
+            direction: order in which the steps are shown.
+        """
+        self.cell = cell
+        self.direction = direction
+        self._plan = robot_plan if robot_plan.direction is direction else robot_plan.reverse()
+        scale = cell.placement.scale
+        self._to_structure = _similar(cell.placement.pose, scale)
+        self.scale = scale
+        self.links = [link for number, robot in enumerate(cell.robots) for link in _links(number, robot, 1 / scale)]
+
+    def turned(self, direction: Direction) -> Arms:
+        """The same in the other order."""
+        return self if direction is self.direction else Arms(self._plan, self.cell, direction)
+
+    def holders(self) -> NDArray[np.int64]:
+        """Robot that holds each part in each state, in the order of disassembly; shape (steps + 1, parts)."""
+        frames = self._plan.keyframes
+        who = np.full((len(frames), len(self._plan.plan.boundary)), NOBODY, dtype=np.int64)
+        for row, frame in enumerate(frames):
+            for robot, part in enumerate(frame.held):
+                if part is not None:
+                    who[row, part] = robot
+        return who if self.direction is Direction.DISASSEMBLY else who[::-1]
+
+    def seconds(self, step: int) -> float:
+        """How long a step takes, counted from 0 in the order shown."""
+        return self._plan.steps[step].seconds
+
+    def at(self, place: float) -> Moment:
+        """Where everything is at a place, in steps in the order shown; a step passes evenly in its own time."""
+        steps = len(self._plan)
+        place = min(max(place, 0.0), float(steps))
+        step = min(int(place), steps - 1) if steps else 0
+        if steps == 0 or place == int(place):
+            return self._still(int(place))
+        return self._moving(step, place - step)
+
+    def _still(self, state: int) -> Moment:
+        return Moment(self._poses(self._plan.keyframes[state].configurations), None, np.eye(4))
+
+    def _moving(self, index: int, share: float) -> Moment:
+        from falsework.robots.kinematics import tool_pose
+        from falsework.robots.shapes import inverse_pose
+
+        step = self._plan.steps[index]
+        before, after = self._plan.keyframes[index], self._plan.keyframes[index + 1]
+        left = share * step.seconds
+        done, current = [], None
+        for trajectory in step.trajectories:
+            if left <= trajectory.seconds:
+                current = trajectory
+                break
+            left -= trajectory.seconds
+            done.append(trajectory)
+        configurations = list(before.configurations)
+        configurations[step.robot] = (
+            after.configurations[step.robot] if current is None else current.sample(np.array([left]))[0]
+        )
+        parts = len(self._plan.plan.boundary)
+        action = int(self._plan.plan.actions[index])
+        part, moves = action % parts, action >= parts
+        removing = moves and self.direction is Direction.DISASSEMBLY
+        poses = self._poses(configurations)
+        if not moves:
+            return Moment(poses, None, np.eye(4))
+        carrying = current is not None and current.part is not None
+        if carrying:
+            robot = self.cell.robots[step.robot]
+            home = (before if removing else after).configurations[step.robot]
+            way = tool_pose(robot, configurations[step.robot]) @ inverse_pose(tool_pose(robot, home))
+            back = self._to_structure
+            # From the structure into the cell, along with the tool, and back again.
+            return Moment(poses, part, back @ way @ np.linalg.inv(back), step.robot)
+        was = any(trajectory.part is not None for trajectory in done)
+        arrived = part if was and not removing else None
+        gone = part if was and removing else None
+        return Moment(poses, None, np.eye(4), arrived=arrived, gone=gone)
+
+    def _poses(self, configurations: Sequence[Array]) -> Array:
+        from falsework.robots.kinematics import link_poses
+
+        frames = []
+        for robot, values in zip(self.cell.robots, configurations, strict=True):
+            found = link_poses(robot.model, np.asarray(values), robot.base)
+            frames.append([*found, found[-1] @ robot.model.flange])
+        made = self._to_structure @ np.array([frames[link.robot][link.frame] for link in self.links])
+        made[:, :3, :3] *= self.scale  # vertices are in lengths of the structure already
+        return made
+
+
+def look_with_arms(look: Look, moment: Moment) -> Look:
+    """The parts without the one that is carried, and with those that have come or gone within the step."""
+    opacity = look.opacity.copy()
+    for part in (moment.carried, moment.gone):
+        if part is not None:
+            opacity[part] = 0.0
+    if moment.arrived is not None:
+        opacity[moment.arrived] = 1.0
+    return replace(look, opacity=opacity)
+
+
+def solids_of_arms(arms: Arms, moment: Moment, assembly: Assembly) -> list[Solid]:
+    """Arms, and the part that they carry, as meshes.
+
+    Args:
+        arms: the robots.
+        moment: where they are.
+        assembly: the structure.
+    """
+    solids = [
+        Solid(link.vertices @ pose[:3, :3].T + pose[:3, 3], link.faces, link.color)
+        for link, pose in zip(arms.links, moment.poses, strict=True)
+    ]
+    if moment.carried is not None:
+        mesh, pose = assembly.meshes[moment.carried], moment.carried_pose
+        vertices = mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
+        solids.append(Solid(vertices, mesh.faces, unit_rgb(robot_color(moment.carrier))))
+    return solids
+
+
+def bounds_with_arms(arms: Arms, box: Array) -> Array:
+    """Lowest and highest coordinates of the structure and of the robots at the first keyframe, shape (2, 3)."""
+    moment = arms.at(0.0)
+    points = [box]
+    for link, pose in zip(arms.links, moment.poses, strict=True):
+        points.append(link.vertices @ pose[:3, :3].T + pose[:3, 3])
+    every = np.concatenate(points)
+    return np.stack([every.min(axis=0), every.max(axis=0)])
+
+
+def wxyz_of(rotation: Array) -> tuple[float, float, float, float]:
+    """Unit quaternion, w first, of a rotation matrix of shape (3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return float(w), float(x), float(y), float(z)
+
+
+def _similar(pose: Array, scale: float) -> Array:
+    """From the world of the cell to the frame of the structure, shape (4, 4)."""
+    made = np.eye(4)
+    made[:3, :3] = pose[:3, :3].T / scale
+    made[:3, 3] = -pose[:3, :3].T @ pose[:3, 3] / scale
+    return made
+
+
+def _links(number: int, robot: CellRobot, size: float) -> list[Link]:
+    """Links that have a shape, base first, gripper last."""
+    from scipy.spatial import ConvexHull
+
+    links = []
+    for frame in range(robot.model.joints + 2):
+        gripper = frame == robot.model.joints + 1
+        pieces = robot.gripper.pieces if gripper else robot.model.pieces[frame]
+        vertices, faces, start = [], [], 0
+        for piece in pieces:
+            points = np.asarray(piece, dtype=float)
+            hull = ConvexHull(points)
+            corners = points[hull.simplices]
+            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            inwards = (normal * hull.equations[:, :3]).sum(axis=1) < 0
+            turned = np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
+            vertices.append(points * size)
+            faces.append(turned + start)
+            start += len(points)
+        if vertices:
+            links.append(Link(number, frame, np.concatenate(vertices), np.concatenate(faces).astype(np.int64), gripper))
+    return links
