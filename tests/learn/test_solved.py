@@ -107,6 +107,26 @@ def test_saved_and_loaded_it_is_the_same(data: Any) -> None:
     assert again.add(torch.from_numpy(data.more)) == solved.add(torch.from_numpy(data.more)) > 0
 
 
+def test_processes_tell_each_other_which_test_states_are_solvable(data: Any) -> None:
+    """Without telling what they are: two sets that learned different halves know the same afterwards."""
+    everything = torch.from_numpy(np.concatenate([data.train, data.test, data.more]))
+    one, two = SolvedStates(rules_of(data)), SolvedStates(rules_of(data))
+    for solved in (one, two):
+        solved.forbid(torch.from_numpy(data.test))
+        solved.add(torch.from_numpy(np.concatenate([data.train, data.more])))
+    one.add(everything[::2])
+    two.add(everything[1::2])
+    words = torch.cat([one.test_words(), two.test_words()])
+    assert len(words) == len(data.test)
+    for solved in (one, two):
+        solved.learn_test_words(words)
+        solved.learn_test_words(words)
+    whole = SolvedStates(rules_of(data), everything)
+    for solved in (one, two):
+        assert solved.valid_actions(everything).equal(whole.valid_actions(everything))
+        assert not solved.contains(torch.from_numpy(data.test)).any()
+
+
 def test_sorted_states_do_not_depend_on_who_came_first(data: Any) -> None:
     one, two = SolvedStates(rules_of(data)), SolvedStates(rules_of(data))
     one.add(torch.from_numpy(data.train))

@@ -164,6 +164,7 @@ class SearchLearner:
         found = improve(self._environment, self._network, solved, solved.states[rows], generator=self._generator)
         if self._shards.size > 1:
             solved.add(gather_rows(solved.states[known:], self._shards))
+            solved.learn_test_words(gather_rows(solved.test_words(), self._shards))
             solved.sort()
         tried, succeeded = summed([float(count), float(found.succeeded)], self._shards, device)
         self._perfect = self._perfect + 1 if tried == succeeded else 0

@@ -161,6 +161,15 @@ class SolvedStates:
         self._forbidden, self._met = moved["forbidden"], moved["met"].bool()
         self._stored = torch.sort(self.hashes(self._states)).values
 
+    def test_words(self) -> torch.Tensor:
+        """Words of test states that are known to be solvable, for other processes to know of. Shape (count,)."""
+        return self._known[_contains(self._forbidden, self._known)]
+
+    def learn_test_words(self, words: torch.Tensor) -> None:
+        """Take over from other processes which test states are solvable; words of other states are not for this."""
+        fresh = torch.unique(words[~_contains(self._known, words)])
+        self._known = torch.sort(torch.cat([self._known, fresh])).values
+
     def sort(self) -> None:
         """Put the states into the order of their words, which does not depend on who found what first."""
         self._states = self._states[torch.argsort(self.hashes(self._states), stable=True)]
