@@ -48,6 +48,9 @@ class HybridSettings:
     """Dead ends in the first search; when they are used up, the next one begins and may have more."""
     edges: int = 2
     """Ways of carrying out one action that are tried at a keyframe."""
+    probes: int = 4
+    """Actions that lead to states not known to be solvable, for which that is asked at one keyframe; more in later
+    searches."""
     actions: int = 8
     """Actions that are tried at a keyframe with motions, before it counts as a dead end."""
     keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
@@ -245,10 +248,14 @@ class _Search:
 
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Edges out of a keyframe in the order in which to try them."""
-        tried = 0
+        tried, probes = 0, self.settings.probes * (1 + self.attempt)
         for action in self._ranked(node, rng):
             if (node.key, action) in self.impossible or self.late():
                 continue
+            if not self.proposals.known(node.state, action):
+                if probes == 0:
+                    continue
+                probes -= 1
             if not self.proposals.solvable(node.state, action):
                 self.counts["unsolvable"] += 1
                 continue

@@ -51,6 +51,10 @@ class Body:
     joint: int
     placement: Array
     """In the frame of the joint, shape (4, 4)."""
+    against: frozenset[int] | None = None
+    """Where given, it is checked against these parts at their places and nothing else."""
+    spared: frozenset[int] = frozenset()
+    """Parts at their places that it is not checked against."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +108,7 @@ class Judge:
         self._grippers = [[self._convex(piece) for piece in robot.gripper.pieces] for robot in cell.robots]
         self._obstacles = [(o.name, self._convex(p)) for o in cell.obstacles for p in o.pieces]
         self._parts = [self._surface(mesh, mesh.vertices) for mesh in parts.meshes]
-        self._shrunken: dict[int, Any] = {}
+        self._shrunken: dict[int, list[tuple[Any, frozenset[int]]]] = {}
         self.slack = tolerance
         """Most that a part had to be shrunk so far, metres."""
         self._floor = coal.Box(np.array([100.0, 100.0, 1.0]))
@@ -135,7 +139,7 @@ class Judge:
         moving = self._robot_bodies(robot)
         joints = self.cell.robots[robot].model.joints
         if carried is not None and grip is not None:
-            moving += [(joints + 2, self._carried(robot, carried, grip, at_place))]
+            moving += [(joints + 2, body) for body in self._carried(robot, carried, grip, at_place)]
         standing = self._standing(robot, present)
         bodies = [body for _, body in moving] + [body for _, _, body in standing]
         geometry = self._pin.GeometryModel()
@@ -144,14 +148,16 @@ class Judge:
             entry = self._pin.GeometryObject(f"{number} {body.name}", body.joint, WORLD, placement, body.shape)
             geometry.addGeometryObject(entry)
         ignored = self.cell.robots[robot].model.ignored
-        for a, (link, _) in enumerate(moving):
+        for a, (link, body) in enumerate(moving):
             for b, (other, _) in enumerate(moving[:a]):
-                if self._against_itself(link, other, joints, ignored):
+                if body.against is None and self._against_itself(link, other, joints, ignored):
                     geometry.addCollisionPair(self._pin.CollisionPair(b, a))
             for b, (what, number, _) in enumerate(standing, len(moving)):
                 if what == "base" and (0, link) in ignored:
                     continue
-                if what == "part" and link == joints + 1 and number == touches:
+                if what == "part" and (number in body.spared or (link == joints + 1 and number == touches)):
+                    continue
+                if body.against is not None and (what != "part" or number not in body.against):
                     continue
                 geometry.addCollisionPair(self._pin.CollisionPair(a, b))
         values = np.concatenate([np.asarray(entry, float) for entry in configurations])
@@ -209,40 +215,57 @@ class Judge:
             found.append((entry.model.joints + 1, body))
         return found
 
-    def _carried(self, robot: int, part: int, grip: Array, at_place: bool) -> Body:
+    def _carried(self, robot: int, part: int, grip: Array, at_place: bool) -> list[Body]:
+        """The part in a gripper; where it may touch its neighbours once for each distance that it is shrunk by."""
         entry = self.cell.robots[robot]
         # A part at its place has the identity as its pose, so in the flange it is the inverse of the flange's pose.
         placement = entry.model.flange @ inverse_pose(self.flange(robot, grip))
-        shape = self._loose(part) if at_place else self._parts[part]
-        return Body(f"part {self.parts.names[part]}", shape, self._joints[robot][-1], placement)
+        name, joint = f"part {self.parts.names[part]}", self._joints[robot][-1]
+        if not at_place:
+            return [Body(name, self._parts[part], joint, placement)]
+        (least, _), *more = self._loose(part)
+        tangled = frozenset().union(*(others for _, others in more))
+        found = [Body(name, least, joint, placement, spared=tangled)]
+        return found + [Body(name, shape, joint, placement, against=others) for shape, others in more]
 
-    def _loose(self, part: int) -> Any:
-        """A part shrunk so far that it touches nothing at its place in the complete structure.
+    def _loose(self, part: int) -> list[tuple[Any, frozenset[int]]]:
+        """A part shrunk by the tolerance, then more and more for those neighbours that its mesh overlaps by more.
 
-        By the tolerance; where the meshes themselves overlap by more, that is doubled until they come apart.
+        For each such neighbour the tolerance is doubled until the two come apart at their places, and once more for
+        the way, up to a quarter of the thickness of the part, as the clearance table does it.
         """
-        if part not in self._shrunken:
-            mesh, here = self.parts.meshes[part], self._coal.Transform3s()
-            low, high = mesh.bounds
-            near = [
+        if part in self._shrunken:
+            return self._shrunken[part]
+        mesh, here = self.parts.meshes[part], self._coal.Transform3s()
+        low, high = mesh.bounds
+        left = {
+            number
+            for number, other in enumerate(self.parts.meshes)
+            if number != part and (other.bounds[0] <= high).all() and (other.bounds[1] >= low).all()
+        }
+        slack, found = self.tolerance, []
+        tangled = False
+        while True:
+            shape = self._surface(mesh, shrink(mesh, slack))
+            request, result = self._coal.CollisionRequest(), self._coal.CollisionResult
+            apart = {
                 other
-                for other, mesh in enumerate(self.parts.meshes)
-                if other != part and (mesh.bounds[0] <= high).all() and (mesh.bounds[1] >= low).all()
-            ]
-            slack, most = self.tolerance, mesh.thickness / 8
-            while True:
-                shape = self._surface(mesh, shrink(mesh, slack))
-                request = self._coal.CollisionRequest
-                hits = (
-                    self._coal.collide(shape, here, self._parts[other], here, request(), self._coal.CollisionResult())
-                    for other in near
-                )
-                if 2 * slack > most or not any(hits):
-                    break
-                slack *= 2
-            self._shrunken[part] = shape
-            self.slack = max(self.slack, slack)
-        return self._shrunken[part]
+                for other in left
+                if not self._coal.collide(shape, here, self._parts[other], here, request, result())
+            }
+            last = 2 * slack > mesh.thickness / 4
+            if tangled:  # what comes apart only now is given as much again to slide along its neighbour
+                shape = self._surface(mesh, shrink(mesh, min(2 * slack, mesh.thickness / 4)))
+            if apart or not found or last:
+                found.append((shape, frozenset(left if last else apart)))
+                self.slack = max(self.slack, min(2 * slack, mesh.thickness / 4) if tangled else slack)
+            tangled = True
+            left -= apart
+            if not left or last:
+                break
+            slack *= 2
+        self._shrunken[part] = found
+        return found
 
     def _standing(self, robot: int, present: NDArray[np.bool_]) -> list[tuple[str, int, Body]]:
         found: list[tuple[str, int, Body]] = []

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
-from falsework.geometry.bits import unpack
 from falsework.robots.cell import Cell
+from falsework.robots.exits import Exits
 from falsework.robots.explain import Reasons
-from falsework.robots.grasp import Grasp, grasps, withdrawals
+from falsework.robots.grasp import Grasp, grasps
 from falsework.robots.inverse import inverse
 from falsework.robots.kinematics import tool_pose
 from falsework.robots.motion import Motion, follow_line, plan_free
@@ -141,9 +141,7 @@ class KeyframeGraph:
         self._grips: dict[tuple[int, int, bytes], list[Grip]] = {}
         self._view: dict[bytes, View] = {}
         self._places: dict[int, Array] = {}
-        table = assembly.clearance
-        self._blockers = unpack(table.blockers)[:, : assembly.part_count].astype(bool)
-        self._ways = table.start
+        self.exits = Exits(assembly, self.parts.turn)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
         """A node to begin with."""
@@ -182,18 +180,15 @@ class KeyframeGraph:
 
     def way_out(self, part: int, state: States) -> tuple[States, Array]:
         """The state in which a part can leave once what blocks its easiest way has gone, and its ways there, (n, 3)."""
-        rows = slice(self._ways[part], self._ways[part + 1])
-        present = state != REMOVED
-        blockers = self._blockers[rows] & present
+        blockers = self.exits.blockers(part) & (state != REMOVED)
         count = blockers.sum(axis=1) + 1000 * (blockers & self.assembly.boundary).any(axis=1)
         later = state.copy()
         later[blockers[int(np.argmin(count))] & ~self.assembly.boundary] = REMOVED
-        return later, withdrawals(self.assembly, self.parts, part, later)
+        return later, self.exits.free(part, later)
 
     def blocked_by(self, part: int, state: States) -> int:
         """How many parts stand in the easiest way out of a part."""
-        rows = slice(self._ways[part], self._ways[part + 1])
-        return int((self._blockers[rows] & (state != REMOVED)).sum(axis=1).min())
+        return int((self.exits.blockers(part) & (state != REMOVED)).sum(axis=1).min())
 
     def reachable(self, part: int) -> bool:
         """Whether any robot can hold a part where it stands alone on what is boundary."""
@@ -318,7 +313,7 @@ class KeyframeGraph:
     def _remove(self, node: Node, part: int) -> Iterator[Edge]:
         robot = node.held.index(part)
         here = node.configurations[robot]
-        ways = withdrawals(self.assembly, self.parts, part, node.state)
+        ways = self.exits.free(part, node.state)
         if not len(ways):
             self.reasons.add("remove", part, robot, "no clear way out")
             return

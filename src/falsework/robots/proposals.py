@@ -16,9 +16,9 @@ from falsework.search.result import SearchResult, Stop
 from falsework.search.task import Direction, Task
 from falsework.stability.oracle import Stability
 
-_LEVELS = 12
+_LEVELS = 8
 """Steps that the joining search looks ahead."""
-_WIDTH = 10
+_WIDTH = 6
 """States that it keeps at each step."""
 _FIRST = 256
 """Widest beam for the first plan."""

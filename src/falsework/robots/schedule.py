@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ Array = NDArray[np.float64]
 
 _STILL = 1e-7
 """A path that goes no farther takes no time, rad or m."""
+_NEAR = 2e-5
+"""Samples that cubics between others come so near are left out, rad or m."""
+_STRIDES = (64, 32, 16, 8, 4, 2, 1)
 
 
 def make_robot_plan(
@@ -72,5 +76,49 @@ def timed_leg(model: RobotModel, leg: Leg, speed: float) -> Trajectory | None:
     if np.abs(np.diff(leg.path, axis=0)).sum() < _STILL:
         return None
     timed = time_path(model, leg.path, speed)
-    kind = "line" if leg.kind == "line" else "free"
-    return Trajectory(kind, timed.times, timed.positions, timed.velocities, leg.part, leg.touches)
+    knots = _enough(timed.times, timed.positions, timed.velocities, model.acceleration * speed**2)
+    made = Trajectory(
+        "line" if leg.kind == "line" else "free",
+        timed.times[knots],
+        timed.positions[knots],
+        timed.velocities[knots],
+        leg.part,
+        leg.touches,
+    )
+    # Where the push changes between two samples, the cubic between them needs a little more of it: slow down for that.
+    fastest, strongest = made.peaks()
+    over = max(
+        float((fastest / (model.velocity * speed)).max()),
+        float(np.sqrt((strongest / (model.acceleration * speed**2)).max())),
+    )
+    if over <= 1.0:
+        return made
+    stretch = over * (1 + 1e-6)
+    return replace(made, times=made.times * stretch, velocities=made.velocities / stretch)
+
+
+def _enough(times: Array, positions: Array, velocities: Array, acceleration: Array) -> NDArray[np.intp]:
+    """Samples that are needed as knots: the cubics between them pass the others within `_NEAR`, and push no harder."""
+    kept = [0]
+    while kept[-1] < len(times) - 1:
+        here = kept[-1]
+        for ahead in _STRIDES:
+            there = here + ahead
+            if there >= len(times):
+                continue
+            if ahead == 1:
+                break
+            span, rise = times[there] - times[here], positions[there] - positions[here]
+            start = (6 * rise / span - 4 * velocities[here] - 2 * velocities[there]) / span
+            stop = (-6 * rise / span + 2 * velocities[here] + 4 * velocities[there]) / span
+            if (np.maximum(np.abs(start), np.abs(stop)) > acceleration).any():
+                continue
+            between = slice(here + 1, there)
+            t = (times[between] - times[here])[:, None]
+            cubic = positions[here] + velocities[here] * t + start * t**2 / 2 + (stop - start) / span * t**3 / 6
+            if np.abs(cubic - positions[between]).max() <= _NEAR:
+                break
+        else:
+            there = here + 1
+        kept.append(there)
+    return np.array(kept, dtype=np.intp)

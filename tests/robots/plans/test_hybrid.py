@@ -1,0 +1,190 @@
+"""The hybrid planner: it finds plans that hold, gives the same answer for the same seed, and says why it cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from falsework.assembly import load_structure
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import complete_state
+from falsework.errors import InputError, StateError
+from falsework.robots.cell import Cell, Obstacle, Placement
+from falsework.robots.hybrid import HybridResult, HybridSettings, plan_robots
+from falsework.robots.proposals import Proposals
+from falsework.robots.shapes import block
+from falsework.search import Direction, Task
+from falsework.stability import Stability
+
+
+def test_a_plan_is_found_and_its_states_are_proven(result: HybridResult, column: Assembly) -> None:
+    assert result.found
+    plan = result.plan
+    assert plan is not None
+    assert len(plan) == 2 * int((~column.boundary).sum())
+    assert plan.plan.validate(column).good
+    assert plan.plan.removable_only_if_clear
+    for row, action in enumerate(plan.plan.actions):
+        if action >= column.part_count:
+            assert column.clearance.can_leave(plan.plan.states[row][None])[0, action - column.part_count]
+    assert result.statistics["dead_ends"] >= 0
+
+
+def test_the_same_seed_gives_the_same_plan(result: HybridResult, column: Assembly, cell: Cell) -> None:
+    again = plan_robots(column, cell)
+    assert again.plan is not None
+    assert result.plan is not None
+    np.testing.assert_array_equal(again.plan.plan.actions, result.plan.plan.actions)
+    for one, other in zip(again.plan.moves(), result.plan.moves(), strict=True):
+        np.testing.assert_array_equal(one[2].positions, other[2].positions)
+        np.testing.assert_array_equal(one[2].times, other[2].times)
+
+
+def test_from_midway_with_robots_where_they_stand(
+    result: HybridResult, column: Assembly, cell: Cell, oracle: Stability
+) -> None:
+    """From every keyframe of a plan the rest of the way is found, and ends as the plan does."""
+    plan = result.plan
+    assert plan is not None
+    for index in range(1, len(plan), 2):
+        frame = plan.keyframes[index]
+        task = Task.create(column.boundary, 2, start=plan.plan.states[index], identity=column.identity)
+        rest = plan_robots(column, cell, task=task, configurations=frame.configurations, held=frame.held, oracle=oracle)
+        assert rest.plan is not None
+        assert len(rest.plan) == len(plan) - index
+        np.testing.assert_array_equal(rest.plan.plan.states[0], plan.plan.states[index])
+        np.testing.assert_array_equal(rest.plan.plan.states[-1], plan.plan.states[-1])
+
+
+def test_a_guide_decides_the_order(column: Assembly, cell: Cell, oracle: Stability) -> None:
+    def prefer_two(states, actions, direction) -> np.ndarray:
+        assert direction in (Direction.DISASSEMBLY, Direction.ASSEMBLY)
+        scores = np.zeros(actions.shape)
+        scores[:, [2, 2 + column.part_count]] = 10.0
+        return scores
+
+    found = plan_robots(column, cell, oracle=oracle, guide=prefer_two)
+    assert found.plan is not None
+    assert found.plan.plan.removed_parts[0] == 2
+
+
+def test_a_target_and_missing_parts(column: Assembly, cell: Cell, oracle: Stability) -> None:
+    target = complete_state(column.boundary)
+    target[1] = 0
+    task = Task.create(column.boundary, 2, target=target)
+    found = plan_robots(column, cell, task=task, oracle=oracle)
+    assert found.plan is not None
+    assert found.plan.plan.removed_parts.tolist() == [1]
+    late = plan_robots(column, cell, task=Task.create(column.boundary, 2, missing=[2]), oracle=oracle)
+    assert late.plan is not None
+    assert late.plan.plan.removed_parts[0] == 2  # taken off first: put in last
+
+
+def test_what_is_out_of_reach_is_named(column: Assembly, cell_of: Callable[..., Cell]) -> None:
+    found = plan_robots(column, cell_of(2, 4.0))
+    assert not found.found
+    why = found.explanation
+    assert why is not None
+    assert set(why.unreachable) == {0, 1, 2}
+    assert why.reached == 0
+    assert "no robot can hold block-0, block-1, block-2" in why.text
+    assert any(entry["what"] == "out of reach" for entry in why.details)
+    assert "\n" not in why.text
+
+
+def test_what_is_in_the_way_is_named_and_what_was_found_is_kept(
+    column: Assembly, cell: Cell, oracle: Stability
+) -> None:
+    """A roof close above the lower cubes: what stands on top of them is under it too, so nothing leaves upwards."""
+    roof = Obstacle("roof", (block((-0.35, -0.35, 0.5), (0.35, 0.35, 0.52)),))
+    walls = tuple(
+        Obstacle(f"wall {k}", (block(low, high),))
+        for k, (low, high) in enumerate(
+            [
+                ((-0.37, -0.37, 0.0), (-0.35, 0.37, 0.52)),
+                ((0.35, -0.37, 0.0), (0.37, 0.37, 0.52)),
+                ((-0.37, -0.37, 0.0), (0.37, -0.35, 0.52)),
+                ((-0.37, 0.35, 0.0), (0.37, 0.37, 0.52)),
+            ]
+        )
+    )
+    closed = replace(cell, obstacles=(roof, *walls))
+    found = plan_robots(column, closed, oracle=oracle, settings=HybridSettings(attempts=2))
+    assert not found.found
+    assert found.partial is None
+    assert found.explanation is not None
+    assert found.explanation.reached == 0
+    pairs = [name for entry in found.explanation.details for name in entry["pair"] or ()]
+    assert any(name == "roof" or name.startswith("wall") for name in pairs)
+
+
+def test_a_partial_plan_is_a_plan(column: Assembly, cell: Cell, oracle: Stability) -> None:
+    """A cage around the lower cubes only: the upper one leaves, and the plan for that is kept and proven."""
+    cage = Obstacle(
+        "cage", (block((-0.6, -0.35, 0.0), (-0.25, 0.35, 0.25)), block((0.45, -0.35, 0.0), (0.6, 0.35, 0.25)))
+    )
+    ring = Obstacle("ring", (block((0.06, -0.2, 0.202), (0.4, 0.2, 0.22)),))
+    found = plan_robots(
+        column, replace(cell, obstacles=(cage, ring)), oracle=oracle, settings=HybridSettings(attempts=2)
+    )
+    assert not found.found
+    assert found.explanation is not None
+    assert found.partial is not None
+    assert len(found.partial) == found.explanation.reached > 0
+    assert found.partial.plan.validate(column).good
+    assert found.partial.statistics["failure"]["outcome"] == "not_found"
+    assert found.explanation.hopeless is not None
+
+
+def test_a_structure_that_locks_itself_is_proven_so(cell: Cell) -> None:
+    shelf = load_structure("shelf:shelves=0,width=0.3,depth=0.18,gap=0.1,thickness=0.02")
+    found = plan_robots(shelf, replace(cell, placement=Placement(density=300.0)))
+    assert not found.found
+    assert found.explanation is not None
+    assert found.explanation.outcome == "proved_impossible"
+    assert "no plan exists" in found.explanation.text
+
+
+def test_a_deadline_ends_the_search(column: Assembly, cell: Cell) -> None:
+    found = plan_robots(column, cell, settings=HybridSettings(deadline=1e-6))
+    assert not found.found
+    assert found.explanation is not None
+    assert found.explanation.outcome == "interrupted"
+
+
+def test_wrong_starts(column: Assembly, cell: Cell, oracle: Stability) -> None:
+    with pytest.raises(InputError, match="has 2 robots"):
+        plan_robots(column, cell, configurations=[cell.homes[0]], oracle=oracle)
+    with pytest.raises(InputError, match="configuration of arm 1"):
+        plan_robots(column, cell, configurations=[np.full(6, 9.0), cell.homes[1]], oracle=oracle)
+    with pytest.raises(StateError, match="which robot holds which part"):
+        plan_robots(column, cell, held=(1, None), oracle=oracle)
+    down = np.array([0.0, 1.4, 0.3, 0.0, 0.0, 0.0])
+    with pytest.raises(InputError, match="at the start"):
+        plan_robots(column, cell, configurations=[down, cell.homes[1]], oracle=oracle)
+    with pytest.raises(InputError, match="leaves no time"):
+        HybridSettings(deadline=0.0)
+    with pytest.raises(InputError, match="at least one attempt"):
+        HybridSettings(attempts=0)
+
+
+def test_solvable_states_are_those_of_the_census(column: Assembly) -> None:
+    """What the proposals call solvable is solvable, by exhaustion; in so small a structure they miss nothing."""
+    from falsework.search import ExhaustiveSearch
+
+    oracle = Stability(column)
+    task = Task.create(column.boundary, 1, clearance=column.clearance, identity=column.identity)
+    graph = ExhaustiveSearch(task, oracle).run().graph
+    proposals = Proposals(column, task, oracle)
+    assert proposals.prepare().found
+    index = {state.tobytes(): row for row, state in enumerate(graph.states)}
+    for row, state in enumerate(graph.states):
+        for action in proposals.legal(state):
+            after = task.follow(state[None], np.array([action]), Direction.DISASSEMBLY)[0]
+            known = index.get(after.tobytes())
+            truly = known is not None and bool(graph.solvable[known])
+            if graph.solvable[row]:
+                assert proposals.solvable(state, action) == truly

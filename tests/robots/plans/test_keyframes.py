@@ -1,0 +1,124 @@
+"""The keyframe graph: what its nodes and edges promise, and that nothing is computed twice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import complete_state
+from falsework.robots.cell import Cell
+from falsework.robots.exits import Exits
+from falsework.robots.keyframes import KeyframeGraph, KeyframeSettings
+from falsework.robots.kinematics import tool_pose
+
+
+@pytest.fixture(scope="module")
+def graph(column: Assembly, cell: Cell) -> KeyframeGraph:
+    return KeyframeGraph(column, cell)
+
+
+def test_keyframes_of_a_state_are_all_assignments_and_branches(
+    graph: KeyframeGraph, column: Assembly, cell: Cell
+) -> None:
+    state = complete_state(column.boundary)
+    assert [node.held for node in graph.keyframes(state)] == [(None, None)]
+    state[1] = 2
+    graph = KeyframeGraph(column, cell, settings=KeyframeSettings(grasps=3))
+    nodes = list(graph.keyframes(state))
+    assert {node.held for node in nodes} == {(1, None), (None, 1)}
+    for node in nodes:
+        robot = node.held.index(1)
+        assert any(
+            np.allclose(tool_pose(cell.robots[robot], node.configurations[robot]), grip.grasp.tool, atol=1e-5)
+            for grip in graph.grips(robot, 1, state)
+        )
+    # Several branches of the same grasp are different keyframes.
+    assert len({node.key for node in nodes}) == len(nodes) > 8
+
+
+def test_two_robots_never_hold_one_part_nor_meet(graph: KeyframeGraph, column: Assembly) -> None:
+    state = complete_state(column.boundary)
+    state[[1, 2]] = 2
+    count = 0
+    for node in graph.keyframes(state):
+        assert sorted(part for part in node.held if part is not None) == [1, 2]
+        assert graph.collision(node, 0) is None
+        count += 1
+        if count == 20:
+            break
+    assert count == 20
+
+
+def test_an_edge_moves_one_robot_from_where_it_stands(graph: KeyframeGraph, column: Assembly, cell: Cell) -> None:
+    root = graph.start(complete_state(column.boundary), cell.homes, (None, None))
+    hold = next(graph.edges(root, 1))
+    assert hold.node.state[1] == 2
+    assert hold.node.held[hold.robot] == 1
+    np.testing.assert_allclose(hold.legs[0].path[0], root.configurations[hold.robot])
+    np.testing.assert_allclose(hold.legs[0].path[-1], hold.legs[1].path[0], atol=1e-12)
+    np.testing.assert_allclose(hold.legs[1].path[-1], hold.node.configurations[hold.robot])
+    other = 1 - hold.robot
+    np.testing.assert_array_equal(hold.node.configurations[other], root.configurations[other])
+    remove = next(graph.edges(hold.node, column.part_count + 1))
+    assert remove.robot == hold.robot
+    assert remove.node.state[1] == 0
+    assert remove.node.held == (None, None)
+    assert all(leg.part == 1 for leg in remove.legs)
+    # The part leaves straight, and ends where the robot puts parts.
+    tools = tool_pose(cell.robots[remove.robot], remove.legs[0].path)
+    ways = tools[1:, :3, 3] - tools[0, :3, 3]
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    np.testing.assert_allclose(ways @ ways[-1], 1.0, atol=1e-4)
+    end = tool_pose(cell.robots[remove.robot], remove.node.configurations[remove.robot])
+    places = cell.robots[remove.robot].places[:, :3, 3]
+    assert np.abs(places - end[:3, 3]).max(axis=1).min() < 1e-5
+
+
+def test_what_was_computed_is_kept(graph: KeyframeGraph, column: Assembly, cell: Cell) -> None:
+    root = graph.start(complete_state(column.boundary), cell.homes, (None, None))
+    first = next(graph.edges(root, 2))
+    computed, views = graph.motions, graph.views
+    again = next(graph.edges(root, 2))
+    assert (graph.motions, graph.views) == (computed, views)
+    assert graph.motions_kept > 0
+    for one, other in zip(first.legs, again.legs, strict=True):
+        np.testing.assert_array_equal(one.path, other.path)
+
+
+def test_a_part_under_another_cannot_leave(graph: KeyframeGraph, column: Assembly) -> None:
+    state = complete_state(column.boundary)
+    assert graph.blocked_by(1, state) == 0
+    later, ways = graph.way_out(0, state)
+    assert len(ways)
+    assert later[0] == 1
+
+
+def test_exits_agree_with_the_clearance_table(column: Assembly) -> None:
+    """A fan of directions finds a way out only where the table finds one."""
+    exits = Exits(column, np.eye(3))
+    rng = np.random.default_rng(0)
+    free = ~column.boundary
+    for _ in range(30):
+        state = np.where(free, rng.integers(0, 2, column.part_count), 2).astype(np.uint8)
+        clear = column.clearance.can_leave(state[None])[0]
+        for part in np.flatnonzero(free):
+            ways = exits.free(int(part), state)
+            assert len(ways) == 0 or clear[part]
+            assert (ways[:, 2] >= -1e-6).all()
+            assert (np.diff(ways[:, 2]) <= 1e-8).all()
+    top = exits.free(1, complete_state(column.boundary))
+    np.testing.assert_allclose(top[0], (0, 0, 1), atol=1e-9)
+
+
+def test_too_heavy_and_out_of_reach_are_reasons(column: Assembly, cell_of: Callable[..., Cell]) -> None:
+    state = complete_state(column.boundary)
+    weak = KeyframeGraph(column, cell_of(1, 1.15, payload=0.5))
+    assert weak.grips(0, 1, state) == []
+    assert not weak.reachable(1)
+    assert any("weighs 2 kg" in reason.what for reason, _ in weak.reasons.of(1))
+    far = KeyframeGraph(column, cell_of(1, 4.0))
+    assert far.grips(0, 1, state) == []
+    assert [reason.what for reason, _ in far.reasons.of(1)] == ["out of reach"]
