@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import types
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -310,3 +311,43 @@ def test_two_processes_are_one_training(method: str, tmp_path: Path) -> None:
     assert numbers[0]["test"] == numbers[1]["test"]
     assert numbers[0]["processes"] == 2
     assert load_run(tmp_path / "run").metadata["results"]["processes"] == 2
+
+
+def test_weights_and_biases_gets_the_same_numbers(arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a stand-in that writes down what it is given."""
+    told: dict[str, Any] = {"numbers": []}
+
+    class StandIn(types.ModuleType):
+        @staticmethod
+        def init(**options: Any) -> Any:
+            told["options"] = options
+            return types.SimpleNamespace(
+                log=lambda values, step: told["numbers"].append({"step": step, **values}),
+                finish=lambda: told.setdefault("finished", True),
+            )
+
+    monkeypatch.setitem(sys.modules, "wandb", StandIn("wandb"))
+    train(arch, replace(SMALL, steps=10), folder=tmp_path / "run", device="cpu", logs=("wandb",))
+    assert told["numbers"] == read_progress(tmp_path / "run")
+    assert told["finished"]
+    assert told["options"]["config"]["steps"] == 10
+
+
+def test_nothing_is_kept_where_no_folder_is_named(arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "safetensors", None)  # not needed then
+    result = train(arch, replace(SMALL, steps=20), folder=None, device="cpu")
+    assert not list(tmp_path.iterdir())
+    assert [one["step"] for one in result.curve] == [10, 20]
+    kept = train(arch, SMALL, folder=None, device="cpu")
+    again = train(arch, SMALL, folder=None, device="cpu")
+    assert all(torch.equal(a, b) for a, b in zip(kept.policy.parameters(), again.policy.parameters(), strict=True))
+    with pytest.raises(InputError, match="nothing to resume without the folder"):
+        train(arch, SMALL, folder=None, device="cpu", resume=True)
+
+
+def test_a_search_that_never_arrives_is_said(tmp_path: Path) -> None:
+    """One robot cannot build an arch: what is learned is of little use."""
+    settings = replace(SMALL, robots=1, method="imitation", steps=5)
+    result = train(load_structure("arch:blocks=5"), settings, folder=tmp_path / "run", device="cpu", logs=())
+    assert any("not every search reached the complete structure" in note for note in result.notes)
