@@ -14,8 +14,10 @@ import numpy as np
 
 from falsework.errors import DependencyError, FalseworkError, InputError
 from falsework.search.task import Direction
+from falsework.viewer.arms import bounds_with_arms
 from falsework.viewer.arrows import KINDS
 from falsework.viewer.disruption import Tool
+from falsework.viewer.look import bounds_of
 from falsework.viewer.model import Model
 from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, robot_color
 from falsework.viewer.scene import SIZE, Scene
@@ -141,13 +143,17 @@ class Page:
             "/floor", 3 * SIZE, 3 * SIZE, position=(0.0, 0.0, -0.002 * SIZE), cell_color=(228, 229, 231),
             section_color=(210, 212, 215), infinite_grid=False,
         )  # fmt: skip
-        scene.add_light_ambient("/ambient", color=(255, 255, 255), intensity=0.6)
+        scene.add_light_ambient("/ambient", color=(255, 255, 255), intensity=0.85)
         # A little to the right of the middle, since the controls cover the right of the window.
         aside = np.array([0.80, 0.60, 0.0]) * 0.17 * SIZE
         middle = np.array([0.0, 0.0, 0.42 * self.scene.height])
         camera = self.server.initial_camera
-        camera.position = np.array([0.90, -1.20, 0.80]) * SIZE + middle + aside
-        camera.look_at = middle + aside
+        far = 1.0
+        if self.model.arms is not None:  # arms reach farther than what they build
+            box = bounds_with_arms(self.model.arms, bounds_of(self.model.assembly))
+            far = max(0.8 * float(np.linalg.norm(np.ptp(box, axis=0))) * self.scene.scale / SIZE, 1.0)
+        camera.position = np.array([0.90, -1.20, 0.80]) * far * SIZE + middle + aside * far
+        camera.look_at = middle + aside * far
         camera.fov = np.radians(36.0)
         gui.add_html(_GONE)
 
@@ -359,7 +365,7 @@ class Page:
 
     def _say(self) -> None:
         model, steps = self.model, len(self.model.timeline)
-        place = int(model.place)
+        place = int(np.ceil(model.place))  # between two states the step that is under way
         doing = f": **{model.timeline.words(place - 1)}**" if place and steps else ""
         lines = [f"step {place} of {steps}{doing}" if steps else f"**{model.assembly.name}**"]
         # A plan has proven its states; what is marked on top has not been asked about yet.

@@ -254,7 +254,7 @@ def _write_legend(pen: Any, pillow: Any, width: int, middle: float, entries: Seq
     while True:
         font = pillow.ImageFont.load_default(size)
         lengths = [pen.textlength(words, font=font) + 42 for _, words in entries]
-        if sum(lengths) <= width or size <= 8:
+        if sum(lengths) <= width or size <= 5:
             break
         size -= 1
     left = (width - sum(lengths)) / 2 + 8

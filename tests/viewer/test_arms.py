@@ -1,0 +1,205 @@
+"""Arms of a robot plan: where links and the carried part are, whatever the size and place of the structure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from falsework.assembly import Assembly
+from falsework.robots.builtin import builtin_robot
+from falsework.robots.cell import Cell, CellRobot, Gripper, Placement
+from falsework.robots.kinematics import link_poses, tool_pose
+from falsework.robots.robot_plan import Keyframe, RobotPlan, Step, Trajectory, cell_identity, records_of
+from falsework.robots.shapes import block, pose
+from falsework.search import Direction, Plan
+from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms, wxyz_of
+from falsework.viewer.look import bounds_of, look_at
+from falsework.viewer.model import Model
+from falsework.viewer.timeline import NOBODY, Timeline
+
+SCALE = 0.25
+
+
+def trajectory(start: np.ndarray, end: np.ndarray, part: int | None = None) -> Trajectory:
+    still = np.zeros_like(start)
+    return Trajectory("free", np.array([0.0, 2.0]), np.stack([start, end]), np.stack([still, still]), part)
+
+
+@pytest.fixture
+def cell() -> Cell:
+    """Two arms on either side of a structure that is built at a quarter of its size, turned and moved."""
+    tool = np.eye(4)
+    tool[2, 3] = 0.1
+    gripper = Gripper("cup", "suction", (block((-0.02, -0.02, 0.0), (0.02, 0.02, 0.1)),), tool, 5.0)
+    model = builtin_robot("ur10e")
+    robots = tuple(
+        CellRobot(f"arm {k}", model, pose((0.9 * side, 0, 0), 0.3 * side), gripper, model.home, np.eye(4)[None])
+        for k, side in enumerate((-1, 1))
+    )
+    return Cell("test", robots, placement=Placement((0.1, 0.2, 0.3), 0.7, SCALE))
+
+
+@pytest.fixture
+def robot_plan(arch: tuple[Assembly, Plan], cell: Cell) -> RobotPlan:
+    """Motions that join, with no claim to avoid anything."""
+    _, plan = arch
+    rng = np.random.default_rng(0)
+    who = Timeline.of(plan, arch[0]).holders
+    home = [robot.home for robot in cell.robots]
+    frames, steps = [], []
+    now = list(home)
+    for state in range(len(plan) + 1):
+        held = tuple(next((int(part) for part in np.flatnonzero(who[state] == robot)), None) for robot in range(2))
+        frames.append(Keyframe(tuple(now), held))
+        if state == len(plan):
+            break
+        action = int(plan.actions[state])
+        part, removes = action % len(plan.boundary), action >= len(plan.boundary)
+        robot = int(who[state if removes else state + 1, part])
+        middle, end = (home[robot] + rng.normal(scale=0.3, size=len(home[robot])) for _ in range(2))
+        parts = (part, None) if removes else (None, None)
+        motions = (trajectory(now[robot], middle, parts[0]), trajectory(middle, end, parts[1]))
+        steps.append(Step(robot, motions))
+        now[robot] = end
+    return RobotPlan(plan, tuple(frames), tuple(steps), records_of(cell), cell.name, cell_identity(cell))
+
+
+def to_structure(cell: Cell, points: np.ndarray) -> np.ndarray:
+    """The placement undone, written out by hand."""
+    turn = cell.placement.pose[:3, :3]
+    return (points - cell.placement.pose[:3, 3]) @ turn / cell.placement.scale
+
+
+def test_links_are_where_forward_kinematics_puts_them(robot_plan: RobotPlan, cell: Cell) -> None:
+    arms = Arms(robot_plan, cell, Direction.DISASSEMBLY)
+    moment = arms.at(3.0)
+    for link, found in zip(arms.links, moment.poses, strict=True):
+        robot = cell.robots[link.robot]
+        frames = link_poses(robot.model, robot_plan.keyframes[3].configurations[link.robot], robot.base)
+        frame = frames[-1] @ robot.model.flange if link.gripper else frames[link.frame]
+        pieces = robot.gripper.pieces if link.gripper else robot.model.pieces[link.frame]
+        world = np.concatenate(pieces) @ frame[:3, :3].T + frame[:3, 3]
+        seen = link.vertices @ found[:3, :3].T + found[:3, 3]
+        np.testing.assert_allclose(seen, to_structure(cell, world), atol=1e-9)
+        np.testing.assert_allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+def test_a_link_is_a_closed_mesh_that_faces_outwards(robot_plan: RobotPlan, cell: Cell) -> None:
+    for link in Arms(robot_plan, cell, Direction.DISASSEMBLY).links:
+        corners = link.vertices[link.faces] - link.vertices.mean(axis=0)
+        assert np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() > 0
+
+
+@pytest.mark.parametrize("direction", list(Direction))
+def test_a_carried_part_goes_with_the_gripper(
+    robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan], direction: Direction
+) -> None:
+    """A point of the part keeps its place in the tool frame, and is in its place where the ride begins or ends."""
+    arms = Arms(robot_plan, cell, Direction.DISASSEMBLY).turned(direction)
+    plan = robot_plan if direction is Direction.DISASSEMBLY else robot_plan.reverse()
+    parts = len(plan.plan.boundary)
+    for index, action in enumerate(plan.plan.actions.tolist()):
+        if action < parts:
+            assert all(arms.at(index + share).carried is None for share in (0.2, 0.8))
+            continue
+        part, step = action % parts, plan.steps[index]
+        robot = cell.robots[step.robot]
+        point = arch[0].mass.center[part]
+        in_tool = []
+        carrying = [share for share in (0.1, 0.25, 0.4, 0.6, 0.75, 0.9) if arms.at(index + share).carried == part]
+        assert len(carrying) == 3
+        for share in carrying:
+            moment = arms.at(index + share)
+            assert moment.carrier == step.robot
+            seen = moment.carried_pose[:3, :3] @ point + moment.carried_pose[:3, 3]
+            world = cell.placement.pose[:3, :3] @ (seen * SCALE) + cell.placement.pose[:3, 3]
+            number, left = int(share >= 0.5), (share % 0.5) * step.seconds
+            values = step.trajectories[number].sample(np.array([left]))[0]
+            in_tool.append(np.linalg.inv(tool_pose(robot, values)) @ [*world, 1.0])
+        np.testing.assert_allclose(in_tool, np.broadcast_to(in_tool[0], (3, 4)), atol=1e-9)
+        edge = index + 1e-9 if direction is Direction.DISASSEMBLY else index + 1 - 1e-9
+        np.testing.assert_allclose(arms.at(edge).carried_pose, np.eye(4), atol=1e-6)
+
+
+def test_the_part_is_seen_once(robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]) -> None:
+    """In its place, in the gripper, or gone, never two of them."""
+    assembly, plan = arch
+    arms = Arms(robot_plan, cell, Direction.DISASSEMBLY)
+    timeline = Timeline.of(plan, assembly, Direction.DISASSEMBLY, arms.holders())
+    step = int(np.flatnonzero(plan.actions >= len(plan.boundary))[0])
+    part = int(plan.actions[step]) % len(plan.boundary)
+    for share, there, carried in ((0.0, True, False), (0.3, False, True), (0.7, False, False), (1.0, False, False)):
+        moment = arms.at(step + share)
+        look = look_with_arms(look_at(timeline, step + share, travelling=False), moment)
+        assert bool(look.opacity[part] > 0) is there, share
+        assert (moment.carried == part) is carried, share
+    backwards, turned = timeline.turned(Direction.ASSEMBLY), arms.turned(Direction.ASSEMBLY)
+    place = len(plan) - step - 1
+    for share, there, carried in ((0.0, False, False), (0.3, False, False), (0.7, False, True), (1.0, True, False)):
+        moment = turned.at(place + share)
+        look = look_with_arms(look_at(backwards, place + share, travelling=False), moment)
+        assert bool(look.opacity[part] > 0) is there, share
+        assert (moment.carried == part) is carried, share
+
+
+def test_holders_are_those_of_the_keyframes(robot_plan: RobotPlan, cell: Cell) -> None:
+    for direction in Direction:
+        who = Arms(robot_plan, cell, direction).holders()
+        for row, frame in enumerate(robot_plan.keyframes):
+            for robot, part in enumerate(frame.held):
+                if part is not None:
+                    assert who[row, part] == robot
+            assert (who[row] != NOBODY).sum() == sum(part is not None for part in frame.held)
+
+
+def test_meshes_and_bounds(robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]) -> None:
+    arms = Arms(robot_plan, cell, Direction.DISASSEMBLY)
+    removal = int(np.flatnonzero(robot_plan.plan.actions >= len(robot_plan.plan.boundary))[0])
+    assert len(solids_of_arms(arms, arms.at(removal), arch[0])) == len(arms.links)
+    assert len(solids_of_arms(arms, arms.at(removal + 0.2), arch[0])) == len(arms.links) + 1
+    box = bounds_with_arms(arms, bounds_of(arch[0]))
+    assert (box[0] <= bounds_of(arch[0])[0]).all()
+    assert (box[1] - box[0]).max() > 1.5 / SCALE  # the arms stand 1.8 m apart
+    assert arms.seconds(0) == pytest.approx(4.0)
+
+
+def test_a_new_plan_has_no_arms_until_one_goes_back(
+    robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]
+) -> None:
+    assembly, plan = arch
+    arms = Arms(robot_plan, cell, Direction.ASSEMBLY)
+    model = Model(Timeline.of(plan, assembly, Direction.ASSEMBLY, arms.holders()), plan=plan, arms=arms)
+    model.turn(Direction.DISASSEMBLY)
+    assert model.arms is not None
+    assert model.arms.direction is Direction.DISASSEMBLY
+    model.go_to(0.5)
+    assert model.moment() is not None
+    model.go_to(0)
+    assert model.replan().found
+    assert model.arms is None
+    assert model.moment() is None
+    model.go_back()
+    assert model.arms is not None
+
+
+def test_from_a_file(
+    robot_plan: RobotPlan, cell: Cell, tmp_path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from falsework.cli.main import main
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("falsework.robots.cell_file.load_cell", lambda name: cell)
+    replace(robot_plan, plan=replace(robot_plan.plan, source={"built_in": "arch:blocks=5"})).save("robot_plan.json")
+    assert main(["picture", "robot_plan.json", "--step", "2", "--width", "160"]) == 2
+    assert "--cell" in capsys.readouterr().err
+    pytest.importorskip("PIL", reason="pictures need Pillow")
+    words = ["robot_plan.json", "--cell", "mine.toml"]
+    assert main(["picture", *words, "--step", "2", "--width", "160"]) == 0
+    assert main(["animate", *words, "--width", "80", "--rate", "2", "--seconds", "0.5", "--out", "plan.gif"]) == 0
+
+
+def test_quaternions() -> None:
+    np.testing.assert_allclose(wxyz_of(np.eye(3)), (1, 0, 0, 0))
+    np.testing.assert_allclose(wxyz_of(pose(yaw=np.pi / 2)[:3, :3]), (np.sqrt(0.5), 0, 0, np.sqrt(0.5)), atol=1e-12)
