@@ -144,7 +144,7 @@ def ur10e() -> RobotModel:
             block((-0.05, -0.06, -0.055), (0.05, 0.07, 0.05), y=(0.0, 0.0, 0.03, 0.03)),
             block((-0.045, -0.055, -0.05), (0.045, 0.045, 0.0), z=(0.035, 0.035, 0.02, 0.02)),
         ),
-        ignored=(),
+        ignored=((0, 2),),  # the upper arm swings beside the base and cannot meet it
         flange=np.eye(4),
         home=(0, -1.6, 1.8, -1.8, -1.57, 0),
         payload=12.5,
