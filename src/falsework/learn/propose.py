@@ -61,7 +61,7 @@ def follow_greedily(jobs: Sequence[Job], kit: Kit) -> None:
 def follow_samples(jobs: Sequence[Job], kit: Kit) -> None:
     """Draw rollouts for all jobs at once; half of them branch off the proven part of the greedy one."""
     jobs = [job for job in jobs if not job.settled and (not job.routes or job.request.alternatives > 1)]
-    count = kit.settings.samples
+    count = kit.samples
     if not count or kit.guide is None:
         return
     jobs = with_time([(job, count) for job in jobs], kit.guide)

@@ -110,7 +110,7 @@ class Replanner:
         self._kit.prover.practise()
         if self._kit.guide is not None:
             for _ in range(2):  # what the first call takes says nothing about the next
-                self._kit.guide.practise(state[0], self._kit.settings.samples)
+                self._kit.guide.practise(state[0], self._kit.samples)
 
 
 class _Round:
