@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -92,6 +93,7 @@ class Train(Command):
         task = task_for(assembly, self.robots, self.removable_only_if_clear)
         if not self.resume and refuse_unstable(assembly, Stability(assembly), task, output):
             return Exit.NO
+        first = os.environ.get("RANK", "0") == "0"  # of several processes one shows how far it is
         with output.bar("training") as show:
             result = train(
                 assembly,
@@ -101,7 +103,7 @@ class Train(Command):
                 device=self.device,
                 resume=self.resume,
                 logs=self.log,
-                report=lambda done, text: show(round(1000 * done), 1000, text),
+                report=lambda done, text: show(round(1000 * done), 1000, text) if first else None,
             )
         return self._tell(result, output)
 

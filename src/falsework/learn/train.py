@@ -17,6 +17,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.learn.checkpoint import FILE, check_structure, read_run
 from falsework.learn.data import Dataset
+from falsework.learn.distributed import summed
 from falsework.learn.settings import TrainSettings, from_json
 from falsework.learn.trainer import Report, Trainer
 from falsework.learn.trainer import TrainResult as TrainResult
@@ -58,6 +59,8 @@ def train(
         place = None if folder is None else Path(folder)
         begun = time.perf_counter()
         kept = _begin(place, assembly, settings, where, resume)
+        # Nobody writes before all have seen what is there.
+        summed([1.0], shards, where)
         with _repeatable(kept), _threads(kept, where):
             trainer = Trainer(assembly, kept, place, dict(source or {"built_in": assembly.name}), where, shards)
             trainer.report = report or trainer.report
