@@ -30,6 +30,8 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 START_SECONDS = 300.0
 """For a worker to load its structure."""
 _TRIES = 2
+_EXPRESS = 2
+"""Requests that the first of several planners takes at a time."""
 _HEAD_START = 0.02
 """Seconds before the deadline at which a worker is to be done, so that its answer is here in time."""
 _BACKOFF = (0.0, 0.5, 2.0, 10.0)
@@ -187,17 +189,20 @@ class Pool:
 
     def _hand_out(self, kind: Kind) -> None:
         self._planned.pop(kind, None)
-        idle = [worker for worker in self._workers if worker.kind == kind and worker.ready and worker.busy is None]
+        team = [worker for worker in self._workers if worker.kind == kind]
+        idle = [worker for worker in team if worker.ready and worker.busy is None]
+        most = self.settings.batch if kind == "replan" else self.settings.stability_batch
         for place, worker in enumerate(idle):
-            batch = self._take(kind, share=len(idle) - place)
+            # One of several takes few at a time, so that what is urgent finds somebody soon.
+            limit = min(most, _EXPRESS) if worker is team[0] and len(team) > 1 else most
+            batch = self._take(kind, limit, share=len(idle) - place)
             if not batch:
                 return
             self._send(worker, batch)
 
-    def _take(self, kind: Kind, share: int) -> list[Ticket]:
+    def _take(self, kind: Kind, limit: int, share: int) -> list[Ticket]:
         """The most urgent requests for one of `share` idle workers; one that was tried before goes by itself."""
         queue = self._queues[kind]
-        limit = self.settings.batch if kind == "replan" else self.settings.stability_batch
         limit = min(limit, -(-len(queue) // share))
         batch: list[Ticket] = []
         while queue and len(batch) < limit:

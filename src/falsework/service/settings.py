@@ -33,7 +33,7 @@ class ServiceSettings:
     """What clients must show; needed wherever other machines can reach the service."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     """Processes that plan; one more judges stability."""
-    batch: int = 4
+    batch: int = 8
     """Requests that a worker takes at a time to plan together."""
     stability_batch: int = 64
     """The same for requests about stability."""
@@ -60,7 +60,7 @@ class ServiceSettings:
     """For verdicts."""
     states: int = 256
     """States in one request about stability."""
-    grace: float = 0.025
+    grace: float = 0.015
     """How much later than its deadline a request is answered at the latest, if nothing holds this process up."""
     stuck_seconds: float = 10.0
     """After its last deadline, a worker that is still busy is replaced."""
