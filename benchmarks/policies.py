@@ -3,7 +3,7 @@
     python benchmarks/policies.py cost --structures vault-62
     python benchmarks/policies.py speed --structures vault-62 --device cuda
     python benchmarks/policies.py learn --structures bottle-12 --seconds 60
-    python benchmarks/policies.py transfer --seconds 60
+    python benchmarks/policies.py transfer --seconds 60 --widths 1024
     python benchmarks/policies.py generalist --seconds 600 --device cuda
 
 `cost`: weights and counted operations a state. `speed`: states a second, evaluated and trained on. `learn`: greedy
@@ -26,6 +26,7 @@ import tyro
 from states import find, real_structures
 
 from falsework.assembly import load_structure
+from falsework.learn.data import DataSettings
 from falsework.learn.generalist import GeneralistSettings, fine_tune, train_generalist
 from falsework.learn.policy import PolicySettings, make_policy, masked_log_probabilities
 from falsework.learn.policy_table import policy_table
@@ -47,6 +48,8 @@ class Options:
     """Parts that may be held at once."""
     seconds: float = 60.0
     """Time of training, for each network."""
+    widths: tuple[int, ...] = ()
+    """For `transfer`: widths of further searches for states to learn from, on top of the paper's."""
     device: str = "auto"
     """auto, cpu or cuda."""
     batch: int = 0
@@ -160,9 +163,9 @@ def main() -> None:
                 continue
             for row in transfer_experiment(
                 source, others, PolicySettings(kind), seconds=options.seconds, robots=options.robots, device=device,
-                batch=options.batch, seed=options.seed,
+                batch=options.batch, seed=options.seed, data=DataSettings(widths=options.widths),
             ):  # fmt: skip
-                show(benchmark="transfer", kind=kind, **row, **machine(device))
+                show(benchmark="transfer", kind=kind, widths=options.widths, **row, **machine(device))
     else:
         generalist(options, device)
 
