@@ -101,10 +101,10 @@ def test_random_rollouts_obey_rules_and_exact_solver(arch: Assembly) -> None:
 
 def test_random_rollouts_with_targets(bottle: Assembly) -> None:
     environment = Environment(bottle, 2, device="cpu")
-    _, free = random_rollouts(bottle, 60)
+    _, free = random_rollouts(bottle, 30)
     last = free.length - free.unstable.long()
-    targets = free.states[last, torch.arange(60)]
-    starts = free.states[last // 3, torch.arange(60)]
+    targets = free.states[last, torch.arange(30)]
+    starts = free.states[last // 3, torch.arange(30)]
     rollouts = environment.rollout(Indifferent(), starts, targets, greedy=False, generator=environment.generator(1))
     assert rollouts.success.any()
     check_rollouts(bottle, rollouts, targets.numpy())

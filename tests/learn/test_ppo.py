@@ -175,6 +175,37 @@ def test_targets_are_learned_too(stack: Environment) -> None:
     assert stack.rollout(policy, starts[:2], targets[:2]).success.all()
 
 
+def test_in_hindsight_failed_rollouts_teach_how_to_get_where_they_came() -> None:
+    """Their samples are legal steps of their new tasks, and become more probable than without them."""
+    arch = Environment(load_structure("arch:blocks=5"), 2, device="cpu")
+    starts = arch.rules.complete(32)
+    targets = arch.rules.targets(starts)
+    gained = []
+    for weight in (0.0, 5.0):
+        policy = make_policy(
+            arch.assembly, PolicySettings(kind="mlp", two_states=True, layers=2, channels=32), "cpu", 0
+        )
+        ppo = PPO(policy, arch, PpoSettings(batch=64, hindsight=weight or 1e-9), arch.generator(0))
+        samples = ppo._hindsight(ppo._play(starts, targets))
+        assert samples is not None
+        states, aims, actions = samples
+        mask = arch.rules.mask(states, aims)
+        assert mask.gather(1, actions[:, None]).all()
+        assert arch.rules.contains(states, aims).all()
+        assert arch.stable(aims).all()
+
+        def likelihood(policy=policy, states=states, aims=aims, actions=actions, mask=mask) -> float:
+            with torch.no_grad():
+                logits, _ = policy(states, aims)
+            return float(masked_log_probabilities(logits, mask).gather(1, actions[:, None]).mean())
+
+        before = likelihood()
+        for _ in range(3):
+            ppo.update(starts, targets)
+        gained.append(likelihood() - before)
+    assert gained[1] > gained[0]
+
+
 def test_same_seed_same_weights_and_saved_learning_goes_on_the_same(stack: Environment) -> None:
     starts = stack.rules.complete(16)
     one, two = learner(stack, seed=3), learner(stack, seed=3)

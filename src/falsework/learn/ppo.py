@@ -11,10 +11,11 @@ import torch
 
 from falsework.learn.distributed import average_gradients, summed
 from falsework.learn.environment import Environment
+from falsework.learn.hindsight import relabel
 from falsework.learn.nan_guard import NanGuard
 from falsework.learn.policy import masked_log_probabilities
 from falsework.learn.ppo_settings import PpoSettings
-from falsework.learn.rollout import play
+from falsework.learn.rollout import Rollouts, play
 from falsework.learn.storage import Storage
 from falsework.search.shards import Shards
 
@@ -199,6 +200,7 @@ class PPO:
         sums = torch.zeros(5, device=device)
         surrogate = torch.zeros(len(starts), device=device)
         steps = epochs = 0
+        hindsight = self._hindsight(storage)
         self.policy.train()
         for epoch in range(self.settings.epochs):
             divergence = torch.zeros((), device=device)
@@ -206,7 +208,7 @@ class PPO:
             for rows, counts in self._minibatches(pairs):
                 batch = self._batch(storage, place[rows], rollout[rows], advantage[rows], returns[rows], entropy)
                 batch = _weighted(batch, weight[batch.rollout] * counts)
-                loss = self._step(batch, f"update {self.updates + 1} epoch {epoch + 1} step {steps + 1}")
+                loss = self._step(batch, hindsight, f"update {self.updates + 1} epoch {epoch + 1} step {steps + 1}")
                 surrogate.index_add_(0, batch.rollout, loss.surrogate.abs() * counts)
                 sums += loss.statistics
                 divergence += loss.statistics[3]
@@ -318,17 +320,40 @@ class PPO:
             targets=None if storage.targets is None else storage.targets[rollout],
         )
 
-    def _step(self, batch: Batch, name: str) -> Loss:
+    def _hindsight(self, storage: Storage) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None:
+        """States, targets and actions of failed rollouts, as many as there are pairs in a step."""
+        if storage.targets is None or not self.settings.hindsight or not storage.steps:
+            return None
+        used = slice(0, storage.steps)
+        # The last state of a rollout was not written down, and all others stand.
+        passed = (storage.taken[used].sum(dim=0) - 1).clamp(min=0)
+        stands = torch.zeros_like(storage.success)
+        rollouts = Rollouts(storage.states[used], storage.actions[used], passed, storage.success, stands)
+        samples = relabel(rollouts, max(self.settings.batch // self.shards.size, 1), self.generator)
+        return samples if len(samples[0]) else None
+
+    def _imitate(self, samples: tuple[torch.Tensor, torch.Tensor, torch.Tensor], count: int) -> torch.Tensor:
+        """Mean of the negative logarithm of the probability of the actions of some samples."""
+        rows = torch.randint(len(samples[0]), (count,), generator=self.generator, device=samples[0].device)
+        states, targets, actions = (column[rows] for column in samples)
+        logits, _ = self.policy(states, targets)
+        log_probability = masked_log_probabilities(logits, self.environment.rules.mask(states, targets))
+        return -log_probability.gather(1, actions[:, None]).mean()
+
+    def _step(self, batch: Batch, hindsight: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None, name: str) -> Loss:
         settings = self.settings
         logits, value = self.policy(batch.states, batch.targets)
         loss = ppo_loss(logits.float(), value.float(), batch, settings.clip, settings.value)
+        total = loss.total
+        if hindsight is not None:
+            total = total + settings.hindsight * self._imitate(hindsight, -(-len(batch.states) // 4))
         self._optimizer.zero_grad(set_to_none=True)
-        loss.total.backward()
+        total.backward()
         average_gradients(self._weights, self.shards)
         norm = torch.nn.utils.clip_grad_norm_(self._weights, settings.gradient_norm, foreach=True)
         self._optimizer.found_inf = (~norm.isfinite()).float()  # a step that is not finite is left out
         self._optimizer.step()
-        self._guard.watch(norm + loss.total.detach(), batch.tensors(), name)
+        self._guard.watch(norm + total.detach(), batch.tensors(), name)
         return loss
 
     def _report(self, storage: Storage, means: torch.Tensor, pairs: int) -> dict[str, float]:

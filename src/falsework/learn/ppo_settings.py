@@ -67,6 +67,9 @@ class PpoSettings:
     """Weight of the squared error of the value."""
     gradient_norm: float = 1.0
     """Longest gradient; longer ones are cut to this."""
+    hindsight: float = 0.0
+    """With targets: weight of imitating failed rollouts, seen as successes at states that they passed. Pays where few
+    pairs of start and target are known (0.03), and costs where thousands are (docs/decisions/0023)."""
     target_divergence: float = 0.0
     """Kullback-Leibler divergence from the old policy after which an update ends early; 0 for never."""
     curriculum: CurriculumSettings = CurriculumSettings()
@@ -80,5 +83,7 @@ class PpoSettings:
         for name in ("discount", "trace"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} is {getattr(self, name):g}; give a number between 0 and 1")
+        if not self.hindsight >= 0 or not self.target_divergence >= 0:
+            raise InputError("hindsight and target_divergence are 0 or more")
         if not self.clip > 0 or not self.gradient_norm > 0:
             raise InputError("clip and gradient_norm are above zero")

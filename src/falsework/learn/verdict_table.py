@@ -7,8 +7,10 @@ from collections.abc import Callable
 import torch
 
 from falsework.learn.rules import Rules
+from falsework.search.tensors import mix
 
 _LEAST = 1 << 10
+_MOST = 1 << 23
 _UNPROVEN = -1
 _UNKNOWN = 0
 _STABLE = 1
@@ -22,13 +24,15 @@ class VerdictTable:
     very state.
     """
 
-    def __init__(self, rules: Rules, *, memory: int = 1 << 26) -> None:
-        """Begin empty, with room for `memory` bytes of states."""
+    def __init__(self, rules: Rules, *, memory: int = 0) -> None:
+        """Begin empty, with room for `memory` bytes of states; 0: 512 MiB on a GPU, 64 MiB on the processor."""
+        memory = memory or (1 << 29 if rules.device.type == "cuda" else 1 << 26)
         slots = _LEAST
-        while 2 * slots * (rules.part_count + 9) <= memory:
+        while 2 * slots * (rules.part_count + 9) <= memory and slots < _MOST:
             slots *= 2
-        self._rules = rules
         self._slots = slots
+        # Sums of random words, taken from the top bits; which of several states a slot holds is all that depends on it.
+        self._words = mix(torch.arange(rules.part_count, device=rules.device), 1)
         # One place more, where rows write that have nothing to say.
         self._states = torch.zeros((slots + 1, rules.part_count), dtype=torch.uint8, device=rules.device)
         self._verdict = torch.zeros(slots + 1, dtype=torch.int8, device=rules.device)
@@ -55,7 +59,7 @@ class VerdictTable:
         """
         count = len(states)
         row = torch.arange(count, device=states.device)
-        slot = self._rules.hashes(states) & (self._slots - 1)
+        slot = ((states * self._words).sum(dim=1) >> 40) & (self._slots - 1)
         verdict = torch.where((self._states[slot] == states).all(dim=1), self._verdict[slot], _UNKNOWN)
         if needed is not None:
             slot = torch.where(needed, slot, self._slots)
