@@ -10,7 +10,7 @@ from falsework.errors import InputError, StateError
 from falsework.search import Direction
 from falsework.viewer.disruption import Disruption, Tool, chance_of_parts
 from falsework.viewer.model import Model
-from falsework.viewer.palette import FIXED, SELECTED, ramp, rgb
+from falsework.viewer.palette import FIXED, SELECTED, ramp_in_steps, rgb
 from falsework.viewer.timeline import Timeline
 
 ABOVE, DOWN = np.array([0.0, 0.0, 10.0]), np.array([0.0, 0.0, -1.0])
@@ -209,7 +209,7 @@ def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
     assert np.nansum(chances) == pytest.approx(1.0)
     look = model.look()
     part = int(np.nanargmax(chances))
-    assert tuple(look.color[part]) == tuple(ramp(chances[part]))
+    assert tuple(look.color[part]) == tuple(ramp_in_steps(chances[part]))
     assert dict(model.about(part))["policy"].startswith("hold it with")
     visited = model.visited(4)
     assert (visited[:, assembly.boundary] == HELD).all()

@@ -20,6 +20,7 @@ from falsework.viewer.palette import (
     lightness,
     mix,
     ramp,
+    ramp_in_steps,
     rgb,
     seen_by_deuteranope,
 )
@@ -56,6 +57,13 @@ def test_the_scale_of_probabilities_only_darkens() -> None:
     assert (np.diff(light) < 0).all()
     np.testing.assert_array_equal(ramp([0.0, 1.0]), [rgb(RAMP[0]), rgb(RAMP[-1])])
     np.testing.assert_array_equal(ramp([-1.0, 2.0]), ramp([0.0, 1.0]))
+
+
+def test_few_colours_are_near_the_many() -> None:
+    values = np.linspace(0, 1, 1001)
+    few = ramp_in_steps(values)
+    assert len(np.unique(few, axis=0)) == 17
+    assert np.abs(few.astype(int) - ramp(values).astype(int)).max() < 20
 
 
 def test_mixing() -> None:

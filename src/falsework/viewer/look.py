@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, States
-from falsework.viewer.palette import BOUNDARY, INSTALLED, ramp, rgb, robot_color
+from falsework.viewer.palette import BOUNDARY, INSTALLED, ramp_in_steps, rgb, robot_color
 from falsework.viewer.timeline import NOBODY, Timeline
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def look_at(
                 color[part] = rgb(robot_color(last))
     if chances is not None:
         asked = np.isfinite(chances)
-        color[asked] = ramp(chances[asked])
+        color[asked] = ramp_in_steps(chances[asked])
     for part, mark in (marks or {}).items():
         color[part] = rgb(mark)
     return Look(shown, color, opacity, shift, holder)

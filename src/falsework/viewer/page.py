@@ -152,7 +152,7 @@ class Page:
         if self.model.arms is not None:  # arms reach farther than what they build
             box = bounds_with_arms(self.model.arms, bounds_of(self.model.assembly))
             far = max(0.8 * float(np.linalg.norm(np.ptp(box, axis=0))) * self.scene.scale / SIZE, 1.0)
-        camera.position = np.array([0.90, -1.20, 0.80]) * far * SIZE + middle + aside * far
+        camera.position = np.array([0.97, -1.30, 0.86]) * far * SIZE + middle + aside * far
         camera.look_at = middle + aside * far
         camera.fov = np.radians(36.0)
         gui.add_html(_GONE)

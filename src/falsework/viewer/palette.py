@@ -33,6 +33,9 @@ MOTION = "#00c08b"
 RAMP = ("#dccdb2", "#d98aa5", "#a34a8f", "#5f2276", "#2a0845")
 """From an action that a policy never takes to one it is sure of; its lightness falls all the way."""
 
+STEPS = 16
+"""Steps of the scale that parts are coloured on."""
+
 # Linear RGB as seen without medium-wave or without long-wave cones, severity 1.
 _DEUTERANOPE = np.array(
     [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
@@ -72,6 +75,11 @@ def ramp(values: ArrayLike) -> NDArray[np.uint8]:
     below = np.minimum(place.astype(int), len(stops) - 2)
     share = (place - below)[..., None]
     return np.rint((1 - share) * stops[below] + share * stops[below + 1]).astype(np.uint8)
+
+
+def ramp_in_steps(values: ArrayLike) -> NDArray[np.uint8]:
+    """As `ramp`, in seventeen colours only: parts of one colour are drawn together."""
+    return ramp(np.rint(np.asarray(values, dtype=float) * STEPS) / STEPS)
 
 
 def mix(color: str, other: str, share: float) -> str:
