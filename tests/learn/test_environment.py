@@ -225,6 +225,28 @@ def test_finished_rollouts_cost_nothing(bottle: Assembly) -> None:
     assert torch.equal(again.states, rollouts.states)
 
 
+def test_a_policy_without_memory_for_so_many_states_is_asked_in_pieces(bottle: Assembly) -> None:
+    environment = Environment(bottle, 2, device="cpu")
+    policy = Indifferent()
+
+    def small(states, targets=None):
+        if len(states) > 20:
+            raise torch.OutOfMemoryError("no more memory")
+        return policy(states, targets)
+
+    starts = environment.rules.complete(100)
+    rollouts = environment.rollout(small, starts, greedy=False, generator=environment.generator(0))
+    expected = environment.rollout(Indifferent(), starts, greedy=False, generator=environment.generator(0))
+    assert torch.equal(rollouts.states, expected.states)
+    assert environment.rows_at_once == 12
+
+    def never(states, targets=None):
+        raise torch.OutOfMemoryError("no memory at all")
+
+    with pytest.raises(torch.OutOfMemoryError):
+        environment.rollout(never, starts)
+
+
 def test_starts_at_the_target_and_empty_batches(arch: Assembly) -> None:
     environment = Environment(arch, 2, device="cpu")
     complete = environment.rules.complete(2)

@@ -137,11 +137,25 @@ def play(
             rows, states, mask = rows[kept], states[kept], mask[kept]
             targets = None if targets is None else targets[kept]
         with environment.timed("seconds_network"):
-            logits, value = evaluate(policy, states, targets, environment.rows_at_once)
+            logits, value = _ask(environment, policy, states, targets)
             actions = choose_actions(logits, mask, greedy=greedy, temperature=temperature, generator=generator)
         step = environment.step(states, actions, targets)
         yield Move(rows, states, targets, mask, logits, value, actions, step)
         states, mask, going = step.states, step.mask, ~step.done
+
+
+def _ask(
+    environment: Environment, policy: Policy, states: torch.Tensor, targets: torch.Tensor | None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Logits and values, in ever smaller pieces where memory runs out."""
+    while True:
+        try:
+            return evaluate(policy, states, targets, environment.rows_at_once)
+        except torch.OutOfMemoryError:
+            if min(environment.rows_at_once, len(states)) < 2:
+                raise
+            environment.rows_at_once = min(environment.rows_at_once, len(states)) // 2
+            torch.cuda.empty_cache()
 
 
 @torch.no_grad()
