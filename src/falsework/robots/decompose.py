@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 PIECES = 32
 """Most pieces of one part; when they are used up, the cover stays looser than asked for."""
+IDLE = 2
+"""Cuts in a row that may take nothing off: a ring must be halved before a cut of the halves helps."""
 CANDIDATES = 16
 """Planes that are tried for one cut."""
 
@@ -33,6 +35,8 @@ class _Cut:
     """Vertices of the convex hull, shape (corners, 3)."""
     volume: float = field(default=0.0)
     """Of the convex hull, m3."""
+    idle: int = 0
+    """Cuts in a row that took nothing off."""
 
 
 def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = PIECES) -> Pieces:
@@ -54,22 +58,34 @@ def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = PIE
     corners = hull(mesh.vertices)
     start = _Cut(mesh.triangles, (), corners, float(ConvexHull(corners).volume))
     solid = mesh.volume
-    parts, stuck = [start], set()
+    parts: list[_Cut] = [start]
+    done: dict[int, _Cut] = {}  # by identity; kept, so that no other takes over the number
     while len(parts) < pieces and sum(part.volume for part in parts) > solid * (1 + tolerance):
-        best = None
-        for index in np.argsort([-part.volume for part in parts], kind="stable").tolist():
-            if id(parts[index]) in stuck:
-                continue
-            halves = _best_cut(parts[index], mesh)
+        order = np.argsort([-part.volume for part in parts], kind="stable").tolist()
+        for index in order:
+            if id(parts[index]) not in done:
+                halves = _best_cut(parts[index], mesh)
+                if halves is not None:
+                    break
+                done[id(parts[index])] = parts[index]
+        else:
+            index = next((k for k in order if parts[k].idle < IDLE), -1)
+            halves = _halve(parts[index], mesh) if index >= 0 else None
             if halves is None:
-                stuck.add(id(parts[index]))
-                continue
-            best = (index, halves)
-            break
-        if best is None:
-            break
-        parts[best[0] : best[0] + 1] = list(best[1])
+                break
+        parts[index : index + 1] = halves
     return tuple(part.corners for part in parts)
+
+
+def _halve(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
+    """Cut across the middle of the longest side, though it takes nothing off."""
+    low, high = part.corners.min(axis=0), part.corners.max(axis=0)
+    axis = int(np.argmax(high - low))
+    plane = np.append(np.eye(3)[axis], (low[axis] + high[axis]) / 2)
+    one, other = _clip(part, plane, mesh), _clip(part, -plane, mesh)
+    if one is None or other is None:
+        return None
+    return replace(one, idle=part.idle + 1), replace(other, idle=part.idle + 1)
 
 
 def _best_cut(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:

@@ -1,0 +1,282 @@
+"""Parts in a cell: pieces that cover them, grasps on them, ways out, and who reaches them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from falsework.assembly import load_structure
+from falsework.cli.main import main
+from falsework.errors import StateError
+from falsework.geometry.collision import inside
+from falsework.geometry.mesh import TriangleMesh
+from falsework.robots.builtin import builtin_robot
+from falsework.robots.cell import CellRobot, Gripper, Placement
+from falsework.robots.decompose import convex_pieces
+from falsework.robots.grasp import grasps, withdrawals
+from falsework.robots.parts import place_parts
+from falsework.robots.shapes import block, move, pose
+from falsework.robots.simplify import outer_hull
+
+
+def ring(sides: int = 24) -> TriangleMesh:
+    """A flat ring: as far from convex as parts get."""
+    import trimesh
+
+    made = trimesh.creation.annulus(0.5, 1.0, 0.3, sections=sides)
+    return TriangleMesh.from_arrays("ring", made.vertices, made.faces)
+
+
+def covered(points: np.ndarray, pieces: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Which points are in some piece, shape (points,)."""
+    found = np.zeros(len(points), bool)
+    for piece in pieces:
+        planes = ConvexHull(piece).equations
+        found |= (points @ planes[:, :3].T + planes[:, 3] <= 1e-7).all(axis=1)
+    return found
+
+
+def volume(pieces: tuple[np.ndarray, ...]) -> float:
+    return sum(float(ConvexHull(piece).volume) for piece in pieces)
+
+
+def test_a_convex_part_is_its_own_piece() -> None:
+    """Nothing is added and nothing cut."""
+    assembly = load_structure("arch")
+    for mesh in assembly.meshes:
+        pieces = convex_pieces(mesh)
+        assert len(pieces) == 1
+        assert volume(pieces) == pytest.approx(mesh.volume, rel=1e-6)
+
+
+def test_boxes_put_together_come_apart_exactly() -> None:
+    """Polycubes are cut into as many boxes as volume tells."""
+    assembly = load_structure("polycube")
+    for mesh in assembly.meshes:
+        pieces = convex_pieces(mesh, 1e-6)
+        assert volume(pieces) == pytest.approx(mesh.volume, rel=1e-5)
+
+
+def test_pieces_cover_the_solid() -> None:
+    """Every point inside a ring is in a piece, and the pieces together are little larger than it."""
+    mesh = ring()
+    pieces = convex_pieces(mesh)
+    assert volume(pieces) < 1.06 * mesh.volume
+    random = np.random.default_rng(0)
+    points = random.uniform(*mesh.bounds, (20_000, 3))
+    solid = inside(points, mesh.triangles)
+    assert solid.sum() > 5000
+    assert covered(points[solid], pieces).all()
+    assert covered(mesh.vertices, pieces).all()
+    few = convex_pieces(mesh, pieces=3)
+    assert len(few) <= 4
+    assert covered(points[solid], few).all()
+
+
+def test_a_simpler_hull_lies_outside() -> None:
+    """All points stay inside, corners stick out by no more than asked for unless planes run out."""
+    random = np.random.default_rng(1)
+    points = random.normal(size=(400, 3))
+    points /= np.linalg.norm(points, axis=1)[:, None]
+    outer = outer_hull(0.2 * points, tolerance=0.004, planes=200)
+    assert covered(0.2 * points, (outer,)).all()
+    planes = ConvexHull(0.2 * points).equations
+    assert (outer @ planes[:, :3].T + planes[:, 3]).max() < 0.0041
+    assert len(outer_hull(0.2 * points, planes=24)) < 60
+
+
+def test_parts_are_placed_to_scale() -> None:
+    """Masses go with the cube of the scale and with the density of what is built in the cell."""
+    assembly = load_structure("arch")
+    there = place_parts(assembly, Placement(position=(1, 2, 3), yaw=0.5, scale=0.5, density=600.0))
+    np.testing.assert_allclose(there.mass, assembly.mass.mass * 0.125 * 600 / assembly.density)
+    world = pose((1, 2, 3), 0.5)
+    np.testing.assert_allclose(there.meshes[2].vertices, move(world, 0.5 * assembly.meshes[2].vertices), atol=1e-12)
+    np.testing.assert_allclose(there.center, move(world, 0.5 * assembly.mass.center), atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def arch():
+    assembly = load_structure("arch")
+    return assembly, place_parts(assembly)
+
+
+def arm(gripper: Gripper) -> CellRobot:
+    model = builtin_robot("irb2600-12/1.65")
+    return CellRobot("arm", model, np.eye(4), gripper, model.home, np.zeros((0, 4, 4)))
+
+
+def strong(gripper: Gripper) -> CellRobot:
+    robot = arm(gripper)
+    from dataclasses import replace
+
+    return replace(robot, gripper=replace(gripper, payload=1e6), model=replace(robot.model, payload=None))
+
+
+def test_suction_grasps_touch_a_face_that_has_room(arch, cup: Gripper) -> None:
+    """The tool is on the surface, looks into it, and the cup's rim is on the same face; always in the same order."""
+    assembly, parts = arch
+    robot = strong(cup)
+    part = int(np.argmax(parts.center[:, 2]))
+    found = grasps(assembly, parts, part, np.ones(parts.part_count), robot)
+    assert found
+    corners = parts.meshes[part].triangles
+    for grasp in found:
+        assert grasp.tool[:3, 2] @ grasp.approach == pytest.approx(1.0)
+        point = grasp.tool[:3, 3]
+        angle = np.linspace(0, 2 * np.pi, 16)[:, None]
+        rim = point + cup.cup * (np.cos(angle) * grasp.tool[:3, 0] + np.sin(angle) * grasp.tool[:3, 1])
+        into = rim + 0.002 * grasp.approach
+        assert inside(into, corners).all()
+        assert not inside(point[None], corners)[0]
+        assert abs(grasp.approach[0]) < 0.5  # the neighbours cover the faces along the arch
+    again = grasps(assembly, parts, part, np.ones(parts.part_count), robot)
+    assert [grasp.tool.tolist() for grasp in again] == [grasp.tool.tolist() for grasp in found]
+
+
+def test_the_gripper_keeps_off_neighbours(arch, cup: Gripper) -> None:
+    """A face that a neighbour covers has no grasp until the neighbour has gone."""
+    assembly, parts = arch
+    part = int(np.argmax(parts.center[:, 2]))
+    alone = np.zeros(parts.part_count, bool)
+    alone[part] = True
+    every = {tuple(np.round(g.approach, 3)) for g in grasps(assembly, parts, part, alone, strong(cup))}
+    amid = {
+        tuple(np.round(g.approach, 3)) for g in grasps(assembly, parts, part, np.ones(parts.part_count), strong(cup))
+    }
+    assert amid < every
+
+
+def test_payload_and_cup_decide(arch, cup: Gripper) -> None:
+    """A part heavier than the payload has no grasp, nor one without a face for the cup."""
+    from dataclasses import replace
+
+    assembly, parts = arch
+    part = int(np.argmax(parts.center[:, 2]))
+    there = np.ones(parts.part_count)
+    weak = replace(strong(cup), gripper=replace(cup, payload=float(parts.mass[part]) * 0.99))
+    assert grasps(assembly, parts, part, there, weak) == []
+    wide = replace(strong(cup), gripper=replace(cup, payload=1e6, cup=2.0))
+    assert grasps(assembly, parts, part, there, wide) == []
+    with pytest.raises(StateError, match=r"present has shape \(2,\)"):
+        grasps(assembly, parts, part, [1, 1], strong(cup))
+    with pytest.raises(StateError, match="no part 99"):
+        grasps(assembly, parts, 99, there, strong(cup))
+
+
+def test_jaws_close_on_opposite_faces() -> None:
+    """The part is between the jaws, no wider than they open, and the palm stays outside."""
+    assembly = load_structure("stack")
+    parts = place_parts(assembly, Placement(scale=0.1))
+    jaw = Gripper(
+        "jaw",
+        "jaw",
+        (block((-0.08, -0.02, 0), (0.08, 0.02, 0.05)),),
+        np.array(pose((0, 0, 0.1))),
+        payload=1e6,
+        opening=0.15,
+        depth=0.03,
+    )
+    part = int(np.flatnonzero(~parts.boundary)[-1])
+    alone = np.zeros(parts.part_count, bool)
+    alone[part] = True
+    found = grasps(assembly, parts, part, alone, strong(jaw))
+    assert found
+    for grasp in found:
+        level = parts.meshes[part].vertices @ grasp.tool[:3, 0]
+        assert level.max() - level.min() == pytest.approx(grasp.width, abs=1e-6)
+        assert grasp.width <= 0.15
+        assert level.mean() == pytest.approx(grasp.tool[:3, 3] @ grasp.tool[:3, 0], abs=1e-6)
+        ahead = (parts.meshes[part].vertices - grasp.tool[:3, 3]) @ grasp.approach
+        assert ahead.min() >= -jaw.depth - 1e-9
+
+
+def test_withdrawals_are_the_ways_of_the_clearance_table(arch) -> None:
+    """Turned with the structure; none where the part cannot leave; never downwards."""
+    assembly, parts = arch
+    turned = place_parts(assembly, Placement(yaw=np.pi / 2))
+    state = np.where(assembly.boundary, 2, 1).astype(np.uint8)
+    free = assembly.clearance.can_leave(state[None])[0]
+    for part in np.flatnonzero(~assembly.boundary).tolist():
+        ways = withdrawals(assembly, parts, part, state)
+        assert (ways[:, 2] > -1e-6).all()
+        if not free[part]:
+            assert len(ways) == 0
+        np.testing.assert_allclose(withdrawals(assembly, turned, part, state), _quarter(ways), atol=1e-9)
+    assert sum(len(withdrawals(assembly, parts, part, state)) > 0 for part in range(parts.part_count)) > 0
+    with pytest.raises(StateError, match="state has shape"):
+        withdrawals(assembly, parts, 0, [1])
+
+
+def _quarter(ways: np.ndarray) -> np.ndarray:
+    """Ways after a quarter turn, in the order that `withdrawals` gives them."""
+    turned = ways @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]])
+    return turned[np.lexsort((*np.round(turned, 9).T[:2], -np.round(turned[:, 2], 9)))]
+
+
+CELL = """
+[structure]
+position = [1.0, 0.0, 0.0]
+scale = 0.2
+[grippers.cup]
+kind = "suction"
+payload = 10.0
+cup = 0.01
+tool = { position = [0.0, 0.0, 0.12] }
+shapes = [{ cylinder = { radius = 0.02, low = 0.0, high = 0.119 } }]
+[[robots]]
+name = "arm"
+model = "irb2600-12/1.65"
+gripper = "cup"
+"""
+
+
+def test_cell_check_prints_reach_and_proposes_bases(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """All parts near the robot are reached; from far away none, and better bases are found; a picture on demand."""
+    import json
+
+    near, far, picture = tmp_path / "near.toml", tmp_path / "far.toml", tmp_path / "reach.png"
+    near.write_text(CELL)
+    far.write_text(CELL.replace("position = [1.0, 0.0, 0.0]", "position = [2.6, 0.0, 0.0]"))
+    assert main(["cell", "check", str(near), "arch", "--json", "--picture", str(picture)]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {row["reach"]["arm"] for row in rows} == {"reached"}
+    assert picture.stat().st_size > 10_000
+    assert main(["cell", "check", str(far), "arch"]) == 1
+    said = capsys.readouterr()
+    assert "out of reach" in said.out
+    assert "better bases" in said.out
+    assert "no robot reaches" in said.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere.toml", "arch"], "cell file nowhere.toml cannot be read"),
+        (["dome-99", "arch"], "no cell dome-99"),
+        (["dome-37", "arch", "--picture", "reach.gif"], "give a file that ends in .png, .svg or .pdf"),
+        (["dome-37", "arch", "--picture", "no-folder/reach.png"], "there is no folder no-folder"),
+    ],
+)
+def test_cell_check_refuses_wrong_input(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 2 and one line."""
+    assert main(["cell", "check", *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_compiled_code_is_announced_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A message where there is something to wait for, silence where there is not."""
+    from falsework.robots import compile as compiling
+
+    said: list[str] = []
+    monkeypatch.setattr(compiling, "is_compiled", lambda: False)
+    compiling.compile_kernels(said.append)
+    assert len(said) == 1
+    assert "seconds" in said[0]
+    monkeypatch.undo()
+    assert compiling.is_compiled()
+    compiling.compile_kernels(said.append)
+    assert len(said) == 1
