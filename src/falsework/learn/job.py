@@ -38,8 +38,8 @@ class ReplanSettings:
     """How hard a replanner tries."""
 
     samples: int | None = None
-    """Rollouts drawn from the probabilities of the policy, 0 for none. If not given, 16 on a GPU, which takes as long for
-    one, and 4 on the processor, where more would take longer than the search that they are to save."""
+    """Rollouts drawn from the probabilities of the policy, 0 for none. If not given, 16 on a GPU, which takes as long
+    for one, and 4 on the processor, where more would take longer than the search that they are to save."""
     temperature: float = 1.0
     """Of these: above 1 more daring, below 1 closer to the most probable actions."""
     widths: tuple[int, ...] = (4, 16, 64)
