@@ -90,17 +90,19 @@ def _halve(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
 
 def _best_cut(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
     """The cut that leaves least hull on its two sides together, or None if none takes off a thousandth."""
-    best, found = part.volume * (1 - 1e-3), None
+    most = part.volume * (1 - 1e-3)
+    best, chosen = most, None
     for plane in _candidates(part):
-        sides = []
-        for sign in (1.0, -1.0):
-            side = _clip(part, sign * plane, mesh)
-            if side is None:
-                break
-            sides.append(side)
-        if len(sides) == 2 and sides[0].volume + sides[1].volume < best * (1 - 1e-9):
-            best, found = sides[0].volume + sides[1].volume, (sides[0], sides[1])
-    return found
+        sides = [_clip(part, sign * plane, None) for sign in (1.0, -1.0)]
+        total = sum(side.volume for side in sides if side is not None)
+        if None not in sides and total < best * (1 - 1e-9):
+            best, chosen = total, plane
+    if chosen is None:
+        return None
+    one, other = _clip(part, chosen, mesh), _clip(part, -chosen, mesh)
+    if one is None or other is None or one.volume + other.volume >= most:
+        return None
+    return one, other
 
 
 def _candidates(part: _Cut) -> list[Array]:
@@ -124,12 +126,12 @@ def _candidates(part: _Cut) -> list[Array]:
     axes = np.linalg.svd(part.corners - middle, full_matrices=False)[2]
     for axis in (*np.eye(3), *axes):
         low, high = (part.corners @ axis).min(), (part.corners @ axis).max()
-        planes += [np.append(axis, low + share * (high - low)) for share in (0.5, 1 / 3, 2 / 3)]
+        planes.append(np.append(axis, (low + high) / 2))
     return planes
 
 
-def _clip(part: _Cut, plane: Array, mesh: TriangleMesh) -> _Cut | None:
-    """The part behind a plane, or None if there is nothing to speak of."""
+def _clip(part: _Cut, plane: Array, mesh: TriangleMesh | None) -> _Cut | None:
+    """The part behind a plane, or None if there is nothing to speak of; an estimate where no mesh is given."""
     normal, level = plane[:3], plane[3]
     size = float(np.ptp(part.corners, axis=0).max())
     height = part.triangles @ normal - level
@@ -145,12 +147,15 @@ def _clip(part: _Cut, plane: Array, mesh: TriangleMesh) -> _Cut | None:
     if len(triangles) < 2:
         return None
     planes = (*part.planes, plane)
-    points = np.concatenate([triangles.reshape(-1, 3), _inner_corners(planes, mesh, size)])
+    points = triangles.reshape(-1, 3)
+    if mesh is not None:
+        points = np.concatenate([points, _inner_corners(planes, mesh, size)])
     try:
         made = ConvexHull(points)
     except (QhullError, ValueError):
         return None
-    return _Cut(triangles, planes, hull(points[made.vertices]), float(made.volume))
+    corners = hull(points[made.vertices]) if mesh is not None else points[made.vertices]
+    return _Cut(triangles, planes, corners, float(made.volume))
 
 
 def _split(triangles: Array, height: Array) -> Array:
