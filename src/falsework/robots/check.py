@@ -28,7 +28,7 @@ class CheckSettings:
 
     step: float = 0.01
     """No joint moves farther between two samples, rad or m."""
-    tolerance: float = 0.0005
+    tolerance: float = 0.001
     """A part that leaves its place, or arrives there, may overlap its neighbours by so much, metres; where the
     structure's own meshes overlap by more at that place, this is doubled until they do not."""
     reach: float = 0.005

@@ -7,14 +7,15 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
-from falsework.geometry.bits import unpack
+from falsework.geometry.bits import pack, unpack
+from falsework.geometry.clearance import ClearanceTable
 from falsework.geometry.sweep import Sweeper
 
 Array = NDArray[np.float64]
 
-_TILTS = (15.0, 35.0, 60.0, 85.0)
+_TILTS = (20.0, 50.0, 85.0)
 """Angles to the vertical of the ways that are tried besides straight up, degrees."""
-_AROUND = 8
+_AROUND = 6
 _DOWN = -1e-6
 
 
@@ -26,42 +27,45 @@ class Exits:
     """
 
     def __init__(self, assembly: Assembly, turn: Array) -> None:
-        """Nothing is swept yet.
+        """Sweep all parts.
 
         Args:
             assembly: the structure.
             turn: rotation from its frame to the world, shape (3, 3).
         """
-        self._assembly, self._turn = assembly, turn
-        self._table = assembly.clearance
-        self._fan = _fan() @ turn  # into the frame of the structure
-        self._sweeper: Sweeper | None = None
-        self._known: dict[int, tuple[Array, NDArray[np.bool_]]] = {}
-
-    def blockers(self, part: int) -> NDArray[np.bool_]:
-        """Parts that block each way of a part, shape (ways, parts)."""
-        return self._ways(part)[1]
-
-    def free(self, part: int, state: States) -> Array:
-        """Ways that nothing present blocks, in the world, steepest first, shape (n, 3)."""
-        directions, blockers = self._ways(part)
-        return directions[~(blockers & (state != REMOVED)).any(axis=1)]
-
-    def _ways(self, part: int) -> tuple[Array, NDArray[np.bool_]]:
-        if part not in self._known:
-            if self._sweeper is None:
-                _, overlap = self._assembly.contact_settings.lengths(self._assembly.meshes)
-                self._sweeper = Sweeper(self._assembly.meshes, self._assembly.contacts, overlap)
-            rows = slice(self._table.start[part], self._table.start[part + 1])
-            known = unpack(self._table.blockers[rows])[:, : self._assembly.part_count].astype(bool)
-            directions = np.concatenate([self._table.directions[rows], self._fan])
-            blockers = np.concatenate([known, self._sweeper.blocked(part, self._fan)])
-            world = directions @ self._turn.T
+        known = assembly.clearance
+        _, overlap = assembly.contact_settings.lengths(assembly.meshes)
+        sweeper = Sweeper(assembly.meshes, assembly.contacts, overlap)
+        fan = _fan() @ turn  # into the frame of the structure
+        self._ways: list[tuple[Array, NDArray[np.bool_]]] = []
+        for part in range(assembly.part_count):
+            rows = slice(known.start[part], known.start[part + 1])
+            directions = known.directions[rows]
+            blockers = unpack(known.blockers[rows])[:, : assembly.part_count].astype(bool)
+            if not assembly.boundary[part]:
+                directions = np.concatenate([directions, fan])
+                blockers = np.concatenate([blockers, sweeper.blocked(part, fan)])
+            world = directions @ turn.T
             rises = world[:, 2] > _DOWN
             world, blockers = world[rises], blockers[rises]
             order = np.argsort(-np.round(world[:, 2], 9), kind="stable")
-            self._known[part] = (world[order], blockers[order])
-        return self._known[part]
+            self._ways.append((world[order], blockers[order]))
+        counts = [len(world) for world, _ in self._ways]
+        self.table = ClearanceTable(
+            np.concatenate([world for world, _ in self._ways]) @ turn,
+            pack(np.concatenate([blockers for _, blockers in self._ways])),
+            np.concatenate([[0], np.cumsum(counts)]).astype(np.int32),
+        )
+        """The same as a clearance table, for the rules of a task: a part that could only fall out cannot leave."""
+
+    def blockers(self, part: int) -> NDArray[np.bool_]:
+        """Parts that block each way of a part, shape (ways, parts)."""
+        return self._ways[part][1]
+
+    def free(self, part: int, state: States) -> Array:
+        """Ways that nothing present blocks, in the world, steepest first, shape (n, 3)."""
+        directions, blockers = self._ways[part]
+        return directions[~(blockers & (state != REMOVED)).any(axis=1)]
 
 
 def _fan() -> Array:

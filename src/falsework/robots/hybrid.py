@@ -21,6 +21,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.errors import InputError, StateError
 from falsework.robots.cell import Cell
+from falsework.robots.exits import Exits
 from falsework.robots.explain import Explanation, Reasons, explain
 from falsework.robots.keyframes import Edge, KeyframeGraph, KeyframeSettings, Node
 from falsework.robots.proposals import Proposals
@@ -116,7 +117,7 @@ def plan_robots(
         assembly: the structure.
         cell: the robots and what is around them.
         task: from which state to which, and rules; by default the complete structure is taken apart. Its number of
-            robots is that of the cell, and every part that is removed needs a clear way out.
+            robots is that of the cell, and every part that is removed needs a clear way out, not downwards.
         configurations: where the robots are at the start, one a robot, shape (joints,) each; at home if not given.
         held: the part that each robot holds at the start; needed if the start state has held parts.
         oracle: decides stability; hand in the one you have, for it remembers what it was asked.
@@ -150,11 +151,11 @@ class _Search:
         self.began = time.perf_counter()
         self.assembly, self.cell, self.oracle, self.guide = assembly, cell, oracle, guide
         self.settings, self.progress = settings, progress
-        self.task = task_in_cell(assembly, cell, task)
         self.reasons = Reasons() if graph is None else graph.reasons
         self.graph = graph or KeyframeGraph(
             assembly, cell, settings=settings.keyframes, seed=settings.seed, reasons=self.reasons
         )
+        self.task = task_in_cell(assembly, cell, task, self.graph.exits)
         self.proposals = Proposals(assembly, self.task, oracle, guide=guide, seed=settings.seed)
         self.abstract: SearchResult | None = None
         self.best: list[Edge] = []
@@ -399,8 +400,8 @@ class _Search:
         }
 
 
-def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None) -> Task:
-    """A task with as many robots as the cell has, and with clear ways out.
+def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: Exits) -> Task:
+    """A task with as many robots as the cell has, and with clear ways out, none of them downwards.
 
     Raises:
         InputError: more parts held at start or target than there are robots.
@@ -413,6 +414,6 @@ def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None) -> Task:
         target=given.target,
         fixed=given.fixed,
         missing=given.missing,
-        clearance=assembly.clearance,
+        clearance=exits.table,
         identity=assembly.identity,
     )

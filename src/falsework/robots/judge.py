@@ -33,8 +33,8 @@ def import_pinocchio() -> tuple[Any, Any]:
         DependencyError: not installed; the message names the extra.
     """
     try:
-        import coal
-        import pinocchio
+        import coal  # pyright: ignore[reportMissingImports]
+        import pinocchio  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise DependencyError(
             "checking robot plans needs Pinocchio and Coal; install them: pip install 'falsework[robots]'"
@@ -52,7 +52,9 @@ class Body:
     placement: Array
     """In the frame of the joint, shape (4, 4)."""
     against: frozenset[int] | None = None
-    """Where given, it is checked against these parts at their places and nothing else."""
+    """Where given, it is checked against these parts at their places, shrunk as it is itself, and nothing else."""
+    slack: float = 0.0
+    """By how much it is shrunk, metres."""
     spared: frozenset[int] = frozenset()
     """Parts at their places that it is not checked against."""
 
@@ -108,7 +110,8 @@ class Judge:
         self._grippers = [[self._convex(piece) for piece in robot.gripper.pieces] for robot in cell.robots]
         self._obstacles = [(o.name, self._convex(p)) for o in cell.obstacles for p in o.pieces]
         self._parts = [self._surface(mesh, mesh.vertices) for mesh in parts.meshes]
-        self._shrunken: dict[int, list[tuple[Any, frozenset[int]]]] = {}
+        self._shrunken: dict[tuple[int, float], Any] = {}
+        self._looseness: dict[int, list[tuple[float, frozenset[int]]]] = {}
         self.slack = tolerance
         """Most that a part had to be shrunk so far, metres."""
         self._floor = coal.Box(np.array([100.0, 100.0, 1.0]))
@@ -141,6 +144,12 @@ class Judge:
         if carried is not None and grip is not None:
             moving += [(joints + 2, body) for body in self._carried(robot, carried, grip, at_place)]
         standing = self._standing(robot, present)
+        for _, body in moving:
+            for number in sorted(body.against or ()):
+                if present[number]:
+                    shrunk = self._shrunk(number, body.slack)
+                    name = f"part {self.parts.names[number]}"
+                    standing.append(("shrunk part", number, Body(name, shrunk, WORLD, np.eye(4), slack=body.slack)))
         bodies = [body for _, body in moving] + [body for _, _, body in standing]
         geometry = self._pin.GeometryModel()
         for number, body in enumerate(bodies):
@@ -152,12 +161,13 @@ class Judge:
             for b, (other, _) in enumerate(moving[:a]):
                 if body.against is None and self._against_itself(link, other, joints, ignored):
                     geometry.addCollisionPair(self._pin.CollisionPair(b, a))
-            for b, (what, number, _) in enumerate(standing, len(moving)):
+            for b, (what, number, other_body) in enumerate(standing, len(moving)):
                 if what == "base" and (0, link) in ignored:
                     continue
                 if what == "part" and (number in body.spared or (link == joints + 1 and number == touches)):
                     continue
-                if body.against is not None and (what != "part" or number not in body.against):
+                tangled = body.against is not None and number in body.against and other_body.slack == body.slack
+                if (body.against is not None or what == "shrunk part") and not (what == "shrunk part" and tangled):
                     continue
                 geometry.addCollisionPair(self._pin.CollisionPair(a, b))
         values = np.concatenate([np.asarray(entry, float) for entry in configurations])
@@ -224,48 +234,55 @@ class Judge:
         if not at_place:
             return [Body(name, self._parts[part], joint, placement)]
         (least, _), *more = self._loose(part)
-        tangled = frozenset().union(*(others for _, others in more))
-        found = [Body(name, least, joint, placement, spared=tangled)]
-        return found + [Body(name, shape, joint, placement, against=others) for shape, others in more]
+        tangled: frozenset[int] = frozenset().union(*(others for _, others in more))
+        found = [Body(name, self._shrunk(part, least), joint, placement, spared=tangled)]
+        return found + [
+            Body(name, self._shrunk(part, slack), joint, placement, against=others, slack=slack)
+            for slack, others in more
+        ]
 
-    def _loose(self, part: int) -> list[tuple[Any, frozenset[int]]]:
-        """A part shrunk by the tolerance, then more and more for those neighbours that its mesh overlaps by more.
+    def _shrunk(self, part: int, slack: float) -> Any:
+        if (part, slack) not in self._shrunken:
+            mesh = self.parts.meshes[part]
+            self._shrunken[part, slack] = self._surface(mesh, shrink(mesh, min(slack, mesh.thickness / 4)))
+        return self._shrunken[part, slack]
 
-        For each such neighbour the tolerance is doubled until the two come apart at their places, and once more for
-        the way, up to a quarter of the thickness of the part, as the clearance table does it.
+    def _loose(self, part: int) -> list[tuple[float, frozenset[int]]]:
+        """How far a part is shrunk where it may touch its neighbours, and for which of them.
+
+        By the tolerance, as long as it does not meet them at its place then. Where the meshes themselves overlap by
+        more, both are shrunk, by twice as much again and again until they come apart, and once more for the way; at
+        most by a quarter of their thickness. The clearance table treats such pairs in the same way.
         """
-        if part in self._shrunken:
-            return self._shrunken[part]
-        mesh, here = self.parts.meshes[part], self._coal.Transform3s()
-        low, high = mesh.bounds
+        if part in self._looseness:
+            return self._looseness[part]
+        low, high = self.parts.meshes[part].bounds
         left = {
             number
             for number, other in enumerate(self.parts.meshes)
             if number != part and (other.bounds[0] <= high).all() and (other.bounds[1] >= low).all()
         }
-        slack, found = self.tolerance, []
-        tangled = False
-        while True:
-            shape = self._surface(mesh, shrink(mesh, slack))
-            request, result = self._coal.CollisionRequest(), self._coal.CollisionResult
+        tangled = {other for other in left if self._meet(self._shrunk(part, self.tolerance), self._parts[other])}
+        slack, found = self.tolerance, [(self.tolerance, frozenset(left - tangled))]
+        while tangled:
+            slack *= 2
+            last = slack > self.parts.meshes[part].thickness / 4
             apart = {
                 other
-                for other in left
-                if not self._coal.collide(shape, here, self._parts[other], here, request, result())
+                for other in tangled
+                if last or not self._meet(self._shrunk(part, slack), self._shrunk(other, slack))
             }
-            last = 2 * slack > mesh.thickness / 4
-            if tangled:  # what comes apart only now is given as much again to slide along its neighbour
-                shape = self._surface(mesh, shrink(mesh, min(2 * slack, mesh.thickness / 4)))
-            if apart or not found or last:
-                found.append((shape, frozenset(left if last else apart)))
-                self.slack = max(self.slack, min(2 * slack, mesh.thickness / 4) if tangled else slack)
-            tangled = True
-            left -= apart
-            if not left or last:
-                break
-            slack *= 2
-        self._shrunken[part] = found
+            if apart:
+                found.append((2 * slack, frozenset(apart)))
+                self.slack = max(self.slack, min(2 * slack, self.parts.meshes[part].thickness / 4))
+            tangled -= apart
+        self._looseness[part] = found
         return found
+
+    def _meet(self, one: Any, other: Any) -> bool:
+        """Whether two shapes collide where they are."""
+        here, request, result = self._coal.Transform3s(), self._coal.CollisionRequest(), self._coal.CollisionResult()
+        return bool(self._coal.collide(one, here, other, here, request, result))
 
     def _standing(self, robot: int, present: NDArray[np.bool_]) -> list[tuple[str, int, Body]]:
         found: list[tuple[str, int, Body]] = []

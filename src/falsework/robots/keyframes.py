@@ -163,7 +163,8 @@ class KeyframeGraph:
         for chosen in itertools.permutations(robots, len(wanted)):
             options = [self.grips(robot, part, state) for robot, part in zip(chosen, wanted, strict=True)]
             for grips in itertools.product(*options):
-                values, held = list(self.cell.homes), [None] * self.cell.robot_count
+                values = list(self.cell.homes)
+                held: list[int | None] = [None] * self.cell.robot_count
                 for grip, part in zip(grips, wanted, strict=True):
                     values[grip.robot], held[grip.robot] = grip.configuration, part
                 node = Node(state, tuple(values), tuple(held))

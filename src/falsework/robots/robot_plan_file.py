@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 
 FORMAT = "falsework.robot-plan/1"
 
-DIGITS = 7
-"""Decimals of joint values, velocities and times: a tenth of a micrometre at a metre."""
+DIGITS = 9
+"""Decimals of joint values, velocities and times: coarser ones would show as acceleration where knots are close."""
 JOINS = 1e-5
 """Joint values that differ by no more than this are the same, rad or m."""
 
