@@ -10,7 +10,7 @@ from falsework.search import BeamSearch, BeamSettings, StateGraph, task_of
 from falsework.stability import Stability
 
 
-def main(steps: int = 4096) -> None:
+def main(steps: int = 2048) -> None:
     """Learn from the states of a search, and count from how many of them the policy gets to the end."""
     import gymnasium
     from sb3_contrib import MaskablePPO
