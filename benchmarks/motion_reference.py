@@ -1,0 +1,126 @@
+"""The moving robot of a view in Pinocchio, Coal and OMPL: the same shapes and pairs, without our code in the answers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio
+from numpy.typing import NDArray
+
+from falsework.robots.world import View
+
+Array = NDArray[np.float64]
+
+
+class Reference:
+    """Collision checks and free plans for what a view sees."""
+
+    def __init__(self, view: View) -> None:
+        robot = view.world.cell.robots[view.robot]
+        model = robot.model
+        self.model = pinocchio.Model()
+        parent, before = 0, pinocchio.SE3(np.array(robot.base))
+        for j in range(model.joints):
+            kind = pinocchio.JointModelRevoluteUnaligned(np.array(model.axes[j]))
+            parent = self.model.addJoint(parent, kind, before * pinocchio.SE3(model.origins[j]), f"j{j}")
+            before = pinocchio.SE3.Identity()
+        self.geometry = pinocchio.GeometryModel()
+        joints = model.joints
+        shapes = [(link, piece) for link in range(joints + 1) for piece in model.pieces[link]]
+        bodies = [self._add(link, piece if link else _moved(robot.base, piece)) for link, piece in shapes]
+        bodies += [self._add(joints, _moved(model.flange, piece)) for piece in robot.gripper.pieces]
+        held = view.world.carried(view.robot, view.scene)
+        if held is not None:
+            bodies += [self._add(joints, _moved(model.flange, piece)) for piece in held.pieces]
+        stands = view.obstacles
+        rows = [slice(a, b) for a, b in zip(stands.start[:-1], stands.start[1:], strict=True)]
+        obstacles = [self._add(0, stands.vertices[row]) for row in rows]
+        for body, obstacle in np.argwhere(view.rules.pair).tolist():
+            self._pair(bodies[body], obstacles[obstacle])
+        if view.rules.floor > -1e6:
+            slab = coal.Halfspace(np.array([0.0, 0, 1]), view.rules.floor)
+            floor = self.geometry.addGeometryObject(
+                pinocchio.GeometryObject("floor", 0, pinocchio.SE3.Identity(), slab)
+            )
+            for body in np.flatnonzero(view.rules.on_floor).tolist():
+                self._pair(bodies[body], floor)
+        self.apart = self.pairs
+        for a, b in view.rules.self_pairs.tolist():
+            self._pair(bodies[a], bodies[b])
+        self.data = self.model.createData()
+        self.found = pinocchio.GeometryData(self.geometry)
+        self.broad = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.model, self.geometry, self.found)
+
+    @property
+    def pairs(self) -> int:
+        """Pairs that are checked."""
+        return len(self.geometry.collisionPairs)
+
+    def keep(self, margin: float) -> None:
+        """Count what is nearer than a margin as a collision, metres; bodies of the arm itself must only not touch."""
+        for request in list(self.found.collisionRequests)[: self.apart]:
+            request.security_margin = margin
+
+    def collides(self, values: Array) -> bool:
+        """Whether anything touches."""
+        return pinocchio.computeCollisions(self.model, self.data, self.broad, values, True)
+
+    def distance(self, values: Array) -> float:
+        """Distance of the nearest pair, metres."""
+        pinocchio.computeDistances(self.model, self.data, self.geometry, self.found, values)
+        return min(result.min_distance for result in self.found.distanceResults)
+
+    def plan(self, start: Array, goal: Array, low: Array, high: Array, step: float, seconds: float) -> Array | None:
+        """A path by OMPL's RRT-Connect and its simplification, edges looked at every `step` rad."""
+        import ompl.base
+        import ompl.geometric
+        import ompl.util
+
+        ompl.util.setLogLevel(ompl.util.LogLevel.LOG_ERROR)
+        joints = len(start)
+        space: Any = ompl.base.RealVectorStateSpace(joints)
+        bounds = ompl.base.RealVectorBounds(joints)
+        for j in range(joints):
+            bounds.setLow(j, float(min(low[j], start[j], goal[j])))
+            bounds.setHigh(j, float(max(high[j], start[j], goal[j])))
+        space.setBounds(bounds)
+        setup: Any = ompl.geometric.SimpleSetup(space)
+        info = setup.getSpaceInformation()
+        setup.setStateValidityChecker(lambda state: not self.collides(np.array([state[j] for j in range(joints)])))
+        info.setStateValidityCheckingResolution(step / space.getMaximumExtent())
+        ends = []
+        for values in (start, goal):
+            state = space.allocState()
+            for j in range(joints):
+                state[j] = float(values[j])
+            ends.append(state)
+        setup.setStartAndGoalStates(*ends)
+        setup.setPlanner(ompl.geometric.RRTConnect(info))
+        setup.setup()
+        if not setup.solve(seconds) or not setup.haveExactSolutionPath():
+            return None
+        setup.simplifySolution()
+        path = setup.getSolutionPath()
+        return np.array([[path.getState(k)[j] for j in range(joints)] for k in range(path.getStateCount())])
+
+    def _add(self, joint: int, points: Array) -> int:
+        name = f"shape{self.geometry.ngeoms}"
+        shape = convex(points)
+        return self.geometry.addGeometryObject(pinocchio.GeometryObject(name, joint, pinocchio.SE3.Identity(), shape))
+
+    def _pair(self, a: int, b: int) -> None:
+        self.geometry.addCollisionPair(pinocchio.CollisionPair(a, b))
+
+
+def convex(points: Array) -> Any:
+    """A convex shape for Coal."""
+    vertices = coal.StdVec_Vec3s()
+    for point in points:
+        vertices.append(np.asarray(point, float))
+    return coal.Convex.convexHull(vertices, True, None)
+
+
+def _moved(pose: Array, points: Array) -> Array:
+    return points @ pose[:3, :3].T + pose[:3, 3]
