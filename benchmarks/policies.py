@@ -30,7 +30,7 @@ from falsework.learn.data import DataSettings
 from falsework.learn.generalist import GeneralistSettings, fine_tune, train_generalist
 from falsework.learn.policy import PolicySettings, make_policy, masked_log_probabilities
 from falsework.learn.policy_table import policy_table
-from falsework.learn.transfer import compare_networks, transfer_experiment
+from falsework.learn.transfer import Budget, compare_networks, transfer_experiment
 from falsework.search.tensors import choose_device
 
 
@@ -48,6 +48,8 @@ class Options:
     """Parts that may be held at once."""
     seconds: float = 60.0
     """Time of training, for each network."""
+    steps: int = 0
+    """For `learn` and `transfer`: steps of training in place of the time."""
     widths: tuple[int, ...] = ()
     """For `transfer`: widths of further searches for states to learn from, on top of the paper's."""
     device: str = "auto"
@@ -143,6 +145,7 @@ def main() -> None:
     """Run what the command line asks for."""
     options = tyro.cli(Options, description=__doc__)
     device = choose_device(options.device)
+    budget = Budget(options.seconds, options.steps)
     if options.what == "cost":
         cost(options)
     elif options.what == "speed":
@@ -151,7 +154,7 @@ def main() -> None:
         for name in options.structures or default_structures(("bottle-12",), ("bottle",)):
             assembly = load_structure(find(name))
             for row in compare_networks(
-                assembly, [PolicySettings(kind) for kind in options.kinds], seconds=options.seconds,
+                assembly, [PolicySettings(kind) for kind in options.kinds], budget=budget,
                 robots=options.robots, device=device, batch=options.batch, seed=options.seed,
             ):  # fmt: skip
                 show(benchmark="learn", structure=name, robots=options.robots, **row, **machine(device))
@@ -162,7 +165,7 @@ def main() -> None:
             if not PolicySettings(kind).transfers:
                 continue
             for row in transfer_experiment(
-                source, others, PolicySettings(kind), seconds=options.seconds, robots=options.robots, device=device,
+                source, others, PolicySettings(kind), budget=budget, robots=options.robots, device=device,
                 batch=options.batch, seed=options.seed, data=DataSettings(widths=options.widths),
             ):  # fmt: skip
                 show(benchmark="transfer", kind=kind, widths=options.widths, **row, **machine(device))
@@ -184,7 +187,7 @@ def generalist(options: Options, device: torch.device) -> None:
             show(benchmark="generalist", kind=kind, **row, **machine(device))
         for name in options.structures or default_structures(("bottle-12", "dog-35", "dome-37"), ("bottle", "dome")):
             assembly = load_structure(find(name))
-            for row in fine_tune(trained, assembly, seconds=options.seconds / 5, device=device):
+            for row in fine_tune(trained, assembly, budget=Budget(options.seconds / 5), device=device):
                 show(benchmark="fine-tune", kind=kind, **row, **machine(device))
 
 

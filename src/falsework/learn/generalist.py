@@ -22,7 +22,7 @@ from falsework.learn.evaluate import greedy_success, sample
 from falsework.learn.family import KINDS, Member, members, turned
 from falsework.learn.imitation import Network, imitation_loss
 from falsework.learn.policy import Policy, PolicySettings, make_policy, share, transfer
-from falsework.learn.transfer import Workbench
+from falsework.learn.transfer import Budget, Workbench
 
 EVALUATED = 128
 """States of each structure that a policy is tried from, at most."""
@@ -117,19 +117,19 @@ def train_generalist(
 
 
 def fine_tune(
-    trained: Generalist, assembly: Assembly, *, seconds: float, device: torch.device | str = "cpu"
+    trained: Generalist, assembly: Assembly, *, budget: Budget, device: torch.device | str = "cpu"
 ) -> Iterator[dict[str, Any]]:
     """Fine-tune on one structure, beside a policy that begins anew and has the same time.
 
     Args:
         trained: the policy to begin with.
         assembly: the structure.
-        seconds: longest time of training; a quarter of it is reported too.
+        budget: longest training; a quarter of it is reported too.
         device: where.
 
     Yields:
-        Rows with `structure`, `seconds`, `from` (`generalist` or `nothing`), and greedy `success` on the training and
-        test states of the paper's protocol.
+        Rows with `structure`, `tuned` (seconds or steps), `from` (`generalist` or `nothing`), and greedy `success` on
+        the training and test states of the paper's protocol.
     """
     settings = trained.settings
     bench = Workbench(assembly, settings.robots, device)
@@ -137,10 +137,11 @@ def fine_tune(
         "generalist": transfer(trained.weights, settings.policy, assembly, bench.device),
         "nothing": make_policy(assembly, settings.policy, bench.device, settings.seed),
     }
-    for time_given in (0.0, seconds / 4, seconds):
+    for share_given in (0.0, 0.25, 1.0):
+        given = budget.part(share_given)
         for name, policy in began.items():
-            tuned = bench.imitate(policy, time_given, seed=settings.seed)[0] if time_given else policy
-            row = {"structure": assembly.name, "seconds": time_given, "from": name}
+            tuned = bench.imitate(policy, given, seed=settings.seed)[0] if share_given else policy
+            row = {"structure": assembly.name, "tuned": given.length if share_given else 0, "from": name}
             yield {**row, "success": bench.success(tuned)}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -19,6 +20,28 @@ from falsework.learn.solved import SolvedStates
 
 EVALUATED = 1024
 """States of a set that a policy is tried from, at most; always the same ones."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How long a policy is trained: for a time, or for a number of steps, which depends on no machine."""
+
+    seconds: float = 60.0
+    steps: int = 0
+    """Steps of the optimizer in place of the time; 0: go by `seconds`."""
+
+    def share(self, steps: int, seconds: float) -> float:
+        """How much of it is spent."""
+        return steps / self.steps if self.steps else seconds / max(self.seconds, 1e-9)
+
+    def part(self, share: float) -> Budget:
+        """A smaller one."""
+        return Budget(self.seconds * share, max(int(self.steps * share), 1) if self.steps else 0)
+
+    @property
+    def length(self) -> float | int:
+        """The number of seconds or of steps."""
+        return self.steps or self.seconds
 
 
 class Workbench:
@@ -54,12 +77,12 @@ class Workbench:
         for states in (dataset.train, dataset.more):
             self.solved.add(torch.from_numpy(states))
 
-    def imitate(self, policy: Policy, seconds: float, *, batch: int = 0, seed: int = 0) -> tuple[Policy, int]:
-        """Train a policy on the known states for a time.
+    def imitate(self, policy: Policy, budget: Budget, *, batch: int = 0, seed: int = 0) -> tuple[Policy, int]:
+        """Train a policy on the known states.
 
         Args:
             policy: what to begin with; not changed.
-            seconds: how long.
+            budget: how long.
             batch: states a step; 0: 1,024 on a GPU, 128 on a processor.
             seed: of the batches.
 
@@ -75,13 +98,14 @@ class Workbench:
         work = Imitation(student, self.rules, settings, seed=seed, precision="bfloat16" if gpu else "float32")
         done = 0.0
         while done < 1.0:
-            # A block lasts a hundredth of the time, so that the learning rate falls evenly and ends where it should.
+            # A block lasts a hundredth of the whole, so that the learning rate falls evenly and ends where it should.
             now = time.perf_counter() - begin
-            block = max(1, min(int(work.steps / max(now, 1e-9) * seconds / 100), 200))
+            pace = work.steps / max(now, 1e-9) * budget.seconds
+            block = max(1, min(int((budget.steps or pace) / 100), 200))
             work.run(self.solved, block, (done, min(done + 0.01, 1.0)))
             if gpu:
                 torch.cuda.synchronize(self.device)
-            done = (time.perf_counter() - begin) / seconds
+            done = budget.share(work.steps, time.perf_counter() - begin)
         return work.averaged(student), work.steps
 
     def success(self, policy: Policy) -> dict[str, float]:
@@ -97,7 +121,7 @@ def compare_networks(
     assembly: Assembly,
     settings: Sequence[PolicySettings],
     *,
-    seconds: float,
+    budget: Budget,
     robots: int = 2,
     device: torch.device | str = "cpu",
     batch: int = 0,
@@ -108,7 +132,7 @@ def compare_networks(
     Args:
         assembly: the structure.
         settings: networks.
-        seconds: of training, each.
+        budget: of training, each.
         robots: parts that may be held at once.
         device: where.
         batch: states a step; 0 for the default of the device.
@@ -120,12 +144,13 @@ def compare_networks(
     bench = Workbench(assembly, robots, device)
     for one in settings:
         policy = make_policy(assembly, one, bench.device, seed)
-        trained, steps = bench.imitate(policy, seconds, batch=batch, seed=seed)
+        begin = time.perf_counter()
+        trained, steps = bench.imitate(policy, budget, batch=batch, seed=seed)
         about = describe(trained)
         yield {
             "kind": one.kind,
             "parameters": about["parameters"],
-            "seconds": seconds,
+            "seconds": round(time.perf_counter() - begin, 1),
             "steps": steps,
             "states": {"train": len(bench.dataset.train), "test": len(bench.dataset.test)},
             "success": bench.success(trained),
@@ -137,7 +162,7 @@ def transfer_experiment(
     others: Sequence[Assembly],
     settings: PolicySettings,
     *,
-    seconds: float,
+    budget: Budget,
     robots: int = 2,
     device: torch.device | str = "cpu",
     batch: int = 0,
@@ -150,7 +175,7 @@ def transfer_experiment(
         source: structure to train on.
         others: structures to test on.
         settings: a network whose weights fit any structure.
-        seconds: of training on the source; a fifth of it for fine-tuning, and for beginning anew.
+        budget: of training on the source; a fifth of it for fine-tuning, and for beginning anew.
         robots: parts that may be held at once.
         device: where.
         batch: states a step; 0 for the default of the device.
@@ -158,7 +183,8 @@ def transfer_experiment(
         data: searches that make the data; those of the paper by default.
 
     Yields:
-        Rows with `trained_on`, `tested_on`, `fine_tuned` (seconds), `from` (`weights` or `nothing`), greedy `success`.
+        Rows with `trained_on`, `tested_on`, `fine_tuned` (seconds or steps), `from` (`weights` or `nothing`),
+        greedy `success`.
 
     Raises:
         InputError: a network that knows parts by their number.
@@ -166,25 +192,18 @@ def transfer_experiment(
     home = Workbench(source, robots, device, data)
     policy = make_policy(source, settings, home.device, seed)
     transfer(policy.state_dict(), settings, source)  # refuses before the time is spent
-    trained, _ = home.imitate(policy, seconds, batch=batch, seed=seed)
-    yield _row(source, source, seconds, "weights", home.success(trained))
+    trained, _ = home.imitate(policy, budget, batch=batch, seed=seed)
+    yield _row(source, source, 0, "weights", home.success(trained))
     for other in others:
         away = Workbench(other, robots, device, data)
         moved = transfer(trained.state_dict(), settings, other, away.device)
-        yield _row(source, other, 0.0, "weights", away.success(moved))
-        yield _row(source, other, 0.0, "nothing", away.success(make_policy(other, settings, away.device, seed)))
+        yield _row(source, other, 0, "weights", away.success(moved))
+        yield _row(source, other, 0, "nothing", away.success(make_policy(other, settings, away.device, seed)))
         for beginning, name in ((moved, "weights"), (make_policy(other, settings, away.device, seed), "nothing")):
-            tuned, _ = away.imitate(beginning, seconds / 5, batch=batch, seed=seed)
-            yield _row(source, other, seconds / 5, name, away.success(tuned))
+            tuned, _ = away.imitate(beginning, budget.part(0.2), batch=batch, seed=seed)
+            yield _row(source, other, budget.part(0.2).length, name, away.success(tuned))
 
 
-def _row(
-    source: Assembly, other: Assembly, seconds: float, beginning: str, success: dict[str, float]
-) -> dict[str, Any]:
-    return {
-        "trained_on": source.name,
-        "tested_on": other.name,
-        "fine_tuned": 0.0 if source is other else seconds,
-        "from": beginning,
-        "success": success,
-    }
+def _row(source: Assembly, other: Assembly, tuned: float, beginning: str, success: dict[str, float]) -> dict[str, Any]:
+    about = {"trained_on": source.name, "tested_on": other.name, "fine_tuned": tuned, "from": beginning}
+    return {**about, "success": success}
