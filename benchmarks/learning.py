@@ -277,7 +277,7 @@ def plot(options: argparse.Namespace) -> None:
         axis.set(title=structure, xlabel="seconds, data included", ylabel="unseen states, greedy success in %")
         axis.set_ylim(0, 101)
         axis.grid(alpha=0.3)
-        axis.legend()
+        axis.legend(loc="lower right")
     figure.tight_layout()
     figure.savefig(options.picture, dpi=150)
 

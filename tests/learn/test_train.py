@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import types
 from dataclasses import replace
 from pathlib import Path
@@ -97,12 +98,13 @@ def test_a_small_arch_is_learned_completely(tmp_path: Path) -> None:
     """All states of a wider search than the ones that were learned from."""
     arch = load_structure("arch:blocks=9")
     policy = PolicySettings("parts", channels=32, layers=2, heads=4)
-    settings = TrainSettings(method="search", steps=320, policy=policy)
+    settings = TrainSettings(method="imitation", steps=120, policy=policy)
+    begun = time.process_time()  # of one thread: other work on the machine does not count
     result = train(arch, settings, folder=tmp_path / "run", device="cpu")
+    assert time.process_time() - begun < 60
     assert result.test.states > 20
     assert result.train.share == 1.0
     assert result.test.share == 1.0
-    assert result.seconds < 60
     assert not result.interrupted
 
 
@@ -274,23 +276,25 @@ def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
         TrainSettings(**wrong)
 
 
+PARALLEL = ("search", "refine")
+
+
 def free_port() -> int:
     with socket.socket() as sock:
         sock.bind(("127.0.0.1", 0))
         return sock.getsockname()[1]
 
 
-@pytest.mark.parametrize("method", ["search", "refine"])
 @pytest.mark.skipif(
     not (torch.distributed.is_available() and torch.distributed.is_gloo_available()), reason="this torch has no gloo"
 )
-def test_two_processes_are_one_training(method: str, tmp_path: Path) -> None:
+def test_two_processes_are_one_training(tmp_path: Path) -> None:
     """The same weights and known states in both, to the last bit; steps of the environment add up."""
     common = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port()), "OMP_NUM_THREADS": "1"}
     script = Path(__file__).with_name("distributed_training.py")
     running = [
         subprocess.Popen(
-            [sys.executable, str(script), str(tmp_path), method],
+            [sys.executable, str(script), str(tmp_path), *PARALLEL],
             env={**os.environ, **common, "RANK": str(rank), "LOCAL_RANK": str(rank)},
             stderr=subprocess.PIPE,
             text=True,
@@ -304,13 +308,15 @@ def test_two_processes_are_one_training(method: str, tmp_path: Path) -> None:
     finally:
         for process in running:
             process.kill()
-    one, two = (safetensors.load_file(tmp_path / f"{rank}.safetensors") for rank in range(2))
-    assert all(torch.equal(tensor, two[name]) for name, tensor in one.items())
-    numbers = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2)]
-    assert numbers[0]["environment"]["steps"] == sum(each["own_steps"] for each in numbers)
-    assert numbers[0]["test"] == numbers[1]["test"]
-    assert numbers[0]["processes"] == 2
-    assert load_run(tmp_path / "run").metadata["results"]["processes"] == 2
+    for method in PARALLEL:
+        folder = tmp_path / method
+        one, two = (safetensors.load_file(folder / f"{rank}.safetensors") for rank in range(2))
+        assert all(torch.equal(tensor, two[name]) for name, tensor in one.items())
+        numbers = [json.loads((folder / f"{rank}.json").read_text()) for rank in range(2)]
+        assert numbers[0]["environment"]["steps"] == sum(each["own_steps"] for each in numbers)
+        assert numbers[0]["test"] == numbers[1]["test"]
+        assert numbers[0]["processes"] == 2
+        assert load_run(folder / "run").metadata["results"]["processes"] == 2
 
 
 def test_weights_and_biases_gets_the_same_numbers(arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
