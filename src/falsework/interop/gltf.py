@@ -120,8 +120,8 @@ class _Document:
         looks = sorted({robot for _, robot in track.holder})
         children = []
         for robot in looks:
-            held = f"{self._assembly.names[part]} held by robot {robot + 1}"
-            name = self._assembly.names[part] if robot == NOBODY else held
+            how = "by itself" if robot == NOBODY else f"held by robot {robot + 1}"
+            name = f"{self._assembly.names[part]} {how}"
             child = self._add("nodes", {"name": name, "mesh": self._mesh(part, robot, name)})
             children.append(child)
             keys = _visible(track, robot)
