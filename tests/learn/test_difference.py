@@ -33,7 +33,7 @@ def test_a_plan_does_not_differ_from_itself(plans: tuple[Plan, ...]) -> None:
         assert same.moved == ()
         assert same.order_kept == 1.0
         assert same.steps_saved == 0
-        assert same.text == f"the plan stays as it was: {len(plan)} steps are left"
+        assert same.text == f"the plan stays as it was; steps left: {len(plan)}"
         assert difference(plan.reverse(), plan).same  # the direction in which a plan is written does not matter
 
 
@@ -78,7 +78,7 @@ def test_parts_that_come_and_go(plans: tuple[Plan, ...]) -> None:
             assert set(change.dropped) == {ARCH.names[part] for part in placed}
             assert change.steps_saved == len(old) - len(rest)
             assert "does not pass through this state" in change.text
-            assert "steps fewer" in change.text
+            assert "fewer" in change.text
             return
     pytest.fail("the two plans share all their states")
 

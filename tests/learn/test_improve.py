@@ -154,6 +154,27 @@ def test_everything_is_solved(environment: Environment, graph: StateGraph, solva
     assert alone.record()["decided_by"]["search"] > 0
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+def test_on_a_gpu(graph: StateGraph) -> None:
+    """The same truths where everything is on a GPU."""
+    from falsework.learn.replan import Replanner
+
+    environment = Environment(ARCH, 2, device="cuda")
+    policy = make_policy(ARCH, PolicySettings(kind="parts"), "cuda", seed=3)
+    states = environment.rules.put(graph.states)
+    good = torch.from_numpy(graph.solvable).to(states.device)
+    np.testing.assert_array_equal(
+        search_from(environment, policy, states, width=64).found.cpu().numpy(), graph.solvable
+    )
+    solved = SolvedStates(environment.rules, states[good][::2])
+    improve(environment, policy, solved, solved.states, generator=environment.generator(0))
+    assert rows(solved.states.cpu()) <= rows(states[good].cpu())
+    assert solve_all(environment, policy, states[good]).share == 1.0
+    answer = Replanner(ARCH, policy).replan(environment.rules.complete()[0].cpu().numpy(), confidences=True)
+    assert answer.plan is not None
+    assert answer.plan.validate(ARCH).good
+
+
 def test_bad_numbers(environment: Environment, solvable: torch.Tensor, policy: Any) -> None:
     solved = SolvedStates(environment.rules, solvable)
     with pytest.raises(InputError, match="at least 1 sample"):

@@ -70,12 +70,13 @@ class Difference:
     def text(self) -> str:
         """All of it in a few words for people."""
         if self.same:
-            return f"the plan stays as it was: {self.new_steps} steps are left"
+            return f"the plan stays as it was; steps left: {self.new_steps}"
         pieces = []
         if not self.begins_on_the_way:
             pieces.append("the old plan does not pass through this state")
         elif self.common_steps:
-            pieces.append(f"the first {self.common_steps} steps stay as they were")
+            many = self.common_steps > 1
+            pieces.append(f"the first {self.common_steps} steps stay as they were" if many else "the first step stays")
         if self.first_new or self.first_old:
             when = "then" if self.common_steps else "next"
             pieces.append(f"{when} {self.first_new or 'nothing'} instead of {self.first_old or 'nothing'}")
@@ -89,7 +90,8 @@ class Difference:
         if self.dropped:
             pieces.append(f"no longer: {', '.join(self.dropped)}")
         if self.steps_saved:
-            pieces.append(f"{abs(self.steps_saved)} steps {'fewer' if self.steps_saved > 0 else 'more'}")
+            steps = "step" if abs(self.steps_saved) == 1 else "steps"
+            pieces.append(f"{abs(self.steps_saved)} {steps} {'fewer' if self.steps_saved > 0 else 'more'}")
         return "; ".join(pieces)
 
     def record(self) -> dict[str, Any]:
