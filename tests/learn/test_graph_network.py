@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn.functional import elu, leaky_relu
 
 from falsework.assembly import load_structure
+from falsework.learn import graph_network
 from falsework.learn.graph import ForceTorqueGraph
 from falsework.learn.graph_network import GraphPolicy, _Layer
 from falsework.learn.policy import PolicySettings, make_policy
@@ -161,7 +162,7 @@ def test_large_batches_without_gradient_go_in_pieces(monkeypatch: pytest.MonkeyP
         0, 3, (50, assembly.part_count), dtype=torch.uint8, generator=torch.Generator().manual_seed(0)
     )
     whole = policy(states)
-    monkeypatch.setattr("falsework.learn.graph_network._CHUNK_BYTES", 100_000)
+    monkeypatch.setitem(graph_network._CHUNK_BYTES, "cpu", 100_000)
     with torch.no_grad():
         pieces = policy(states)
     for one, other in zip(whole, pieces, strict=True):

@@ -25,8 +25,8 @@ from falsework.learn.policy_settings import PolicySettings
 
 _SLOPE = 0.2
 """Of LeakyReLU below zero, as usual for graph attention."""
-_CHUNK_BYTES = 2**28
-"""Memory for the torques of states that are only evaluated; larger batches go in pieces."""
+_CHUNK_BYTES = {"cpu": 2**26, "cuda": 2**30}
+"""Memory for the features of torques of states that are only evaluated; larger batches go in pieces."""
 
 
 class GraphPolicy(Policy):
@@ -64,7 +64,9 @@ class GraphPolicy(Policy):
     def forward(self, states: Tensor, targets: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """As `Policy`; batches that need no gradient go in pieces that fit into memory."""
         kinds = self.numbers(states, targets)
-        chunk = max(1, _CHUNK_BYTES // (4 * self.levers[..., 0].numel() * self.settings.channels + 1))
+        chunk = max(
+            1, _CHUNK_BYTES[states.device.type] // (4 * self.levers[..., 0].numel() * self.settings.channels + 1)
+        )
         if torch.is_grad_enabled() or len(states) <= chunk or torch.compiler.is_compiling():
             return self._evaluate(kinds)
         pieces = [self._evaluate(piece) for piece in kinds.split(chunk)]

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import gelu, scaled_dot_product_attention
+from torch.nn.functional import gelu, pad, scaled_dot_product_attention
 
 from falsework.assembly.model import Assembly
 from falsework.learn.features import PAIR_FEATURES, PART_FEATURES, PORTS, PartFeatures
@@ -76,7 +76,9 @@ class PartsPolicy(Policy):
             shape = shape + self.identity
         x = x + shape.to(x.dtype)
         bias = self.bias_net(self.pair_features).to(x.dtype).permute(2, 0, 1)
-        for block, one in zip(self.blocks, bias.view(sizes.layers, 1, sizes.heads, parts, parts), strict=True):
+        # Fused attention wants rows that lie together and begin at multiples of 16 bytes; the padding is sliced off.
+        bias = pad(bias, (0, -parts % 8)).contiguous()[..., :parts]
+        for block, one in zip(self.blocks, bias.unflatten(0, (sizes.layers, 1, sizes.heads)), strict=True):
             x = block(x, one)
         x = self.norm(x)
         logits = self.action_head(x).float().transpose(1, 2).reshape(batch, 2 * parts)
