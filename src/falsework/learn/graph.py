@@ -3,11 +3,9 @@
 Balance of a part says that forces and torques on it add up to zero. The graph has a node for each of these words:
 parts, forces between parts, and the torque of a force at a contact point about the centre of each of the two parts.
 
-| node | one for | features |
-| --- | --- | --- |
-| part | each part | held, in the target, mass |
-| force | each distinct contact normal of two parts that touch | normal |
-| torque | each contact point, twice: for either part | lever arm from the part's centre to the point |
+- Part: one for each part; held, in the target, mass.
+- Force: one for each distinct contact normal of two parts that touch; the normal.
+- Torque: two for each contact point, one for either part; the lever arm from the part's centre to the point.
 
 Edges run both ways: torque and its part, torque and its force, the two torques of one contact point, force and each of
 its two parts (of two kinds: the normal points into the part, or out of it), and each part to all others; every node has
