@@ -67,7 +67,21 @@ def test_examples_in_help_texts_run(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.chdir(tmp_path)
     assert main(["export", "arch:blocks=5", "--out", "my-folder"]) == 0
     Path("states.json").write_text("[[1, 1, 1, 1, 1, 2, 2]]")
-    for name in ("structures", "plan", "export", "check", "sheet", "stability", "graph", "replan", "view", "picture"):
+    for name in (
+        "structures",
+        "plan",
+        "export",
+        "check",
+        "sheet",
+        "stability",
+        "graph",
+        "dataset",
+        "train",
+        "evaluate",
+        "replan",
+        "view",
+        "picture",
+    ):
         for example in entry._command_class(name).examples:
             words = shlex.split(example)
             assert words[:2] == ["falsework", name]

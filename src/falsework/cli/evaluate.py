@@ -31,8 +31,8 @@ class Evaluate(Command):
     """
 
     examples: ClassVar[tuple[str, ...]] = (
-        "falsework train arch:blocks=7 --out run --minutes 0.1",
-        "falsework evaluate run --search",
+        "falsework evaluate run",
+        "falsework evaluate run --search --states 100 --json",
     )
 
     folder: Annotated[Positional[Path], arg(metavar="RUN")]

@@ -33,8 +33,8 @@ class Train(Command):
     """
 
     examples: ClassVar[tuple[str, ...]] = (
-        "falsework train arch:blocks=7 --robots 2 --out run --minutes 0.1",
-        "falsework train arch:blocks=7 --out run --resume --minutes 0.2",
+        "falsework train arch:blocks=7 --robots 2 --out run --minutes 0.05",
+        "falsework train arch:blocks=7 --out run --resume --minutes 0.1",
     )
 
     structure: StructureOptions
