@@ -174,7 +174,7 @@ def test_rollouts_leave_notes(arch: Any, states: Any) -> None:
     environment = WatchedEnvironment(arch, 2, device="cpu")
     solved = SolvedStates(environment.rules, torch.from_numpy(states))
     solved.forbid(torch.from_numpy(states[::3].copy()))
-    environment.solved = solved
+    environment.solved, environment.remember = solved, True
     policy = make_policy(arch, SMALL)
     starts = solved.states
     with environment.unwatched():

@@ -84,6 +84,7 @@ class SearchLearner:
         self.exhausted = False
         self._environment, self._solved, self._settings = environment, solved, settings
         self._rounds, self._shards, self._targets = rounds, shards, targets
+        environment.remember = rounds
         self._imitation = Imitation(
             policy,
             environment.rules,

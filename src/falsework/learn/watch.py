@@ -76,6 +76,8 @@ class WatchedEnvironment(Environment):
         """States of rollouts, and actions after which stability was not proven. Test states are not among them."""
         self.outcomes = Memory(memory, {"states": state, "value": number.float()})
         """States of rollouts that were drawn, not greedy, and how these ended: 1 or -1. No test states either."""
+        self.remember = False
+        """Keep mistakes and outcomes, which costs a wait for the device at every step."""
         self._watching = True
 
     @contextmanager
@@ -102,7 +104,8 @@ class WatchedEnvironment(Environment):
         rollouts = super().rollout(
             policy, starts, targets, greedy=greedy, temperature=temperature, generator=generator, keep=keep
         )
-        if self._watching and self.solved is not None and targets is None and keep == "all" and not greedy:
+        noting = self._watching and self.remember and targets is None and keep == "all" and not greedy
+        if noting and self.solved is not None:
             value = (2.0 * rollouts.success.float() - 1.0).expand(len(rollouts.states), -1)
             passed = rollouts.passed()
             states, value = rollouts.states[passed], value[passed]
@@ -122,7 +125,7 @@ class WatchedEnvironment(Environment):
         step = super().step(states, actions, targets, check=check)
         if self._watching and self.solved is not None:
             self.solved.meet(step.states)
-        if self._watching and self.solved is not None and targets is None:
+        if self._watching and self.remember and self.solved is not None and targets is None:
             wrong = (step.unstable & ~self.solved.is_forbidden(states)).nonzero()[:, 0]
             self.mistakes.add(states=states[wrong], actions=actions[wrong].long())
         return step
