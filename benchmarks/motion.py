@@ -84,7 +84,7 @@ def main(options: Options) -> None:
 
 def distances(random: np.random.Generator, count: int) -> Iterator[dict[str, Any]]:
     """Random pairs of convex pieces, far, near and through each other."""
-    import coal
+    import coal  # pyright: ignore[reportMissingImports]
 
     still, missed, worst, touching = coal.Transform3s(), 0, 0.0, 0
     ours = theirs = 0.0

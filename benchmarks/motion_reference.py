@@ -1,12 +1,12 @@
-"""The moving robot of a view in Pinocchio, Coal and OMPL: the same shapes and pairs, without our code in the answers."""
+"""The moving robot of a view in Pinocchio, Coal and OMPL: the same shapes and pairs, no code of ours in the answers."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import coal
+import coal  # pyright: ignore[reportMissingImports]
 import numpy as np
-import pinocchio
+import pinocchio  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
 
 from falsework.robots.world import View

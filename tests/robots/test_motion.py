@@ -72,7 +72,10 @@ def test_the_same_seed_gives_the_same_path(make_view: Callable[..., View], wall:
     view.collides(np.random.default_rng(0).uniform(-1, 1, (200, 6)))
     second = plan_free(view, LEFT, RIGHT, seed=3)
     np.testing.assert_array_equal(first.path, second.path)
-    assert not np.array_equal(first.path, plan_free(view, LEFT, RIGHT, seed=4).path)
+    other = plan_free(view, LEFT, RIGHT, seed=4)
+    assert first.path is not None
+    assert other.path is not None
+    assert not np.array_equal(first.path, other.path)
 
 
 def test_failures_say_why(make_view: Callable[..., View], wall: np.ndarray) -> None:
@@ -171,7 +174,7 @@ def test_timing_refuses_what_is_no_path(make_view: Callable[..., View]) -> None:
     with pytest.raises(InputError, match=r"path has shape \(2, 5\)"):
         time_path(model, np.zeros((2, 5)))
     with pytest.raises(InputError, match=r"point 1 of the path: joint_1 is 4"):
-        time_path(model, [LEFT, [4, 0, 0, 0, 0, 0]])
+        time_path(model, np.array([LEFT, [4, 0, 0, 0, 0, 0]]))
     with pytest.raises(InputError, match="not finite"):
         time_path(model, [LEFT, np.full(6, np.nan)])
     with pytest.raises(InputError, match="speed is 2"):

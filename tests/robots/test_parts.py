@@ -66,7 +66,7 @@ def test_pieces_cover_the_solid() -> None:
     pieces = convex_pieces(mesh)
     assert volume(pieces) < 1.06 * mesh.volume
     random = np.random.default_rng(0)
-    points = random.uniform(*mesh.bounds, (20_000, 3))
+    points = random.uniform(mesh.bounds[0], mesh.bounds[1], (20_000, 3))
     solid = inside(points, mesh.triangles)
     assert solid.sum() > 5000
     assert covered(points[solid], pieces).all()

@@ -19,7 +19,7 @@ def is_compiled() -> bool:
     for function in functions:
         if function.signatures:
             continue
-        cache = Path(function.stats.cache_path)
+        cache = Path(str(function.stats.cache_path))
         source = Path(function.py_func.__code__.co_filename)
         name = function.py_func.__name__
         found = list(cache.glob(f"{source.stem}.{name}-*.nbi"))

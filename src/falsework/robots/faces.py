@@ -86,7 +86,7 @@ def _face(triangles: Array, normal: Array, area: float) -> Face:
     first = np.cross(helper, normal)
     first /= np.linalg.norm(first)
     frame = np.stack([first, np.cross(normal, first)])
-    flat = shapely.polygons(triangles @ frame.T)
+    flat = np.atleast_1d(np.asarray(shapely.polygons(triangles @ frame.T)))
     outline = shapely.union_all(shapely.buffer(flat, 1e-9)) if len(flat) > 1 else flat[0]
     return Face(normal, frame, outline, triangles, area)
 

@@ -69,7 +69,8 @@ class RobotModel:
 
     def within_limits(self, configurations: Array, tolerance: float = 1e-9) -> NDArray[np.bool_]:
         """Which configurations keep the position limits. Shape (..., joints) to (...)."""
-        return ((configurations >= self.lower - tolerance) & (configurations <= self.upper + tolerance)).all(axis=-1)
+        inside = (configurations >= self.lower - tolerance) & (configurations <= self.upper + tolerance)
+        return np.asarray(inside.all(axis=-1))
 
     def check_configuration(self, values: object, what: str = "configuration") -> Array:
         """One configuration from outside as an array of shape (joints,).

@@ -141,9 +141,9 @@ def _optimal(curve: _Curve, velocity: Array, acceleration: Array) -> Any:
     class Path(toppra.interpolator.AbstractGeometricPath):
         """The curve as toppra wants it."""
 
-        dof = curve.dof
-        path_interval = curve.path_interval
-        waypoints = (curve.along, curve.points)
+        dof: Any = curve.dof
+        path_interval: Any = curve.path_interval
+        waypoints: Any = (curve.along, curve.points)
 
         def __call__(self, path_positions: Any, order: int = 0) -> Array:
             return curve(path_positions, order)
@@ -183,7 +183,7 @@ def _sample(trajectory: Any, duration: float, stretch: float, velocity: Array) -
         step /= 1.3
     velocities, accelerations = trajectory(times, 1) / stretch, trajectory(times, 2) / stretch**2
     velocities[[0, -1]] = 0.0
-    return Timed(times * stretch, positions, velocities, accelerations)
+    return Timed(np.asarray(times) * stretch, positions, velocities, accelerations)
 
 
 def _distinct(model: RobotModel, path: ArrayLike) -> Array:
