@@ -89,9 +89,9 @@ def _head(canvas: Canvas, sheet: SiteSheet) -> None:
     """Title, what the words mean, and the rules that the proofs rest on."""
     assembly, left, y = sheet.assembly, _MARGIN, _PAGE[1] - _MARGIN - 8
     _text(canvas, left, y, assembly.name, _BOLD, 18, width=_PAGE[0] - 2 * _MARGIN)
-    loose = int((~assembly.boundary).sum())
-    mass = float(assembly.mass.mass[~assembly.boundary].sum())
-    facts = f"{loose} parts to place, {mass:.4g} kg, {sheet.supports} supports, {len(sheet.steps)} steps"
+    placed = [step.part for step in sheet.steps if step.place]
+    mass = float(assembly.mass.mass[placed].sum())
+    facts = f"{len(placed)} parts to place, {mass:.4g} kg; {sheet.supports} supports, {len(sheet.steps)} steps"
     _text(canvas, left, y - 16, facts, _REGULAR, 10.5)
     lines = [
         "A support is a robot, a prop or a pair of hands that keeps a part exactly where it is. Keep to the order.",
@@ -102,6 +102,9 @@ def _head(canvas: Canvas, sheet: SiteSheet) -> None:
     ]
     if sheet.start:
         lines.append(f"There before step 1: {_shortened(sheet, sheet.start)}.")
+    if sheet.holding(0):
+        held = ", ".join(f"{sheet.name(part)} by support {support + 1}" for part, support in sheet.holding(0))
+        lines.append(f"Held before step 1: {held}.")
     needed = [step for step in sheet.steps if step.needed]
     if needed:
         when = ", ".join(f"{sheet.name(step.part)} for step {step.number}" for step in needed)
@@ -141,7 +144,7 @@ def _row(canvas: Canvas, sheet: SiteSheet, step: SiteStep, y: float, camera: Cam
     else:
         _text(canvas, x, top - 47, f"support {step.support + 1} lets go and is free", _REGULAR, 8.3, width=width)
     if step.needed:
-        _text(canvas, x, top - 72, "was not delivered yet: is it there?", _BOLD, 8.3, width=width)
+        _text(canvas, x, top - 72, "was late: is it there?", _BOLD, 8.3, width=width)
     _text(
         canvas,
         x,

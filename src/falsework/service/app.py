@@ -37,6 +37,7 @@ _WORDS = {
     413: "the request is too large",
     415: "not JSON",
     422: "the request makes no sense for this structure; the error says why",
+    431: "the header is too large",
     500: "the request failed inside",
     503: "busy, starting or stopping; try again",
 }
@@ -169,7 +170,7 @@ def _add_pages(app: FastAPI) -> None:
 def _route(method: str, summary: str, answer: str | None, question: str | None = None) -> dict[str, Any]:
     """How a route is to be described."""
     content = {_JSON: {"schema": _ref(answer)}} if answer else {"text/plain": {"schema": {"type": "string"}}}
-    refused = (400, 401, 500, 503) if question is None else (400, 401, 408, 413, 415, 422, 500, 503)
+    refused = (400, 401, 431, 500, 503) if question is None else (400, 401, 408, 413, 415, 422, 431, 500, 503)
     responses: dict[int | str, dict[str, Any]] = {
         status: {"description": _WORDS[status], "content": {_JSON: {"schema": _ref("Error")}}} for status in refused
     }

@@ -85,7 +85,7 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
         ),
         "missing": (
             numbers,
-            Field(default=[], description="parts not delivered yet, done without longest"),
+            Field(default=[], description="parts not delivered yet; they go in as late as can be"),
         ),
         "fixed": (numbers, Field(default=[], description="parts that nobody must touch")),
         "robots": (whole(1, MOST_ROBOTS), Field(default=2, description="parts that can be held at a time")),
@@ -94,7 +94,7 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
             bool,
             Field(default=False, description="move parts along free straight ways only"),
         ),
-        "seed": (whole(0, 2**31 - 1), Field(default=0)),
+        "seed": (whole(0, 2**31 - 1), Field(default=0, description="same seed, same answer")),
         "deadline": (
             whole(SHORTEST_DEADLINE, longest),
             Field(
