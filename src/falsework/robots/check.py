@@ -147,7 +147,7 @@ class _Checker:
             self._content(index, order, trajectory, part, removes)
             values = self._joins(index, robot, values, trajectory.positions[0], trajectory.positions[-1])
             self._limits(index, robot, trajectory)
-            at_place = removes and self._at_place(trajectory, grip)
+            at_place = removes and trajectory.kind == "line"
             self._collisions(index, robot, trajectory, present, grip, at_place)
         self._joins(index, robot, values, after.configurations[robot], values)
         for other, (old, new) in enumerate(zip(before.configurations, after.configurations, strict=True)):
@@ -182,12 +182,6 @@ class _Checker:
             self.say(index, robot, f"motion {order + 1} carries part {trajectory.part}, the action says {wanted}")
         if trajectory.touches is not None and (removes or trajectory.touches != part or trajectory.kind != "line"):
             self.say(index, robot, f"motion {order + 1} may not touch part {trajectory.touches}")
-
-    @staticmethod
-    def _at_place(trajectory: Trajectory, grip: Array | None) -> bool:
-        if grip is None or trajectory.kind != "line":
-            return False
-        return min(np.abs(trajectory.positions[end] - grip).max() for end in (0, -1)) < 1e-4
 
     def _joins(self, index: int, robot: int, here: Array, there: Array, end: Array) -> Array:
         far = float(np.abs(here - there).max())
@@ -265,8 +259,8 @@ def check_robot_plan(
     - neighbouring links, and the pairs that the description of the arm says never to check;
     - a gripper and the last two links of its arm, and a part in a gripper and the last link and the gripper;
     - on an approach or a retreat: the gripper and the part that it grips;
-    - on the line on which a part leaves its place or arrives there, the part is shrunk by the tolerance, since it
-      touches its neighbours and what it stands on. Everywhere else it has its full size.
+    - on the lines on which a part leaves its place or arrives there, the part is shrunk by the tolerance, since it
+      touches its neighbours and the floor. Everywhere else it has its full size.
 
     The stability of the states is not checked here; `plan.plan.validate` does that.
 

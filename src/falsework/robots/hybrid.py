@@ -35,6 +35,10 @@ from falsework.stability.oracle import Stability
 Array = NDArray[np.float64]
 
 
+_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
+"""How long missing parts are done without, as shares of what stability alone allows, in turn."""
+
+
 @dataclass(frozen=True)
 class HybridSettings:
     """How hard to look for a robot plan."""
@@ -47,7 +51,7 @@ class HybridSettings:
     """Searches, each in another order."""
     dead_ends: int = 25
     """Dead ends in the first search; when they are used up, the next one begins and may have more."""
-    edges: int = 2
+    edges: int = 3
     """Ways of carrying out one action that are tried at a keyframe."""
     probes: int = 4
     """Actions that lead to states not known to be solvable, for which that is asked at one keyframe; more in later
@@ -200,18 +204,22 @@ class _Search:
         if self.task.steps == 0:
             return self.solved(root, [])
         limit = ""
-        while self.attempt < self.settings.attempts:
-            chain = self.dive(root, np.random.default_rng([self.settings.seed, self.attempt]))
-            self.attempt += 1
-            if chain is not None:
-                return self.solved(root, chain)
-            if self.late():
-                limit = f"the deadline of {self.settings.deadline:g} s has passed"
-                return self.failed(root, "interrupted", limit)
-            if self._hopeless():
-                limit = "more searching would be in vain"
-                break
-            limit = f"{self.attempt} searches did not do"
+        # Where parts are missing, they may have to come sooner than stability asks for, so that the arms get them in.
+        shares = _SHARES if any(self.proposals.postponed) else (1.0,)
+        for share in shares:
+            self.proposals.relax(share)
+            self.dead.clear()
+            for _ in range(self.settings.attempts if share == shares[-1] else 1):
+                chain = self.dive(root, np.random.default_rng([self.settings.seed, self.attempt]))
+                self.attempt += 1
+                if chain is not None:
+                    return self.solved(root, chain)
+                if self.late():
+                    limit = f"the deadline of {self.settings.deadline:g} s has passed"
+                    return self.failed(root, "interrupted", limit)
+                if self._hopeless():
+                    return self.failed(root, "not_found", "more searching would be in vain")
+                limit = f"{self.attempt} searches did not do"
         return self.failed(root, "not_found", limit)
 
     def dive(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:

@@ -35,12 +35,14 @@ Array = NDArray[np.float64]
 class KeyframeSettings:
     """How many possibilities are tried before a step counts as impossible."""
 
-    grasps: int = 16
+    grasps: int = 32
     """Grasps of a part, best first."""
-    candidates: int = 8
+    candidates: int = 24
     """Configurations of one robot for one grasp or place that are looked at closely, nearest first."""
     directions: int = 4
     """Ways out that are tried for a part."""
+    approaches: tuple[float, ...] = (1.0, 0.4)
+    """Lengths of the line on which a gripper comes, in lengths of an approach."""
     withdrawals: tuple[float, ...] = (1.0, 2.0, 4.0)
     """Lengths of the line on which a part leaves, in lengths of an approach, until it is clear of everything."""
     places: int = 4
@@ -225,8 +227,15 @@ class KeyframeGraph:
         free = [robot for robot, held in enumerate(node.held) if held is None]
         center = self.parts.center[part]
         free.sort(key=lambda robot: float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2])))
-        for robot in free:
-            yield from self._hold_with(node, part, robot)
+        # One way with each robot before another way with the first: who holds a part matters more than how.
+        turns = [self._hold_with(node, part, robot) for robot in free]
+        while turns:
+            for ways in list(turns):
+                edge = next(ways, None)
+                if edge is None:
+                    turns.remove(ways)
+                else:
+                    yield edge
 
     def _hold_with(self, node: Node, part: int, robot: int) -> Iterator[Edge]:
         here = node.configurations[robot]
@@ -248,8 +257,11 @@ class KeyframeGraph:
 
     def _try_grip(self, node: Node, part: int, grip: Grip, view: View) -> Edge | None:
         robot, margins = grip.robot, self.cell.margins
-        retreat = follow_line(view, grip.configuration, -grip.grasp.approach, margins.approach)
-        if not retreat:
+        for share in self.settings.approaches:
+            retreat = follow_line(view, grip.configuration, -grip.grasp.approach, share * margins.approach)
+            if retreat:
+                break
+        else:
             self.reasons.add("hold", part, robot, f"approach: {retreat.reason}", retreat.pair, retreat.at)
             return None
         # A robot cannot grip anew later: the part must be able to leave in this grip, when its way is free.
@@ -318,14 +330,14 @@ class KeyframeGraph:
         if not len(ways):
             self.reasons.add("remove", part, robot, "no clear way out")
             return
-        for path, scene in self._leaving(node.scene, part, robot, here, ways, "way out"):
-            edge = self._carry(node, part, robot, path, scene)
+        for paths, scene in self._leaving(node.scene, part, robot, here, ways, "way out"):
+            edge = self._carry(node, part, robot, paths, scene)
             if edge is not None:
                 yield edge
 
     def _leaving(
         self, scene: Scene, part: int, robot: int, here: Array, ways: Array, what: str
-    ) -> Iterator[tuple[Array, Scene]]:
+    ) -> Iterator[tuple[tuple[Array, ...], Scene]]:
         """Lines on which a part leaves, until it is clear of everything; with the scene in which it is carried."""
         tool = tool_pose(self.cell.robots[robot], here)
         scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
@@ -334,24 +346,36 @@ class KeyframeGraph:
         line = self._view_of(scene, robot, contact, self.cell.margins.line)
         free: View | None = None
         for way in self._ordered(ways, tool):
-            last: Motion | None = None
             for times in self.settings.withdrawals:
-                last = follow_line(line, here, way, times * self.cell.margins.approach)
-                if not last:
-                    self.reasons.add("remove", part, robot, f"{what}: {last.reason}", last.pair, last.at)
+                out = follow_line(line, here, way, times * self.cell.margins.approach)
+                if not out:
+                    self.reasons.add("remove", part, robot, f"{what}: {out.reason}", out.pair, out.at)
                     break
                 free = free or self._view_of(scene, robot, NO_CONTACT, self.cell.margins.free)
-                end = last.path[-1]  # type: ignore[index]
-                hit = int(free.hits(end)[0])
+                path = out.path
+                assert path is not None
+                hit = int(free.hits(path[-1])[0])
                 if hit < 0:
-                    yield last.path, scene  # type: ignore[misc]
+                    yield (path,), scene
                     break
-                self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), end)
+                lift = self._lift(scene, robot, path[-1], free)
+                if lift is not None:
+                    yield (path, lift), scene
+                    break
+                self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), path[-1])
 
-    def _carry(self, node: Node, part: int, robot: int, path: Array, scene: Scene) -> Edge | None:
+    def _lift(self, scene: Scene, robot: int, here: Array, free: View) -> Array | None:
+        """A part that has been drawn out over the floor is lifted off it before it is carried away."""
+        view = self._view_of(scene, robot, Contact(carried_floor=True), self.cell.margins.line)
+        up = follow_line(view, here, (0.0, 0.0, 1.0), 0.3 * self.cell.margins.approach)
+        if up.path is None or free.collides(up.path[-1])[0]:
+            return None
+        return up.path
+
+    def _carry(self, node: Node, part: int, robot: int, paths: tuple[Array, ...], scene: Scene) -> Edge | None:
         entry = self.cell.robots[robot]
         view = self._view_of(scene, robot, NO_CONTACT, self.cell.margins.free)
-        end = path[-1]
+        end = paths[-1][-1]
         places = self._place_configurations(robot)
         if not len(places):
             self.reasons.add("remove", part, robot, "no place to put parts is within reach")
@@ -368,7 +392,9 @@ class KeyframeGraph:
                 state = node.state.copy()
                 state[part] = REMOVED
                 after = _replaced(node, state, robot, goal, None)
-                legs = (Leg("line", path, part=part), Leg("free", free.path, part=part))  # type: ignore[arg-type]
+                lines = tuple(Leg("line", path, part=part) for path in paths)
+                assert free.path is not None
+                legs = (*lines, Leg("free", free.path, part=part))
                 return Edge(self.assembly.part_count + part, robot, legs, after)
             self.reasons.add("remove", part, robot, f"way to {entry.name}'s place: {free.reason}", free.pair, free.at)
         return None
@@ -401,7 +427,10 @@ class KeyframeGraph:
         return self._free[key]
 
     def _view_of(self, scene: Scene, robot: int, contact: Contact, margin: float) -> View:
-        key = _digest(scene, robot) + repr((sorted(contact.gripper), sorted(contact.carried), margin)).encode()
+        key = (
+            _digest(scene, robot)
+            + repr((sorted(contact.gripper), sorted(contact.carried), contact.carried_floor, margin)).encode()
+        )
         if key not in self._view:
             self.views += 1
             while len(self._view) > 256:

@@ -10,6 +10,7 @@ import numpy as np
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, States
+from falsework.search.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.guide import Guide, SupportGuide
 from falsework.search.planner import Planner, PlannerSettings
 from falsework.search.result import SearchResult, Stop
@@ -42,6 +43,7 @@ class Proposals:
         self.task, self.oracle = task, oracle
         self._guide = guide or SupportGuide(assembly)
         self._assembly, self._seed = assembly, seed
+        self.postponed: tuple[int, ...] = ()
         self._solvable: set[bytes] = {task.target.tobytes()}
         self._not_found: set[bytes] = set()
         self._moves: dict[bytes, list[int]] = {}
@@ -55,10 +57,23 @@ class Proposals:
         planner = Planner(self.task, self.oracle, settings, guide=self._guide)
         result = planner.run(stop=stop)
         if result.found:
+            self.postponed = planner.postponed
             self.task = self.task.postpone(planner.postponed)
             for route in planner.routes:
                 self._solvable.update(state.tobytes() for state in route.states)
         return result
+
+    def relax(self, share: float) -> None:
+        """Let missing parts come after a share of the steps that stability alone would let them wait for."""
+        if share == 1.0:
+            return
+        self.task = self.task.postpone([int(share * steps) for steps in self.postponed])
+        self._moves.clear()
+        self._not_found.clear()
+        # What is known lies around the plan for the latest parts: add one for the new rules.
+        beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(seed=self._seed), guide=self._guide)
+        for route in beam.run(_FIRST).routes:
+            self._solvable.update(state.tobytes() for state in route.states)
 
     def legal(self, state: States) -> list[int]:
         """Actions that the rules allow, stability aside."""

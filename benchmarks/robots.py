@@ -1,0 +1,189 @@
+"""Time plans with motions for whole buildings, and check them by other libraries: one JSON object a line.
+
+    python benchmarks/robots.py dome-37 --seeds 10
+    python benchmarks/robots.py vault-62-a --seeds 5
+    python benchmarks/robots.py vault-62-b --seeds 5
+    python benchmarks/robots.py bottle-12 --seeds 5
+    python benchmarks/robots.py dome-72
+    python benchmarks/robots.py random --cells 20
+    python benchmarks/robots.py all
+
+The first five plan a published structure in the built-in cell of that name: `seconds` is from structure and cell in
+memory to a proven plan with timed motions, compiling done before. The last line of each has median and worst.
+`random`: dome-37 in cells whose two arms stand anywhere within what lets every part be held; success and, for each
+failure, the explanation. `--no-check` leaves the check by Pinocchio and Coal out. The structures are looked for in
+FALSEWORK_DATA, else in the folder `shared` beside the repository.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+from falsework.assembly import Assembly, load_structure
+from falsework.errors import FalseworkError
+from falsework.robots.cell import Cell, CellRobot
+from falsework.robots.cell_file import load_cell
+from falsework.robots.check import check_robot_plan
+from falsework.robots.hybrid import HybridResult, HybridSettings, plan_robots
+from falsework.robots.keyframes import KeyframeGraph
+from falsework.robots.shapes import inverse_pose, pose
+from falsework.robots.validate import check_cell
+from falsework.stability import Stability
+
+STRUCTURES = {
+    "dome-37": "dome-37",
+    "vault-62-a": "vault-62",
+    "vault-62-b": "vault-62",
+    "bottle-12": "bottle-12",
+    "dome-72": "dome-72",
+}
+GOALS = {
+    "dome-37": {"median": 5, "worst": 30},
+    "vault-62-a": {"median": 30, "worst": 180},
+    "vault-62-b": {"median": 30, "worst": 180},
+    "bottle-12": {"median": 3},
+    "dome-72": {},
+    "random": {"success": 0.95},
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """What to run."""
+
+    what: Annotated[
+        tyro.conf.Positional[Literal["dome-37", "vault-62-a", "vault-62-b", "bottle-12", "dome-72", "random", "all"]],
+        tyro.conf.arg(metavar="WHAT"),
+    ]
+    seeds: int = 10
+    first_seed: int = 0
+    deadline: float = 180.0
+    cells: int = 20
+    no_check: bool = False
+
+
+def say(**fields: Any) -> None:
+    """Print one line."""
+    print(json.dumps(fields), flush=True)
+
+
+def structure(name: str) -> Assembly:
+    """One of the published structures, with its clearance table."""
+    data = Path(os.environ.get("FALSEWORK_DATA", Path(__file__).resolve().parents[2] / "shared"))
+    assembly = load_structure(str(data / "assemblies" / name))
+    assembly.clearance  # noqa: B018 - depends on the structure alone
+    return assembly
+
+
+def once(assembly: Assembly, cell: Cell, seed: int, deadline: float, *, check: bool) -> tuple[HybridResult, dict]:
+    """One plan from nothing but structure and cell."""
+    begun, work = time.perf_counter(), time.process_time()
+    result = plan_robots(assembly, cell, settings=HybridSettings(seed=seed, deadline=deadline))
+    seconds, work = time.perf_counter() - begun, time.process_time() - work
+    statistics = {key: value for key, value in result.statistics.items() if key not in ("failure", "seconds")}
+    fields: dict[str, Any] = {"found": result.found, "seconds": round(seconds, 3), "cpu_seconds": round(work, 3)}
+    fields |= statistics
+    if result.plan is not None:
+        fields["motion_seconds"] = round(result.plan.seconds, 1)
+    if result.explanation is not None:
+        fields["why"] = result.explanation.text
+    plan = result.plan or result.partial
+    if check and plan is not None:
+        report = check_robot_plan(plan, assembly, cell)
+        fields |= {"check": report.good, "samples": report.samples, "check_seconds": round(report.seconds, 1)}
+        fields["problems"] = [str(problem) for problem in report.problems[:3]]
+    return result, fields
+
+
+def building(name: str, arguments: Arguments) -> None:
+    """Seeds of one built-in cell, then median and worst."""
+    assembly, cell = structure(STRUCTURES[name]), load_cell(name)
+    seconds, found, good = [], 0, 0
+    for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
+        result, fields = once(assembly, cell, seed, arguments.deadline, check=not arguments.no_check)
+        say(benchmark=name, robots=cell.robot_count, seed=seed, **fields)
+        seconds.append(fields["seconds"])
+        found += result.found
+        good += bool(fields.get("check"))
+    say(
+        benchmark=name,
+        runs=len(seconds),
+        found=found,
+        checked_good=None if arguments.no_check else good,
+        median=float(np.median(seconds)),
+        worst=max(seconds),
+        goal=GOALS[name],
+        machine=platform.processor() or platform.machine(),
+        processors=os.cpu_count(),
+    )
+
+
+def random_cells(assembly: Assembly, count: int, seed: int) -> Iterator[tuple[int, Cell]]:
+    """Cells like that of dome-37 whose arms stand elsewhere; every part can be held by one of them, none is blocked."""
+    made, rng, drawn = 0, np.random.default_rng(seed), 0
+    plain = load_cell("dome-37")
+    while made < count:
+        drawn += 1
+        turn = rng.uniform(-np.pi, np.pi)
+        robots = []
+        for robot, offset in zip(plain.robots, (np.pi, rng.uniform(-0.7, 0.7)), strict=True):
+            angle, far = turn + offset, rng.uniform(1.1, 1.45)
+            base = pose((far * np.cos(angle), far * np.sin(angle), 0.0), angle + np.pi + rng.uniform(-0.4, 0.4))
+            robots.append(_moved(robot, base))
+        cell = replace(plain, name=f"random {made}", robots=tuple(robots))
+        graph = KeyframeGraph(assembly, cell)
+        try:
+            check_cell(cell, graph.parts)
+        except FalseworkError:
+            continue
+        free = np.flatnonzero(~assembly.boundary).tolist()
+        if all(graph.reachable(part) for part in free):
+            yield drawn, cell
+            made += 1
+
+
+def _moved(robot: CellRobot, base: np.ndarray) -> CellRobot:
+    """A robot elsewhere, its places with it."""
+    return replace(robot, base=base, places=base @ inverse_pose(robot.base) @ robot.places)
+
+
+def random_layouts(arguments: Arguments) -> None:
+    """Success over random cells that can reach everything."""
+    assembly = structure("dome-37")
+    found = good = 0
+    for number, (drawn, cell) in enumerate(random_cells(assembly, arguments.cells, arguments.first_seed)):
+        result, fields = once(assembly, cell, 0, arguments.deadline, check=not arguments.no_check)
+        say(benchmark="random", cell=number, drawn=drawn, **fields)
+        found += result.found
+        good += bool(result.found and fields.get("check"))
+    share = found / arguments.cells
+    checked = None if arguments.no_check else good
+    say(benchmark="random", cells=arguments.cells, success=share, checked_good=checked, goal=GOALS["random"])
+
+
+def main() -> None:
+    """Compile on a small structure, then run."""
+    arguments = tyro.cli(Arguments)
+    small = load_structure("stack:blocks=2")
+    plan_robots(small, load_cell("dome-37", check=False), settings=HybridSettings(deadline=120.0, attempts=1))
+    Stability(small)
+    names = [*STRUCTURES, "random"] if arguments.what == "all" else [arguments.what]
+    for name in names:
+        if name == "random":
+            random_layouts(arguments)
+        else:
+            building(name, arguments)
+
+
+if __name__ == "__main__":
+    main()
