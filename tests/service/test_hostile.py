@@ -7,6 +7,8 @@ import os
 import signal
 import socket
 import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -234,3 +236,45 @@ def test_verdicts_come_back_after_the_judge_is_lost(live: Any) -> None:
     reply = live.post("/stability", {"states": ["complete"]})
     assert reply.status_code == 200
     assert reply.json()["verdicts"][0]["verdict"] == "stable"
+
+
+def test_more_requests_than_may_wait_are_turned_away(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    live.wait_until_well()
+    monkeypatch.setattr(live.pool, "settings", replace(live.settings, queue=2))
+    (planner,) = live.pool.pids["replan"]
+    os.kill(planner, signal.SIGSTOP)
+    try:
+        with ThreadPoolExecutor(8) as clients:
+            replies = list(clients.map(lambda _: live.post("/replan", {"deadline": 1000}), range(8)))
+    finally:
+        os.kill(planner, signal.SIGCONT)
+    away = [reply for reply in replies if reply.status_code == 503]
+    assert len(away) >= 3  # one batch may be with the planner, two may wait
+    for reply in away:
+        expect(reply, 503, "try again")
+        assert reply.headers["retry-after"] == "1"
+    assert {reply.json()["outcome"] for reply in replies if reply.status_code == 200} == {"not_yet"}
+
+
+def test_who_hangs_up_takes_the_request_back(live: Any) -> None:
+    live.wait_until_well()
+    (planner,) = live.pool.pids["replan"]
+    os.kill(planner, signal.SIGSTOP)
+    try:
+        body = b'{"deadline": 60000}'
+        head = b"POST /replan HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+        first = socket.create_connection(live.address)  # goes to the planner, which hangs
+        first.sendall(head + b"Content-Length: %d\r\n\r\n" % len(body) + body)
+        time.sleep(0.2)
+        second = socket.create_connection(live.address)  # waits
+        second.sendall(head + b"Content-Length: %d\r\n\r\n" % len(body) + body)
+        end = time.monotonic() + 20
+        while live.client.get("/health").json()["waiting"] != 1:
+            assert time.monotonic() < end
+        second.close()
+        while live.client.get("/health").json()["waiting"] != 0:
+            assert time.monotonic() < end, "a request still waits although nobody wants its answer"
+        first.close()
+    finally:
+        os.kill(planner, signal.SIGCONT)
+    assert live.post("/replan", {}).json()["outcome"] == "found"
