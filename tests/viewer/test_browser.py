@@ -28,7 +28,7 @@ pil = pytest.importorskip("PIL.Image")
 
 WINDOW = {"width": 800, "height": 500}
 FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox", "--hide-scrollbars"]
-PATIENCE = 15.0
+PATIENCE = 30.0
 # Chromium says these of software rendering and of viser's own libraries; they are no errors of the page.
 HARMLESS = ("GPU stall", "deprecated", "swiftshader", "SwiftShader", "GL Driver Message", "favicon")
 
@@ -155,6 +155,7 @@ def near(picture: np.ndarray, color: str, reach: int = 90) -> int:
     return int(((along > 0.93) & (length > reach / 2)).sum())
 
 
+@pytest.mark.slow
 def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     """Load, slide, click a part, mark one as missing, plan anew, lose the server."""
     assembly, plan = arch

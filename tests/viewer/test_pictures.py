@@ -20,7 +20,7 @@ from falsework.search.graph import StateGraph
 from falsework.viewer.drawing import drawing, flat_axis, outlines
 from falsework.viewer.film import frame_places
 from falsework.viewer.graph_picture import covered, graph_figure, places_of
-from falsework.viewer.palette import BOUNDARY, ROBOTS, SELECTED
+from falsework.viewer.palette import BOUNDARY, RAMP, ROBOTS, SELECTED
 from falsework.viewer.timeline import Timeline
 
 pil = pytest.importorskip("PIL.Image", reason="pictures need Pillow; pip install 'falsework[picture]'")
@@ -202,6 +202,30 @@ def test_picture_of_a_graph(graph: StateGraph, run: Run, tmp_path: Path) -> None
     assert graph_figure(graph, visited=graph.states[:5]).axes
 
 
+def test_what_a_policy_thinks_and_covers(
+    graph: StateGraph, plan_file: Path, policy: Any, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from types import SimpleNamespace
+
+    from falsework.learn.policy import make_policy
+    from falsework.learn.policy_settings import PolicySettings
+
+    def load(folder: str, assembly: Any = None) -> SimpleNamespace:
+        fits = policy if assembly.part_count == 7 else make_policy(assembly, PolicySettings(), "cpu", seed=0)
+        return SimpleNamespace(policy=fits)
+
+    monkeypatch.setattr("falsework.learn.checkpoint.load_run", load)
+    out = tmp_path / "chances.png"
+    assert run("picture", plan_file, "--step", 10, "--policy", "some-run", "--width", 400, "--out", out) == (0, "")
+    assert has(pixels(out), RAMP[-1])
+    assert not has(pixels(out), ROBOTS[0])
+    graph.save(tmp_path / "graph.npz")
+    plain, visited = tmp_path / "plain.png", tmp_path / "visited.png"
+    assert run("picture", tmp_path / "graph.npz", "--out", plain) == (0, "")
+    assert run("picture", tmp_path / "graph.npz", "--policy", "some-run", "--out", visited) == (0, "")
+    assert plain.read_bytes() != visited.read_bytes()
+
+
 @pytest.mark.parametrize(
     ("words", "hint"),
     [
@@ -227,6 +251,8 @@ def test_picture_of_a_graph(graph: StateGraph, run: Run, tmp_path: Path) -> None
         (("view", "PLAN", "--robots", "0"), "robots"),
         (("view", "PLAN", "--deadline", "0"), "deadline"),
         (("view", "PLAN", "--host", ""), "--host"),
+        (("view", "PLAN", "--policy", "no-run"), "no-run"),
+        (("picture", "PLAN", "--step", "1", "--policy", "no-run"), "no-run"),
         (("view", "nowhere.npz"), "nowhere"),
         (("view", "EMPTY"), "mesh"),
     ],

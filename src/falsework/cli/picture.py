@@ -14,8 +14,10 @@ from falsework.cli.subject import Subject, SubjectOptions
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
+    from falsework.assembly.state import States
     from falsework.cli.output import Output
     from falsework.viewer.arrows import Arrows
+    from falsework.viewer.model import Model
     from falsework.viewer.render import Camera
 
 
@@ -43,6 +45,8 @@ class MakePicture(Command):
     """Line drawing of a two-dimensional structure, or the state graph, as SVG."""
     forces: bool = False
     """Draw the proof of a single state."""
+    policy: Annotated[str | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
+    """Run whose policy colours the parts of a single state, or whose states are marked in a state graph."""
     frames: int = 12
     """Pictures of a contact sheet."""
     columns: int = 4
@@ -64,7 +68,7 @@ class MakePicture(Command):
         out = self.out.with_suffix(".svg") if self.svg and self.out == Path("picture.png") else self.out
         if self.svg != (out.suffix.lower() == ".svg"):
             raise InputError(f"{out} and {'--svg' if self.svg else 'no --svg'} do not fit; name a file that does")
-        subject = self.subject.open()
+        subject = self.subject.open().with_policy(self.policy)
         drawn = self._draw(subject, out)
         output.record({"out": str(out), "kind": subject.kind, **drawn})
         output.say(f"{out}: {drawn['shows']}")
@@ -75,13 +79,19 @@ class MakePicture(Command):
         from falsework.viewer.sheet import check_places, contact_sheet, one_state, write_png
         from falsework.viewer.timeline import interesting
 
-        timeline = subject.timeline
+        timeline, policy = subject.timeline, subject.policy
         if subject.graph is not None and self.step is None:
-            from falsework.viewer.graph_picture import graph_figure, write_figure
+            from falsework.viewer.graph_picture import covered, graph_figure, write_figure
 
             route = timeline.states if len(timeline) else None
-            write_figure(out, graph_figure(subject.graph, subject.assembly, route=route, title=self.title))
-            return {"shows": f"{len(subject.graph)} states and {len(subject.graph.source)} actions"}
+            visited = self._visited(subject) if policy is not None else None
+            figure = graph_figure(subject.graph, subject.assembly, route=route, visited=visited, title=self.title)
+            write_figure(out, figure)
+            shows = f"{len(subject.graph)} states and {len(subject.graph.source)} actions"
+            if visited is None:
+                return {"shows": shows}
+            seen = int(covered(subject.graph, visited).sum())
+            return {"shows": f"{shows}, {seen} of the states visited by the policy", "visited": seen}
         single = self.step if self.step is not None else (0 if len(timeline) == 0 else None)
         if self.forces and single is None:
             raise InputError("forces are drawn for one state at a time; name it with --step")
@@ -94,13 +104,17 @@ class MakePicture(Command):
             width = float(self.width or (260 if single is None else 640))
             write_svg(out, drawing(timeline, places, columns=columns, width=width, arrows=arrows, key=key))
         elif single is not None:
-            words = self.title or None
-            write_png(
-                out,
-                one_state(
-                    timeline, single, self._camera(1200, 2 / 3), arrows=arrows, key=key, words=words, arms=subject.arms
-                ),
+            image = one_state(
+                timeline,
+                single,
+                self._camera(1200, 2 / 3),
+                arrows=arrows,
+                key=key,
+                words=self.title or None,
+                arms=subject.arms,
+                chances=None if policy is None else self._model(subject, single).chances(),
             )
+            write_png(out, image)
             places = [single]
         else:
             sheet = contact_sheet(
@@ -110,6 +124,16 @@ class MakePicture(Command):
             places = list(interesting(timeline, self.frames))
         shows = f"{len(places)} of {len(timeline) + 1} states" if len(timeline) else f"{subject.assembly.name}"
         return {"shows": shows + note, "steps": places}
+
+    def _model(self, subject: Subject, place: int) -> Model:
+        from falsework.viewer.model import Model
+
+        model = Model(subject.timeline, policy=subject.policy, graph=subject.graph)
+        model.go_to(place)
+        return model
+
+    def _visited(self, subject: Subject) -> States:
+        return self._model(subject, 0).visited()
 
     def _camera(self, width: int, share: float) -> Camera:
         from falsework.viewer.render import Camera

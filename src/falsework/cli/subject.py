@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -33,6 +33,22 @@ class Subject:
     graph: StateGraph | None = None
     arms: Arms | None = None
     """The robots of a robot plan."""
+
+    def with_policy(self, run: str | None) -> Subject:
+        """The same with the policy of a run, or as it is without one.
+
+        Raises:
+            InputError: no such run, or one for another structure.
+            DependencyError: torch is not installed.
+        """
+        if run is None:
+            return self
+        from falsework.learn.door import check_torch
+
+        check_torch()
+        from falsework.learn.checkpoint import load_run
+
+        return replace(self, policy=load_run(run, assembly=self.assembly).policy)
 
 
 @dataclass(frozen=True, kw_only=True)

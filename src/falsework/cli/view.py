@@ -57,19 +57,11 @@ class View(Command):
         host = "127.0.0.1" if self.host is None else self.host
         warning = check_host(host)
         import_viser()
-        subject = self.subject.open(self.robots)
-        policy = subject.policy
-        if self.policy is not None:
-            from falsework.learn.door import check_torch
-
-            check_torch()
-            from falsework.learn.checkpoint import load_run
-
-            policy = load_run(self.policy, assembly=subject.assembly).policy
+        subject = self.subject.open(self.robots).with_policy(self.policy)
         model = Model(
             subject.timeline,
             plan=subject.plan,
-            policy=policy,
+            policy=subject.policy,
             graph=subject.graph,
             arms=subject.arms,
             deadline=self.deadline,

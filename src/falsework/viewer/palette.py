@@ -50,6 +50,11 @@ def rgb(color: str) -> tuple[int, int, int]:
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
 
 
+def hex_of(color: ArrayLike) -> str:
+    """A colour such as `#0072b2` of red, green, blue from 0 to 255."""
+    return "#" + "".join(f"{int(channel):02x}" for channel in np.asarray(color))
+
+
 def unit_rgb(color: str) -> tuple[float, float, float]:
     """Red, green, blue from 0 to 1."""
     red, green, blue = rgb(color)
@@ -85,7 +90,7 @@ def ramp_in_steps(values: ArrayLike) -> NDArray[np.uint8]:
 def mix(color: str, other: str, share: float) -> str:
     """A colour with a share of another in it."""
     mixed = (1 - share) * np.array(rgb(color)) + share * np.array(rgb(other))
-    return "#" + "".join(f"{round(float(value)):02x}" for value in mixed)
+    return hex_of(np.rint(mixed))
 
 
 def seen_by_deuteranope(color: ArrayLike) -> Array:

@@ -14,7 +14,7 @@ from falsework.search.archive import write_whole
 from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms
 from falsework.viewer.arrows import Arrows
 from falsework.viewer.look import TRAVEL, Look, bounds_of, diagonal, look_at
-from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, ROBOTS, robot_color
+from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, ROBOTS, hex_of, ramp, robot_color
 from falsework.viewer.render import Camera, Image, Solid, render
 from falsework.viewer.timeline import NOBODY, Timeline, interesting
 
@@ -131,6 +131,7 @@ def one_state(
     arrows: Sequence[Arrows] = (),
     key: Sequence[tuple[str, str]] | None = None,
     arms: Arms | None = None,
+    chances: NDArray[np.float64] | None = None,
     bounds: NDArray[np.float64] | None = None,
     words: str | None = None,
     samples: int = 3,
@@ -144,13 +145,14 @@ def one_state(
         arrows: drawn as well.
         key: the legend, colour and words; of the timeline if not given.
         arms: robots that carry the plan out.
+        chances: probability of the action that concerns each part, NaN where none does, shape (parts,).
         bounds: what the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
         words: the line above; the step if not given.
         samples: pixels are averaged over `samples` squared.
     """
     pillow = import_pillow()
     extra: Sequence[Solid] = ()
-    look = look_at(timeline, place, travelling=arms is None)
+    look = look_at(timeline, place, chances=chances, travelling=arms is None)
     box = bounds_with_ways(timeline) if bounds is None else bounds
     if arms is not None:
         moment = arms.at(place)
@@ -168,7 +170,10 @@ def one_state(
     pen = pillow.ImageDraw.Draw(image)
     text = caption(timeline, round(place)) if words is None else words
     _write(pen, pillow, (camera.width / 2, _LINE / 2 + 4), text, 18)
-    entries = legend(timeline) if key is None else key
+    entries = list(legend(timeline) if key is None else key)
+    if chances is not None:
+        shares = (0.0, 0.25, 0.5, 0.75, 1.0)
+        entries = entries[:1] + [(hex_of(ramp(share)), f"{share:.0%}") for share in shares]
     _write_legend(pen, pillow, camera.width, camera.height + 1.5 * _LINE + 4, entries)
     return np.asarray(image)
 
