@@ -82,7 +82,7 @@ docs: $(VENV)/.docs
 	@echo "the documentation is in docs/_build/html/index.html"
 
 # The pictures of README and docs, made anew by the software itself.
-images: $(VENV)/.docs
+images: $(VENV)/.docs $(VENV)/.test
 	$(BIN)/python docs/make_pictures.py
 
 check: lint types docs test
