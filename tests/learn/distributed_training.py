@@ -41,15 +41,16 @@ def run(method: str, folder: Path, kept: dict[str, Trainer]) -> None:
         method=method,  # pyright: ignore[reportArgumentType]
         steps=20,
         block=10,
-        widths=(8,),
+        data="width64",
         evaluate_every=1,
+        evaluation_states=32,
         policy=PolicySettings("residual", channels=16, layers=1),
         imitation=ImitationSettings(batch=16),
         improve=ImproveRounds(first=0.0, every=1, starts=10),
         refine=RefinePhase(settings=RefineSettings(rollouts=16, batch=16)),
     )
     folder.mkdir(exist_ok=True)
-    result = module.train(load_structure("arch:blocks=7"), settings, folder=folder / "run", device="cpu", logs=())
+    result = module.train(load_structure("arch:blocks=13"), settings, folder=folder / "run", device="cpu", logs=())
     rank = Shards.of_group().rank
     weights = {name: tensor.clone() for name, tensor in kept["trainer"]._policy.state_dict().items()}
     weights["solved"] = kept["trainer"]._solved.states.clone()

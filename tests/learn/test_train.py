@@ -317,6 +317,8 @@ def test_two_processes_are_one_training(tmp_path: Path) -> None:
         assert numbers[0]["test"] == numbers[1]["test"]
         assert numbers[0]["processes"] == 2
         assert load_run(folder / "run").metadata["results"]["processes"] == 2
+        learned = Dataset.load(folder / "run" / "data.npz", load_structure("arch:blocks=13")).train
+        assert len(one["solved"]) > len(learned)  # rollouts of either process found more
 
 
 def test_weights_and_biases_gets_the_same_numbers(arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -163,10 +163,6 @@ class SearchLearner:
         rows = torch.randint(len(solved), (count,), generator=self._generator, device=device)
         known = len(solved)
         found = improve(self._environment, self._network, solved, solved.states[rows], generator=self._generator)
-        if self._shards.size > 1:
-            solved.add(gather_rows(solved.states[known:], self._shards))
-            solved.learn_test_words(gather_rows(solved.test_words(), self._shards))
-            solved.sort()
         tried, succeeded = summed([float(count), float(found.succeeded)], self._shards, device)
         self._perfect = self._perfect + 1 if tried == succeeded else 0
         self.exhausted = 0 < settings.patience <= self._perfect
@@ -247,6 +243,14 @@ def without_curriculum(settings: PpoSettings) -> PpoSettings:
     """The same reinforcement learning, with all start states alike and no more exploration where it fails."""
     plain = replace(settings.curriculum, growing=False, rank_power=0.0, entropy_rise=0.0)
     return replace(settings, curriculum=plain)
+
+
+def share_solved(solved: SolvedStates, known: int, shards: Shards) -> None:
+    """Tell all processes what each has found solvable since it knew `known` states."""
+    if shards.size > 1:
+        solved.add(gather_rows(solved.states[known:], shards))
+        solved.learn_test_words(gather_rows(solved.test_words(), shards))
+        solved.sort()
 
 
 def merged(own: dict[str, torch.Tensor], shards: Shards, device: torch.device) -> dict[str, torch.Tensor]:

@@ -20,7 +20,16 @@ from falsework.learn.data import Dataset
 from falsework.learn.distributed import decided, same_weights
 from falsework.learn.evaluate import Success, greedy_success, throughput
 from falsework.learn.imitation import Network
-from falsework.learn.learners import Learner, PpoLearner, SearchLearner, merged, names, own_of, without_curriculum
+from falsework.learn.learners import (
+    Learner,
+    PpoLearner,
+    SearchLearner,
+    merged,
+    names,
+    own_of,
+    share_solved,
+    without_curriculum,
+)
 from falsework.learn.log import Journal
 from falsework.learn.material import find_material
 from falsework.learn.pace import Pace
@@ -187,7 +196,9 @@ class Trainer:
             steps, progress = self.pace.stretch(self.steps, settings.block)
             if progress[0] >= self._phases()[self._phase][1]:
                 learner = self._next_phase(learner)
+            known = len(self._solved)
             numbers = learner.block(steps, progress)
+            share_solved(self._solved, known, self.shards)
             self.steps += steps
             blocks += 1
             if self.steps // settings.block % settings.evaluate_every == 0:
