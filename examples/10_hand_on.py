@@ -1,0 +1,43 @@
+"""Hand a plan on: an animation for any viewer, a stage for a robot simulator, a table for a crew, blocks for COMPAS.
+
+Run: python examples/10_hand_on.py
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from falsework.assembly import load_structure
+from falsework.interop.compas_read import load_compas
+from falsework.interop.compas_write import write_compas
+from falsework.interop.gltf import write_gltf
+from falsework.interop.sheet import sheet_csv, site_sheet, way_in_words
+from falsework.interop.usd import write_usd
+from falsework.search import find_plans
+
+
+def main() -> None:
+    """An arch, built by two robots or by a crew with two props."""
+    arch = load_structure("arch:blocks=7")
+    plan = find_plans(arch).plans[0].reverse()
+
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        write_gltf(folder / "arch.glb", arch, plan)
+        write_usd(folder / "arch.usda", arch, plan)
+        write_compas(folder / "arch.json", arch, "dem")
+        assert load_compas(folder / "arch.json").identity == arch.identity  # nothing is lost on the way
+        for file in sorted(folder.iterdir()):
+            print(f"{file.name}: {file.stat().st_size} bytes")
+
+    sheet = site_sheet(plan, arch)
+    for step in sheet.steps:
+        where = "" if step.way is None else f" {way_in_words(step.way)}"
+        hold = ", ".join(sheet.name(part) for part, _ in step.hold) or "nothing"
+        print(f"{step.number}. {step.verb} {sheet.name(step.part)}{where}; then hold {hold}")
+    print(sheet_csv(sheet).splitlines()[0])
+
+
+if __name__ == "__main__":
+    main()
