@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import shutil
+import signal
+import subprocess
+import sys
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -317,3 +322,20 @@ def test_only_this_machine_is_served_unless_told_otherwise(arch: Any) -> None:
     assert "no password" in (check_host("0.0.0.0") or "")
     with pytest.raises(InputError, match="--host"):
         check_host(" ")
+
+
+def test_the_command_serves_until_interrupted(tmp_path: Path) -> None:
+    """Standard output is for machines; the page answers on this machine; Ctrl-C is a good end."""
+    command = [sys.executable, "-m", "falsework", "view", "arch:blocks=3", "--json", "--port", "8198"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        assert process.stdout is not None
+        about = json.loads(process.stdout.readline())
+        assert about["kind"] == "structure"
+        with urllib.request.urlopen(about["address"], timeout=PATIENCE) as answer:
+            assert answer.status == 200
+        time.sleep(0.5)  # until it waits
+        process.send_signal(signal.SIGINT)
+        rest, error = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, error
+    assert rest == ""
+    assert error == ""

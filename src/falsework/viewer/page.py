@@ -429,4 +429,5 @@ def serve(page: Page) -> None:
     """Serve until interrupted by the keyboard."""
     with contextlib.suppress(KeyboardInterrupt):
         page.wait()
-    page.close()
+    with contextlib.suppress(KeyboardInterrupt):  # of somebody who is in a hurry
+        page.close()
