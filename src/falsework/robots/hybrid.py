@@ -257,12 +257,13 @@ class _Search:
 
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Edges out of a keyframe in the order in which to try them."""
-        tried, probes = 0, self.settings.probes * (1 + self.attempt)
+        tried, probes, worked = 0, self.settings.probes * (1 + self.attempt), False
         for action in self._ranked(node, rng):
             if (node.key, action) in self.impossible or self.late():
                 continue
             if not self.proposals.known(node.state, action):
-                if probes == 0:
+                # Where nothing has worked yet, there is no cheaper way on than to ask.
+                if probes <= 0 and worked:
                     continue
                 probes -= 1
             if not self.proposals.solvable(node.state, action):
@@ -276,6 +277,7 @@ class _Search:
                     yield edge
                 if found == self.settings.edges:
                     break
+            worked |= found > 0
             if not found:
                 self.counts["rejected"] += 1
                 self.impossible.add((node.key, action))

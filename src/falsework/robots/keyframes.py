@@ -47,7 +47,7 @@ class KeyframeSettings:
     """Lengths of the line on which a part leaves, in lengths of an approach, until it is clear of everything."""
     places: int = 4
     """Free motions to a drop-off that are tried."""
-    nodes: int = 1500
+    nodes: int = 500
     """Nodes of the trees of one free motion."""
 
 

@@ -14,6 +14,7 @@ from falsework.assembly.state import complete_state
 from falsework.errors import InputError, StateError
 from falsework.robots.cell import Cell, Obstacle, Placement
 from falsework.robots.hybrid import HybridResult, HybridSettings, plan_robots
+from falsework.robots.keyframes import KeyframeSettings
 from falsework.robots.proposals import Proposals
 from falsework.robots.shapes import block
 from falsework.search import Direction, Task
@@ -127,9 +128,9 @@ def test_a_partial_plan_is_a_plan(column: Assembly, cell: Cell, oracle: Stabilit
         "cage", (block((-0.6, -0.35, 0.0), (-0.25, 0.35, 0.25)), block((0.45, -0.35, 0.0), (0.6, 0.35, 0.25)))
     )
     ring = Obstacle("ring", (block((0.06, -0.2, 0.202), (0.4, 0.2, 0.22)),))
-    found = plan_robots(
-        column, replace(cell, obstacles=(cage, ring)), oracle=oracle, settings=HybridSettings(attempts=2)
-    )
+    quick = KeyframeSettings(grasps=6, candidates=4, nodes=100)
+    settings = HybridSettings(attempts=1, dead_ends=2, keyframes=quick)
+    found = plan_robots(column, replace(cell, obstacles=(cage, ring)), oracle=oracle, settings=settings)
     assert not found.found
     assert found.explanation is not None
     assert found.partial is not None
