@@ -49,7 +49,7 @@ class HybridSettings:
     """Seconds after which the search ends with what it has."""
     attempts: int = 12
     """Searches, each in another order."""
-    dead_ends: int = 25
+    dead_ends: int = 15
     """Dead ends in the first search; when they are used up, the next one begins and may have more."""
     edges: int = 3
     """Ways of carrying out one action that are tried at a keyframe."""
@@ -209,7 +209,9 @@ class _Search:
         for share in shares:
             self.proposals.relax(share)
             self.dead.clear()
-            for _ in range(self.settings.attempts if share == shares[-1] else 1):
+            for turn in range(self.settings.attempts if share == shares[-1] else 1):
+                if turn:
+                    self.proposals.vary(self.attempt)
                 chain = self.dive(root, np.random.default_rng([self.settings.seed, self.attempt]))
                 self.attempt += 1
                 if chain is not None:
@@ -308,7 +310,7 @@ class _Search:
     def _ease(self, node: Node, action: int) -> float:
         """How easy an action is for the robots, by rules of thumb."""
         # What is known costs nothing to judge; a part with its way blocked is worse than an unknown answer.
-        known = 3.0 * self.proposals.known(node.state, action)
+        known = 3.0 * self.proposals.preferred(node.state, action) + self.proposals.known(node.state, action)
         if action >= self.assembly.part_count:
             return 100.0 + known
         center = self.graph.parts.center[action]

@@ -6,14 +6,17 @@ narrow, meets one that is. The set grows with every answer, so that alternatives
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, States
+from falsework.assembly.state import HELD, Mask, States
 from falsework.search.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.guide import Guide, SupportGuide
 from falsework.search.planner import Planner, PlannerSettings
-from falsework.search.result import SearchResult, Stop
+from falsework.search.result import Route, SearchResult, Stop
 from falsework.search.task import Direction, Task
 from falsework.stability.oracle import Stability
 
@@ -23,6 +26,8 @@ _WIDTH = 6
 """States that it keeps at each step."""
 _FIRST = 256
 """Widest beam for the first plan."""
+_VARIED = 16
+"""Widest beam for another one."""
 
 
 class Proposals:
@@ -44,6 +49,7 @@ class Proposals:
         self._guide = guide or SupportGuide(assembly)
         self._assembly, self._seed = assembly, seed
         self.postponed: tuple[int, ...] = ()
+        self._preferred: set[bytes] = set()
         self._solvable: set[bytes] = {task.target.tobytes()}
         self._not_found: set[bytes] = set()
         self._moves: dict[bytes, list[int]] = {}
@@ -59,9 +65,29 @@ class Proposals:
         if result.found:
             self.postponed = planner.postponed
             self.task = self.task.postpone(planner.postponed)
-            for route in planner.routes:
-                self._solvable.update(state.tobytes() for state in route.states)
+            self._follow(planner.routes)
         return result
+
+    def vary(self, seed: int) -> None:
+        """Find another abstract plan to follow, with the guide's taste disturbed; the old one stays known."""
+        rng = np.random.default_rng([self._seed, seed])
+
+        def disturbed(states: States, actions: Mask, direction: Direction) -> NDArray[np.floating]:
+            scores = np.asarray(self._guide(states, actions, direction), dtype=np.float64)
+            return scores + rng.normal(scale=0.3 * (scores.std() + 1e-3), size=scores.shape)
+
+        direction = Direction.ASSEMBLY if seed % 2 else Direction.DISASSEMBLY
+        beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(direction, seed=seed), guide=disturbed)
+        self._follow(beam.run(_VARIED).routes)
+
+    def preferred(self, state: States, action: int) -> bool:
+        """Whether an action follows the plan found last."""
+        return self._after(state, action).tobytes() in self._preferred
+
+    def _follow(self, routes: Sequence[Route]) -> None:
+        if routes:
+            self._preferred = {state.tobytes() for route in routes for state in route.states}
+            self._solvable |= self._preferred
 
     def relax(self, share: float) -> None:
         """Let missing parts come after a share of the steps that stability alone would let them wait for."""
@@ -72,8 +98,7 @@ class Proposals:
         self._not_found.clear()
         # What is known lies around the plan for the latest parts: add one for the new rules.
         beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(seed=self._seed), guide=self._guide)
-        for route in beam.run(_FIRST).routes:
-            self._solvable.update(state.tobytes() for state in route.states)
+        self._follow(beam.run(_FIRST).routes)
 
     def legal(self, state: States) -> list[int]:
         """Actions that the rules allow, stability aside."""

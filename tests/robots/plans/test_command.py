@@ -1,0 +1,120 @@
+"""`falsework robots`: from the command line to files and back, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
+
+from falsework.cli.main import main
+from falsework.robots.robot_plan import RobotPlan
+
+CELL = """
+format = "falsework.cell/1"
+name = "one arm"
+
+[structure]
+density = 200
+
+[grippers.cup]
+kind = "suction"
+payload = 10.0
+mass = 1.0
+cup = 0.02
+tool = { position = [0.0, 0.0, 0.18] }
+shapes = [
+    { cylinder = { radius = 0.045, low = 0.0, high = 0.1 } },
+    { cylinder = { radius = 0.02, low = 0.1, high = 0.178 } },
+]
+
+[[robots]]
+name = "arm"
+model = "irb2600-12/1.65"
+gripper = "cup"
+base = { position = [-1.15, 0.0, 0.0], yaw = 0.0 }
+places = [{ position = [0.15, -0.95, 0.55] }]
+"""
+STACK = "stack:blocks=2,length=0.3,height=0.15,depth=0.3"
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, list[dict], str]]:
+    def call(*arguments: object) -> tuple[int, list[dict], str]:
+        capsys.readouterr()
+        code = main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return int(code), [json.loads(line) for line in captured.out.splitlines() if line.startswith("{")], captured.err
+
+    return call
+
+
+@pytest.fixture
+def cell_file(tmp_path: Path) -> Path:
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL)
+    return path
+
+
+def test_plan_check_export(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "plans" / "robot_plan.json"
+    out.parent.mkdir()
+    code, records, error = run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--json")
+    assert code == 0, error
+    assert records[0]["found"]
+    assert records[0]["steps"] == 4
+    plan = RobotPlan.load(out)
+    assert plan.cell_source == "../cell.toml"
+    assert plan.plan.source == {"built_in": STACK}
+    code, records, error = run("robots", "check", out, "--json")
+    assert code == 0, error
+    assert records[0]["good"]
+    assert records[0]["stable"]
+    assert records[0]["problems"] == []
+    for form, name in (("ros2-json", "plan.json"), ("csv", "plan.csv"), ("rapid", "arm.mod")):
+        folder = tmp_path / form
+        code, _, error = run("robots", "export", out, "--format", form, "--assembly-order", "--out", folder)
+        assert code == 0, error
+        assert (folder / name).is_file()
+
+
+def test_a_bad_plan_is_exit_code_one(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "robot_plan.json"
+    assert run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--assembly-order")[0] == 0
+    data = json.loads(out.read_text())
+    for trajectory in data["steps"][0]["trajectories"]:
+        trajectory["times"] = [moment / 3 for moment in trajectory["times"]]
+        trajectory["velocities"] = [[3 * value for value in row] for row in trajectory["velocities"]]
+    out.write_text(json.dumps(data))
+    code, records, error = run("robots", "check", out, "--json", "--motions-only")
+    assert code == 1
+    assert not records[0]["good"]
+    assert "the acceleration of joint_" in error
+
+
+def test_no_plan_says_why(run: Callable, tmp_path: Path) -> None:
+    far = tmp_path / "far.toml"
+    far.write_text(CELL.replace("-1.15", "-4.0"))
+    code, records, error = run("robots", "plan", STACK, "--cell", far, "--out", tmp_path / "plan.json", "--json")
+    assert code == 1
+    assert not records[0]["found"]
+    assert records[0]["failure"]["unreachable"] == [0, 1]
+    assert error.startswith("falsework: no robot plan was found; it came to step 0 of 4; no robot can hold block-0")
+
+
+def test_wrong_input_is_one_line(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    cases = (
+        (("plan", STACK, "--cell", tmp_path / "none.toml"), "none.toml"),
+        (("plan", STACK, "--cell", cell_file, "--deadline", "0"), "leaves no time"),
+        (("plan", STACK, "--cell", cell_file, "--out", tmp_path / "no" / "plan.json"), "make it first"),
+        (("check", tmp_path / "none.json"), "there is no robot plan file"),
+        (("export", tmp_path / "none.json", "--out", tmp_path / "x"), "there is no robot plan file"),
+    )
+    for arguments, message in cases:
+        code, _, error = run("robots", *arguments)
+        assert code == 2
+        assert message in error
+        assert error.count("\n") == 1
