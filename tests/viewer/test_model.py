@@ -48,6 +48,7 @@ def test_a_click_selects_and_a_click_beside_forgets(model: Model) -> None:
     assert model.click(over(model, top), DOWN) == top
     assert model.selected == top
     assert tuple(model.look().color[top]) == rgb(SELECTED)
+    assert model.labels(model.look())[top] == model.assembly.names[top]
     facts = dict(model.about(top))
     assert facts["mass"] == f"{model.assembly.mass.mass[top]:.4g} kg"
     assert "robot" in facts["held by"]

@@ -158,8 +158,11 @@ class Model:
         return [int(part) for part in np.flatnonzero(self.site == REMOVED) if part not in self.disruption.missing]
 
     def labels(self, look: Look) -> dict[int, str]:
-        """Short words at parts: who holds them, and what is marked."""
+        """Short words at parts: who holds them, which one is selected, and what is marked."""
         labels = {int(part): f"R{look.holder[part] + 1}" for part in np.flatnonzero(look.holder != NOBODY)}
+        if self.selected is not None:
+            name = self.assembly.names[self.selected]
+            labels[self.selected] = f"{name}, {labels[self.selected]}" if self.selected in labels else name
         for word, parts in (
             ("missing", self.disruption.missing),
             ("there", self.disruption.there),
