@@ -266,3 +266,27 @@ def test_identity_learns_a_vector_a_part(arch: Assembly) -> None:
         describe(make_policy(arch, settings_of("parts", identity=one)))["parameters"] for one in (False, True)
     )
     assert own - plain == arch.part_count * SMALL["channels"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_half_precision_changes_little(kind: str, arch: Assembly) -> None:
+    policy = make_policy(arch, settings_of(kind))
+    states = random_states(arch, 8)
+    logits, value = policy(states)
+    with torch.autocast("cpu", torch.bfloat16):
+        half_logits, half_value = policy(states)
+    assert half_logits.dtype == half_value.dtype == torch.float32
+    torch.testing.assert_close(half_logits, logits, atol=0.05, rtol=0.05)
+    torch.testing.assert_close(half_value, value, atol=0.05, rtol=0.05)
+    (half_logits.sum() + half_value.sum()).backward()
+    assert all(weight.grad is not None and weight.grad.isfinite().all() for weight in policy.parameters())
+
+
+@pytest.mark.parametrize("kind", TRANSFER)
+def test_a_compiler_sees_one_piece(kind: str, arch: Assembly) -> None:
+    """Nothing in a network makes a compiler fall back to Python."""
+    policy = make_policy(arch, settings_of(kind, two_states=True, layers=1))
+    compiled = torch.compile(policy, backend="eager", fullgraph=True)
+    states, targets = random_states(arch, 8), random_states(arch, 8, seed=1)
+    for one, other in zip(compiled(states, targets), policy(states, targets), strict=True):
+        torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-4)
