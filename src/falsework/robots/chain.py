@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ class Carried:
     pieces: Pieces
 
 
+@lru_cache(maxsize=64)
 def turns(model: RobotModel) -> Array:
     """For every joint the rotation whose third column is its axis: from the turned frame to that of the link.
 
@@ -38,6 +40,7 @@ def turns(model: RobotModel) -> Array:
         first = np.cross(helper, axis)
         first /= np.linalg.norm(first)
         found[j, :3, :3] = np.stack([first, np.cross(axis, first), axis], axis=1)
+    found.setflags(write=False)
     return found
 
 

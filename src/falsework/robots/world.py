@@ -161,6 +161,7 @@ class CollisionWorld:
     def __init__(self, cell: Cell, parts: PartShapes) -> None:
         self.cell = cell
         self.parts = parts
+        self._bare: dict[int, tuple[Bodies, list[str], list[int]]] = {}
 
     @cached_property
     def _static(self) -> tuple[tuple[str, Pieces], ...]:
@@ -214,7 +215,12 @@ class CollisionWorld:
             )
         entry = self.cell.robots[robot]
         held = self.carried(robot, scene)
-        bodies, names, kinds = make_bodies(entry, held, self.parts.names)
+        if held is None and robot in self._bare:
+            bodies, names, kinds = self._bare[robot]
+        else:
+            bodies, names, kinds = make_bodies(entry, held, self.parts.names)
+            if held is None:
+                self._bare[robot] = (bodies, names, kinds)
         stands: list[tuple[str, int, Pieces]] = []  # name, part or -2 for anything else
         for index, (name, pieces) in enumerate(self._static):
             if index != robot:
