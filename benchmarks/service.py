@@ -237,12 +237,13 @@ def main(options: Options) -> None:
             line = service.stdout.readline()
             if not line:
                 raise SystemExit("the service did not start")
-            before = processor_seconds(service.pid)
+            before, begun = processor_seconds(service.pid), time.perf_counter()
             samples = asyncio.run(load(json.loads(line)["url"], ask, options, rate, count))
+            taken = time.perf_counter() - begun
             used = processor_seconds(service.pid) - before
         finally:
             service.terminate()
-    report(options, samples, seconds, used / seconds)
+    report(options, samples, taken, used / taken)
     print(json.dumps({"options": asdict(options)}), file=sys.stderr)
 
 
