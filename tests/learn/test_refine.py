@@ -11,7 +11,7 @@ from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
 from falsework.learn.environment import Environment  # noqa: E402
-from falsework.learn.moves import advantages, play_and_judge  # noqa: E402
+from falsework.learn.moves import advantages, hindsight, play_and_judge  # noqa: E402
 from falsework.learn.policy import Policy, make_policy  # noqa: E402
 from falsework.learn.policy_settings import PolicySettings  # noqa: E402
 from falsework.learn.refine import Refinement  # noqa: E402
@@ -160,3 +160,17 @@ def test_settings_out_of_range(wrong: dict) -> None:
     """Each is refused by a line of its own."""
     with pytest.raises(InputError):
         RefineSettings(**wrong)
+
+
+def test_what_a_rollout_passed_can_be_reached(arch: Assembly, data: Dataset) -> None:
+    """A later state of a rollout is a legal, stable target of an earlier one, as the task and the solver see it."""
+    environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
+    starts = torch.as_tensor(data.train)
+    moves = play_and_judge(environment, policy_for(arch), starts, None, 0.9, environment.generator(3))
+    states, targets = hindsight(moves, 200, environment.generator(4))
+    assert len(states) > 100
+    assert bool(environment.rules.contains(states, targets).all())
+    assert bool((environment.rules.steps_left(states, targets) > 0).all())
+    assert Stability(arch).stable(np.concatenate([states.numpy(), targets.numpy()])).all()
+    none = hindsight(moves.take(torch.arange(0)), 10, environment.generator(4))
+    assert len(none[0]) == 0

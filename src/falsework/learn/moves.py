@@ -53,6 +53,35 @@ class Moves:
         )
 
 
+def hindsight(moves: Moves, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+    """Pairs of states that one rollout passed one after the other: the later one as the target of the earlier one.
+
+    Whatever a rollout was after, and however it ended, the actions between the two were legal and left it stable
+    (paper, section 5.3).
+
+    Args:
+        moves: of whole rollouts, in the order in which they were taken.
+        count: pairs to draw.
+        generator: source of randomness.
+
+    Returns:
+        States and targets, each of shape (pairs, parts); fewer pairs where two draws met, none if nothing moved.
+    """
+    if len(moves) == 0:
+        return moves.states, moves.states
+    order = torch.argsort(moves.rollout, stable=True)
+    rollout = moves.rollout[order]
+    length = torch.bincount(rollout, minlength=len(moves.success))
+    begin = torch.cumsum(length, 0) - length
+    first = torch.randint(len(order), (count,), generator=generator, device=order.device)
+    mine = rollout[first]
+    share = torch.rand(count, generator=generator, device=order.device, dtype=torch.float64)
+    second = begin[mine] + (share * length[mine]).long()
+    apart = (first != second).nonzero()[:, 0]
+    early, late = torch.minimum(first, second)[apart], torch.maximum(first, second)[apart]
+    return moves.states[order[early]], moves.states[order[late]]
+
+
 def advantages(
     rows: list[torch.Tensor], chances: list[torch.Tensor], success: torch.Tensor, trace: float
 ) -> list[torch.Tensor]:

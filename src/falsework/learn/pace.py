@@ -14,6 +14,11 @@ import torch
 from falsework.learn.distributed import decided, summed
 from falsework.search.shards import Shards
 
+_LONGEST = 0.05
+"""Share of a run that one stretch of it may take."""
+_CAUTION = 10
+"""Times shorter than others the first stretch is, when nobody knows what a step takes."""
+
 
 class Pace:
     """Progress between 0 and 1, alike in all processes; survives interruptions."""
@@ -36,7 +41,7 @@ class Pace:
         self._budget, self._steps = 60.0 * minutes, steps
         self._shards, self._device = shards, device
         self._begun = time.perf_counter()
-        self._last, self._slope = 0.0, 0.0
+        self._last, self._slope, self._took = 0.0, 0.0, 0
 
     @property
     def seconds(self) -> float:
@@ -50,15 +55,20 @@ class Pace:
         return min(decided(self.seconds, self._shards, self._device) / self._budget, 1.0)
 
     def stretch(self, steps: int, block: int) -> tuple[int, tuple[float, float]]:
-        """The next steps: how many, and the progress before and after them, the latter as the last ones went."""
+        """The next steps: how many, and the progress before and after them, the latter as the last ones went.
+
+        By the clock there are fewer than `block` where these would take long, so that the end is not overrun by much.
+        """
         now = self.progress(steps)
         if self._steps:
             block = min(block, self._steps - steps)
             return block, (now, (steps + block) / self._steps)
-        if self._last:
-            self._slope = max(now - self._last, 0.0)
-        self._last = now
-        return block, (now, min(now + self._slope, 1.0))
+        if self._took:
+            self._slope = max(now - self._last, 0.0) / self._took
+        longest = min(_LONGEST, max(1.0 - now, 0.0)) / self._slope if self._slope else block / _CAUTION
+        took = max(min(block, int(longest)), 1)
+        self._last, self._took = now, took
+        return took, (now, min(now + self._slope * took, 1.0))
 
     def asked_to_stop(self) -> bool:
         """Whether to stop here, in all processes if in any."""
@@ -66,13 +76,13 @@ class Pace:
 
     def state(self) -> dict[str, float]:
         """What there is to save, for `load`."""
-        return {"seconds": self.seconds, "last": self._last, "slope": self._slope}
+        return {"seconds": self.seconds, "slope": self._slope}
 
     def load(self, state: dict[str, float]) -> None:
         """Go on after an interruption."""
         self.before = float(state["seconds"])
         self._begun = time.perf_counter()
-        self._last, self._slope = float(state["last"]), float(state["slope"])
+        self._last, self._slope, self._took = 0.0, float(state["slope"]), 0
 
     @contextlib.contextmanager
     def interruptible(self) -> Iterator[None]:

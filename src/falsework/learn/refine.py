@@ -16,7 +16,7 @@ import torch
 from falsework.learn.distributed import average_gradients, summed
 from falsework.learn.environment import Environment
 from falsework.learn.imitation import Network, imitation_loss
-from falsework.learn.moves import Moves, play_and_judge
+from falsework.learn.moves import Moves, hindsight, play_and_judge
 from falsework.learn.policy import Policy, masked_log_probabilities
 from falsework.learn.refine_settings import RefineSettings
 from falsework.learn.solved import SolvedStates
@@ -72,6 +72,7 @@ class Refinement:
         self._generator = environment.generator(seed * 1009 + 700 + shards.rank)
         self._failed = starts[:0]
         self._failed_targets = None if targets is None else targets[:0]
+        self._passed = (starts[:0], starts[:0])
         self._numbers: dict[str, float] = {}
 
     def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
@@ -101,14 +102,17 @@ class Refinement:
     def best(self, policy: Policy) -> Policy:
         """Write the moving average of the weights into another policy of the same kind."""
         with torch.no_grad():
-            torch._foreach_copy_([weight for weight in policy.parameters() if weight.requires_grad], self._average)
+            weights = [weight for weight in policy.parameters() if weight.requires_grad]
+            for weight, average in zip(weights, self._average, strict=True):
+                weight.copy_(average)
         return policy.eval()
 
     def adopt(self, policy: Policy) -> None:
         """Begin with the weights of another policy of the same kind, such as what imitation arrived at."""
         self._policy.load_state_dict(policy.state_dict())
         with torch.no_grad():
-            torch._foreach_copy_(self._average, [weight.detach() for weight in self._weights])
+            for average, weight in zip(self._average, self._weights, strict=True):
+                average.copy_(weight)
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All that there is to save and is the same in all processes."""
@@ -121,7 +125,10 @@ class Refinement:
     def own_tensors(self) -> dict[str, torch.Tensor]:
         """All that there is to save and belongs to this process."""
         saved = {"generator": self._generator.get_state(), "failed": self._failed}
-        return saved if self._failed_targets is None else {**saved, "failed_targets": self._failed_targets}
+        if self._failed_targets is None:
+            return saved
+        passed = {"passed": self._passed[0], "passed_targets": self._passed[1]}
+        return {**saved, **passed, "failed_targets": self._failed_targets}
 
     def load(self, tensors: dict[str, torch.Tensor], own: dict[str, torch.Tensor] | None) -> None:
         """Go back to what was saved; `own` is None if the number of processes has changed."""
@@ -142,29 +149,33 @@ class Refinement:
         self._generator.set_state(own["generator"].cpu())
         self._failed = own["failed"].to(self._starts.device)
         if self._failed_targets is not None:
-            self._failed_targets = own["failed_targets"].to(self._starts.device)
+            device = self._starts.device
+            self._failed_targets = own["failed_targets"].to(device)
+            self._passed = (own["passed"].to(device), own["passed_targets"].to(device))
 
     def _draw(self, count: int, among: int) -> torch.Tensor:
-        return torch.randint(among, (count,), generator=self._generator, device=self._starts.device)
+        return torch.randint(max(among, 1), (count,), generator=self._generator, device=self._starts.device)
 
     def _choose_starts(self) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """Starts of one collection: from the data, from recent failures, and from all that is solvable."""
+        """Starts of one collection: from the data, recent failures, and all that is solvable or was passed."""
         settings = self._settings
         count = max(settings.rollouts // self._shards.size, 1)
         failures = round(count * settings.from_failures) if len(self._failed) else 0
-        searched = round(count * (settings.from_data + settings.from_failures))
-        anywhere = count - searched if self._targets is None else 0
-        rows = self._draw(count - failures - anywhere, len(self._starts))
-        pieces = [self._starts[rows]]
-        aims = None if self._targets is None else [self._targets[rows]]
-        if failures:
-            rows = self._draw(failures, len(self._failed))
-            pieces.append(self._failed[rows])
-            if aims is not None and self._failed_targets is not None:
-                aims.append(self._failed_targets[rows])
-        if anywhere:
-            pieces.append(self._solved.states[self._draw(anywhere, len(self._solved))])
-        return torch.cat(pieces), None if aims is None else torch.cat(aims)
+        if self._targets is None or self._failed_targets is None:
+            anywhere = count - round(count * (settings.from_data + settings.from_failures))
+            pieces = [
+                self._starts[self._draw(count - failures - anywhere, len(self._starts))],
+                self._failed[self._draw(failures, len(self._failed))],
+                self._solved.states[self._draw(anywhere, len(self._solved))],
+            ]
+            return torch.cat(pieces), None
+        passed = round(count * settings.from_hindsight) if len(self._passed[0]) else 0
+        drawn = [
+            (self._starts, self._targets, self._draw(count - failures - passed, len(self._starts))),
+            (self._failed, self._failed_targets, self._draw(failures, len(self._failed))),
+            (*self._passed, self._draw(passed, len(self._passed[0]))),
+        ]
+        return torch.cat([s[rows] for s, _, rows in drawn]), torch.cat([t[rows] for _, t, rows in drawn])
 
     def _collect(self) -> Moves:
         """Play, remember failures and solvable states, and keep the moves that may be learned from."""
@@ -177,11 +188,17 @@ class Refinement:
         self._failed = torch.cat([starts[failed], self._failed])[:most]
         if self._failed_targets is not None and targets is not None:
             self._failed_targets = torch.cat([targets[failed], self._failed_targets])[:most]
-        if targets is None and len(moves):
-            if len(self._solved) < settings.most_solved:
-                self._solved.add(moves.states[moves.success[moves.rollout]])
-            # What is kept for testing is not learned from, not even by trial.
-            moves = moves.take((~self._solved.is_forbidden(moves.states)).nonzero()[:, 0])
+            fresh = hindsight(moves, len(starts), self._generator)
+            seen = self._solved.is_forbidden(fresh[0]) | self._solved.is_forbidden(fresh[1])
+            learnable = (~seen).nonzero()[:, 0]
+            states, later = (
+                torch.cat([new[learnable], old])[:most] for new, old in zip(fresh, self._passed, strict=True)
+            )
+            self._passed = (states, later)
+        if targets is None and len(moves) and len(self._solved) < settings.most_solved:
+            self._solved.add(moves.states[moves.success[moves.rollout]])
+        # What is kept for testing is not learned from, not even by trial.
+        moves = moves.take((~self._solved.is_forbidden(moves.states)).nonzero()[:, 0])
         tried, well, steps = summed(
             [float(len(starts)), float(moves.success.sum()), float(len(moves))], self._shards, starts.device
         )
@@ -198,6 +215,7 @@ class Refinement:
         for group in self._optimizer.param_groups:
             group["lr"] = rate
         sums = torch.zeros(4, device=order.device)
+        every: Any = torch._foreach_lerp_  # pyright: ignore[reportPrivateImportUsage]
         for step in range(steps):
             loss, numbers = self._loss(moves.take(order[step * share : (step + 1) * share]), scale)
             self._optimizer.zero_grad(set_to_none=True)
@@ -207,7 +225,7 @@ class Refinement:
             self._optimizer.found_inf = (~norm.isfinite()).float()  # a step that is not finite is left out
             self._optimizer.step()
             self.steps += 1
-            torch._foreach_lerp_(self._average, [weight.detach() for weight in self._weights], 1.0 - settings.average)
+            every(self._average, [weight.detach() for weight in self._weights], 1.0 - settings.average)
             sums += numbers
         self._policy.eval()
         loss, entropy, error, drift = (sums / steps).tolist()

@@ -37,6 +37,8 @@ class RefineSettings:
     """Share of the rollouts that start where searches found states."""
     from_failures: float = 0.25
     """Share that starts where a rollout failed lately; the others start anywhere that is known to be solvable."""
+    from_hindsight: float = 0.25
+    """With targets: share that starts at a state of an earlier rollout and has a later one of it as its target."""
     average: float = 0.995
     """Decay of the moving average of the weights that is evaluated and saved."""
     clip: float = 1.0
@@ -47,7 +49,8 @@ class RefineSettings:
     def __post_init__(self) -> None:
         if min(self.rollouts, self.batch) < 0 or self.learning_rate < 0:
             raise InputError("sizes and learning rate of the refinement are not negative; 0 stands for the default")
-        if min(self.from_data, self.from_failures) < 0 or self.from_data + self.from_failures > 1:
+        shares = (self.from_data, self.from_failures, self.from_hindsight)
+        if min(shares) < 0 or max(self.from_data, self.from_hindsight) + self.from_failures > 1:
             raise InputError("the shares of start states are not negative, and no more than 1 together")
         if not (0 <= self.trace <= 1 and 0 < self.clip_ratio < 1):
             raise InputError("trace must be between 0 and 1, and the clip ratio strictly so")

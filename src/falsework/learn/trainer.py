@@ -201,7 +201,8 @@ class Trainer:
             share_solved(self._solved, known, self.shards)
             self.steps += steps
             blocks += 1
-            if self.steps // settings.block % settings.evaluate_every == 0:
+            whole = self.steps // settings.block
+            if whole > (self.steps - steps) // settings.block and whole % settings.evaluate_every == 0:
                 success, evaluated = self._evaluate(learner), self.steps
                 self._log(journal, numbers, success)
             self.report(self.pace.progress(self.steps), self._words(numbers, success["test"]))
