@@ -24,6 +24,8 @@ _LEVELS = 8
 """Steps that the joining search looks ahead."""
 _WIDTH = 6
 """States that it keeps at each step."""
+_VERDICTS = 48
+"""Verdicts that it asks for before it gives up: what does not join soon rarely does."""
 _FIRST = 256
 """Widest beam for the first plan."""
 _VARIED = 16
@@ -49,6 +51,7 @@ class Proposals:
         self._guide = guide or SupportGuide(assembly)
         self._assembly, self._seed = assembly, seed
         self.postponed: tuple[int, ...] = ()
+        self._left = 0
         self._preferred: set[bytes] = set()
         self._solvable: set[bytes] = {task.target.tobytes()}
         self._not_found: set[bytes] = set()
@@ -130,6 +133,7 @@ class Proposals:
 
     def _join(self, start: States) -> bool:
         """Search forwards from a stable state until one is met that is solvable; all on the way then are."""
+        self._left = _VERDICTS
         levels: list[States] = [start[None]]
         parents: list[np.ndarray] = []
         for _ in range(_LEVELS):
@@ -163,6 +167,9 @@ class Proposals:
         holds = 0
         for k in order.tolist():
             if removal[k]:
+                if self._left == 0:
+                    continue
+                self._left -= 1
                 if self.oracle.stable(after[k][None], parents=before[k][None])[0]:
                     kept.append(k)
             elif holds < 2 * _WIDTH:
