@@ -22,7 +22,7 @@ from falsework.robots.shapes import block, move, pose
 from falsework.robots.simplify import outer_hull
 
 
-def ring(sides: int = 24) -> TriangleMesh:
+def ring(sides: int = 12) -> TriangleMesh:
     """A flat ring: as far from convex as parts get."""
     import trimesh
 
@@ -66,9 +66,9 @@ def test_pieces_cover_the_solid() -> None:
     pieces = convex_pieces(mesh)
     assert volume(pieces) < 1.06 * mesh.volume
     random = np.random.default_rng(0)
-    points = random.uniform(mesh.bounds[0], mesh.bounds[1], (20_000, 3))
+    points = random.uniform(mesh.bounds[0], mesh.bounds[1], (6_000, 3))
     solid = inside(points, mesh.triangles)
-    assert solid.sum() > 5000
+    assert solid.sum() > 1500
     assert covered(points[solid], pieces).all()
     assert covered(mesh.vertices, pieces).all()
     few = convex_pieces(mesh, pieces=3)
@@ -79,12 +79,12 @@ def test_pieces_cover_the_solid() -> None:
 def test_a_simpler_hull_lies_outside() -> None:
     """All points stay inside, corners stick out by no more than asked for unless planes run out."""
     random = np.random.default_rng(1)
-    points = random.normal(size=(400, 3))
+    points = random.normal(size=(150, 3))
     points /= np.linalg.norm(points, axis=1)[:, None]
-    outer = outer_hull(0.2 * points, tolerance=0.004, planes=200)
+    outer = outer_hull(0.2 * points, tolerance=0.008, planes=200)
     assert covered(0.2 * points, (outer,)).all()
     planes = ConvexHull(0.2 * points).equations
-    assert (outer @ planes[:, :3].T + planes[:, 3]).max() < 0.0041
+    assert (outer @ planes[:, :3].T + planes[:, 3]).max() < 0.0081
     assert len(outer_hull(0.2 * points, planes=24)) < 60
 
 
