@@ -67,9 +67,9 @@ class Shards:
         torch = import_torch()
         import torch.distributed as dist
 
-        whole = torch.empty((self.size * len(tensor), *tensor.shape[1:]), dtype=tensor.dtype, device=tensor.device)
-        dist.all_gather_into_tensor(whole, tensor.contiguous(), group=self.group)
-        return whole
+        whole = torch.empty((self.size, *tensor.shape), dtype=tensor.dtype, device=tensor.device)
+        dist.all_gather(list(whole.unbind()), tensor.contiguous(), group=self.group)
+        return whole.flatten(0, 1)
 
     def gather_blocks(self, tensor: torch.Tensor, count: int) -> torch.Tensor:
         """Join the stretches that `block(count)` dealt out; shape (count, ...)."""
