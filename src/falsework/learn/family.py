@@ -15,7 +15,7 @@ from falsework.geometry.mesh import TriangleMesh
 from falsework.learn.data import search_states, task_for
 from falsework.learn.environment import Environment
 from falsework.learn.solved import SolvedStates
-from falsework.search.tensor_judge import oracle_on
+from falsework.search.tensor_judge import HostOracle
 from falsework.search.tensors import choose_device
 from falsework.stability.oracle import Stability
 
@@ -140,9 +140,8 @@ def members(
         except InputError:
             continue
         oracle = Stability(assembly)
-        states, complete = search_states(
-            task_for(assembly, robots), oracle_on(oracle, where), width, seed + tried, device=where
-        )
+        # On the processor wherever the policy is: these are small, and a GPU would compile its solver for each.
+        states, complete = search_states(task_for(assembly, robots), HostOracle(oracle), width, seed + tried)
         if not complete:
             continue
         environment = Environment(assembly, robots, oracle=oracle, device=where)
