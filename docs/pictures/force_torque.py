@@ -71,7 +71,7 @@ def _graph(axis: Any, assembly: Assembly, graph: ForceTorqueGraph) -> None:
     torque = np.stack([[across, force[graph.point_force, 1] + side] for side in (-0.62, 0.62)], axis=0)
     torque = np.moveaxis(torque, (0, 1, 2), (1, 2, 0)).reshape(-1, 2)
     places = {"part": part, "force": force, "torque": torque}
-    styles = {
+    styles: dict[tuple[str, str, str], tuple[str, float, Any]] = {
         ("torque", "about", "part"): (INK, 0.7, "-"),
         ("torque", "of", "force"): (FORCE, 0.7, "-"),
         ("torque", "against", "torque"): (TORQUE, 1.6, "-"),

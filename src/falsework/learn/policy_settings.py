@@ -23,8 +23,8 @@ class PolicySettings:
     """A kind of network and its sizes; a size of 0 is the default of the kind."""
 
     kind: Kind = "residual"
-    """`residual`: layers over the plain state, quick; `parts`: attention between parts; `graph`: the paper's force-torque
-    graph; `mlp`: the paper's baseline."""
+    """`residual`: layers over the plain state, quick; `parts`: attention between parts; `graph`: the paper's
+    force-torque graph; `mlp`: the paper's baseline."""
     two_states: bool = False
     """Whether the policy is told a target state; without, it takes apart all there is."""
     layers: int = 0
