@@ -107,7 +107,7 @@ def _graph(axis: Any, assembly: Assembly, graph: ForceTorqueGraph) -> None:
     kinds = (
         (SAND, "s", "part: held, in the target, mass"),
         (FORCE, "D", "force: normal"),
-        (TORQUE, "o", "torque: lever"),
+        (TORQUE, "o", "torque: lever arm"),
     )
     nodes = [Line2D([], [], color=c, marker=m, linestyle="", markersize=8, label=text) for c, m, text in kinds]
     axis.legend(handles=nodes + handles, frameon=False, fontsize=8.5, loc="center left", bbox_to_anchor=(0.98, 0.5))
