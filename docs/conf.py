@@ -45,7 +45,18 @@ autodoc_default_options = {"members": True, "show-inheritance": True}
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 # Optional packages are not installed to build the pages.
-autodoc_mock_imports = ["torch", "gurobipy", "gymnasium", "safetensors", "fastapi", "starlette", "pydantic", "uvicorn", "prometheus_client", "reportlab"]
+autodoc_mock_imports = [
+    "torch",
+    "gurobipy",
+    "gymnasium",
+    "safetensors",
+    "fastapi",
+    "starlette",
+    "pydantic",
+    "uvicorn",
+    "prometheus_client",
+    "reportlab",
+]
 
 # Names such as Policy and Outcome mean different things in different rooms, and annotations give the short name only.
 suppress_warnings = ["misc.highlighting_failure", "ref.python"]

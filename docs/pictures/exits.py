@@ -17,8 +17,8 @@ from falsework.assembly.library import house, shelf
 def clear_exits(path: Path) -> None:
     """House and shelf pulled apart as far as one part after the other can leave; what is locked in orange."""
     pictures = (
-        ("house: every plate has its way out", house(), {"roof": (0, 0, 0.42), "side": (0, 0, 0.22)}, ()),
-        ("shelf: the last four lock each other", shelf(), {"board": (0, -0.45, 0)}, ("upright", "top")),
+        ("house: every plate has its way out", house(), {"roof": (0.0, 0.0, 0.42), "side": (0.0, 0.0, 0.22)}, ()),
+        ("shelf: the last four lock each other", shelf(), {"board": (0.0, -0.45, 0.0)}, ("upright", "top")),
     )
     figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.2))
     for axis, (title, assembly, moves, locked) in zip(axes, pictures, strict=True):

@@ -104,10 +104,10 @@ def test_rollouts_make_a_policy_better(arch: Assembly, data: Dataset) -> None:
 def test_nothing_is_learned_at_test_states(arch: Assembly, data: Dataset) -> None:
     """Rollouts come across them, but neither imitation nor the gradient ever sees them."""
     refinement = learner(arch, data)
-    seen: list[torch.Tensor] = []
+    seen = []
     network = refinement._network
 
-    def watched(states: torch.Tensor, targets: torch.Tensor | None = None):
+    def watched(states, targets=None):
         seen.append(states)
         return network(states, targets)
 

@@ -50,7 +50,9 @@ def test_slots_open_upwards() -> None:
     assert clear.can_leave(state[None])[0, sides].all()
     assert not clear.can_leave(state[None])[0, walls].any()
     for side in sides:
-        np.testing.assert_allclose(clear.exit_direction(state, side), (0, 0, 1), atol=0.06)
+        way = clear.exit_direction(state, side)
+        assert way is not None
+        np.testing.assert_allclose(way, (0, 0, 1), atol=0.06)
     state[sides[0]] = 0
     assert not clear.can_leave(state[None])[0, walls].any()
     state[sides[1]] = 0
