@@ -74,9 +74,9 @@ class Reference:
 
     def plan(self, start: Array, goal: Array, low: Array, high: Array, step: float, seconds: float) -> Array | None:
         """A path by OMPL's RRT-Connect and its simplification, edges looked at every `step` rad."""
-        import ompl.base
-        import ompl.geometric
-        import ompl.util
+        import ompl.base  # pyright: ignore[reportMissingImports]
+        import ompl.geometric  # pyright: ignore[reportMissingImports]
+        import ompl.util  # pyright: ignore[reportMissingImports]
 
         ompl.util.setLogLevel(ompl.util.LogLevel.LOG_ERROR)
         joints = len(start)
