@@ -109,3 +109,25 @@ def test_a_port_that_is_taken() -> None:
             listen("127.0.0.1", port)
     with pytest.raises(InputError, match="cannot be had"):
         listen("203.0.113.7", 0)
+
+
+def test_answers_are_sent_at_once() -> None:
+    """Both ends of a connection leave small packets together no longer than they must."""
+
+    async def options() -> int:
+        with listen("127.0.0.1", 0) as listener:
+            seen: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+
+            def accepted(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+                ours = writer.get_extra_info("socket")
+                seen.set_result(ours.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+                writer.close()
+
+            async with await asyncio.start_server(accepted, sock=listener):
+                _, writer = await asyncio.open_connection(*listener.getsockname())
+                try:
+                    return await asyncio.wait_for(seen, 5)
+                finally:
+                    writer.close()
+
+    assert asyncio.run(options()) != 0
