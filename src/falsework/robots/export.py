@@ -164,12 +164,20 @@ def _yaml(value: Any, indent: int = 0) -> str:
             if isinstance(entry, dict) or (isinstance(entry, list) and entry and isinstance(entry[0], dict)):
                 lines.append(f"{space}{key}:\n{_yaml(entry, indent + 1)}")
             else:
-                lines.append(f"{space}{key}: {json.dumps(entry, ensure_ascii=False)}\n")
+                lines.append(f"{space}{key}: {_yaml_value(entry)}\n")
     else:
         for entry in value:
             block = _yaml(entry, indent + 1)
             lines.append(f"{space}- {block[2 * (indent + 1) :]}")
     return "".join(lines)
+
+
+def _yaml_value(value: Any) -> str:
+    """A number, a text or a list of such. YAML 1.1 takes 1e-05 for a text, 1.0e-05 for a number."""
+    if isinstance(value, list):
+        return "[" + ", ".join(_yaml_value(entry) for entry in value) + "]"
+    written = json.dumps(value, ensure_ascii=False)
+    return written.replace("e", ".0e") if isinstance(value, float) and "." not in written else written
 
 
 # Tables
