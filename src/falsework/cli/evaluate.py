@@ -100,8 +100,12 @@ class Evaluate(Command):
         }
         output.record(record)
         for name, result in found.items():
-            output.say(f"{name}: {100 * result['success']:.1f} % of {result['states']} states succeed")
-        if self.search:
+            states = result["states"]
+            share = (
+                f"{100 * result['success']:.1f} % of {states} states succeed" if states else "there are no such states"
+            )
+            output.say(f"{name}: {share}")
+        if self.search and found["test"]["states"]:
             searched = found["test"]["search"]
             output.say(f"with search: {100 * searched['share']:.2f} % of the test states have a proven plan")
         return Exit.DONE

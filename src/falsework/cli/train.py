@@ -113,9 +113,11 @@ class Train(Command):
         for note in result.notes:
             output.note(note)
         output.record({"run": str(self.out), **result.as_json()})
+        train, test = result.train, result.test
+        tested = f"{100 * test.share:.1f} % of {test.states} test states and "
         output.say(
-            f"{self.out}: {100 * result.test.share:.1f} % of {result.test.states} test states and "
-            f"{100 * result.train.share:.1f} % of {result.train.states} training states succeed, "
+            f"{self.out}: {tested if test.states else 'no states are left to test on; '}"
+            f"{100 * train.share:.1f} % of {train.states} training states succeed, "
             f"{result.steps} steps in {result.seconds:.0f} s; {result.solved} states learned from"
         )
         if result.interrupted:

@@ -22,6 +22,9 @@ from falsework.learn.refine_settings import RefineSettings
 from falsework.learn.solved import SolvedStates
 from falsework.search.shards import Shards
 
+_FEWEST = 16
+"""Rollouts of one collection, at least."""
+
 
 class Refinement:
     """Learns in blocks, as `falsework.learn.learners.Learner`."""
@@ -74,6 +77,9 @@ class Refinement:
         self._failed_targets = None if targets is None else targets[:0]
         self._passed = (starts[:0], starts[:0])
         self._numbers: dict[str, float] = {}
+        some = slice(None, None, max(len(starts) // 4096, 1))
+        left = environment.rules.steps_left(starts[some], None if targets is None else targets[some])
+        self._length = max(float(left.double().mean()), 1.0) if len(left) else 1.0
 
     def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
         """Take some steps of the optimizer, with as many rollouts as they need.
@@ -88,7 +94,7 @@ class Refinement:
         left = steps
         share = self._settings.batch // self._shards.size
         while left:
-            moves = self._collect()
+            moves = self._collect(left * share)
             # All processes take the same number of steps, since they exchange gradients at each.
             count = int(-summed([-float(len(moves) // share)], self._shards, self._environment.device)[0])
             count = max(count // self._shards.size, 1)
@@ -156,10 +162,11 @@ class Refinement:
     def _draw(self, count: int, among: int) -> torch.Tensor:
         return torch.randint(max(among, 1), (count,), generator=self._generator, device=self._starts.device)
 
-    def _choose_starts(self) -> tuple[torch.Tensor, torch.Tensor | None]:
+    def _choose_starts(self, wanted: int) -> tuple[torch.Tensor, torch.Tensor | None]:
         """Starts of one collection: from the data, recent failures, and all that is solvable or was passed."""
         settings = self._settings
-        count = max(settings.rollouts // self._shards.size, 1)
+        # No more rollouts than the steps to come can learn from, such as those of a slow network in its last minute.
+        count = max(min(settings.rollouts // self._shards.size, round(wanted / self._length)), _FEWEST)
         failures = round(count * settings.from_failures) if len(self._failed) else 0
         if self._targets is None or self._failed_targets is None:
             anywhere = count - round(count * (settings.from_data + settings.from_failures))
@@ -177,10 +184,10 @@ class Refinement:
         ]
         return torch.cat([s[rows] for s, _, rows in drawn]), torch.cat([t[rows] for _, t, rows in drawn])
 
-    def _collect(self) -> Moves:
+    def _collect(self, wanted: int) -> Moves:
         """Play, remember failures and solvable states, and keep the moves that may be learned from."""
         settings = self._settings
-        starts, targets = self._choose_starts()
+        starts, targets = self._choose_starts(wanted)
         self._policy.eval()
         moves = play_and_judge(self._environment, self._playing, starts, targets, settings.trace, self._generator)
         failed = ~moves.success
