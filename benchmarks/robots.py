@@ -34,6 +34,7 @@ from falsework.errors import FalseworkError
 from falsework.robots.cell import Cell, CellRobot
 from falsework.robots.cell_file import load_cell
 from falsework.robots.check import check_robot_plan
+from falsework.robots.compile import compile_kernels
 from falsework.robots.hybrid import HybridResult, HybridSettings, plan_robots
 from falsework.robots.keyframes import KeyframeGraph
 from falsework.robots.shapes import inverse_pose, pose
@@ -90,7 +91,7 @@ def once(assembly: Assembly, cell: Cell, seed: int, deadline: float, *, check: b
     begun, work = time.perf_counter(), time.process_time()
     result = plan_robots(assembly, cell, settings=HybridSettings(seed=seed, deadline=deadline))
     seconds, work = time.perf_counter() - begun, time.process_time() - work
-    statistics = {key: value for key, value in result.statistics.items() if key not in ("failure", "seconds")}
+    statistics = {key: value for key, value in result.statistics.items() if key not in ("failure", "seconds", "seed")}
     fields: dict[str, Any] = {"found": result.found, "seconds": round(seconds, 3), "cpu_seconds": round(work, 3)}
     fields |= statistics
     if result.plan is not None:
@@ -172,11 +173,10 @@ def random_layouts(arguments: Arguments) -> None:
 
 
 def main() -> None:
-    """Compile on a small structure, then run."""
+    """Compile, then run."""
     arguments = tyro.cli(Arguments)
-    small = load_structure("stack:blocks=2")
-    plan_robots(small, load_cell("dome-37", check=False), settings=HybridSettings(deadline=120.0, attempts=1))
-    Stability(small)
+    compile_kernels()
+    Stability(load_structure("stack:blocks=2"))
     names = [*STRUCTURES, "random"] if arguments.what == "all" else [arguments.what]
     for name in names:
         if name == "random":

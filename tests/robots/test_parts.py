@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -111,8 +112,6 @@ def arm(gripper: Gripper) -> CellRobot:
 
 def strong(gripper: Gripper) -> CellRobot:
     robot = arm(gripper)
-    from dataclasses import replace
-
     return replace(robot, gripper=replace(gripper, payload=1e6), model=replace(robot.model, payload=None))
 
 
@@ -135,6 +134,22 @@ def test_suction_grasps_touch_a_face_that_has_room(arch, cup: Gripper) -> None:
         assert abs(grasp.approach[0]) < 0.5  # the neighbours cover the faces along the arch
     again = grasps(assembly, parts, part, np.ones(parts.part_count), robot)
     assert [grasp.tool.tolist() for grasp in again] == [grasp.tool.tolist() for grasp in found]
+
+
+def test_a_large_face_is_gripped_in_several_places(arch, cup: Gripper) -> None:
+    """First as near to the centre of mass as can be; other places for the cup are more than its radius apart."""
+    assembly, parts = arch
+    small = replace(cup, cup=0.005)
+    part = int(np.argmax(parts.center[:, 2]))
+    found = grasps(assembly, parts, part, np.ones(parts.part_count), strong(small))
+    best = [grasp for grasp in found if np.allclose(grasp.approach, found[0].approach)]
+    points = np.unique(np.round([grasp.tool[:3, 3] for grasp in best], 9), axis=0)
+    assert len(points) == 5
+    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
+    assert apart[~np.eye(5, dtype=bool)].min() > small.cup
+    flat = points - np.outer((points - parts.center[part]) @ found[0].approach, found[0].approach)
+    far = np.linalg.norm(flat - parts.center[part], axis=1)
+    assert np.linalg.norm(found[0].tool[:3, 3] - points[np.argmin(far)]) < 1e-6
 
 
 def test_the_gripper_keeps_off_neighbours(arch, cup: Gripper) -> None:

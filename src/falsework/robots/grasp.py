@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,6 +26,8 @@ YAWS = 8
 """Turns about the normal of a face that a suction grasp is tried at."""
 SPREAD = 8
 """Directions around the jaws' axis from which a jaw grasp is tried."""
+SPOT = 0.8
+"""How far out other places for the cup lie on a face, as a share of the way to where it just fits."""
 STANDOFF = 0.0005
 """Distance that the tool frame keeps from the face it grips, metres: what a soft cup makes up for."""
 NEAR = 0.001
@@ -88,7 +91,7 @@ def grasps(
     ways = table.directions[table.start[part] : table.start[part + 1]] @ parts.turn.T
     size = float(np.linalg.norm(np.ptp(parts.meshes[part].vertices, axis=0)))
     if gripper.kind == "suction":
-        groups = [_on_face(gripper, face, part, parts.center[part], ways, size) for face in faces]
+        groups = [group for face in faces for group in _on_face(gripper, face, part, parts.center[part], ways, size)]
     else:
         groups = _between_faces(gripper, faces, part, parts, ways, size)
     groups = [group for group in groups if group]
@@ -124,27 +127,37 @@ def withdrawals(assembly: Assembly, parts: PartShapes, part: int, state: ArrayLi
     return free[np.lexsort((*np.round(free, 9).T[:2], -np.round(free[:, 2], 9)))]
 
 
-def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array, size: float) -> list[Grasp]:
-    """Suction grasps on one face: where the cup fits, as near to the centre of mass as that allows."""
+def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array, size: float) -> list[list[Grasp]]:
+    """Suction grasps on one face: where the cup fits, as near to the centre of mass as that allows, then off it.
+
+    Off the middle, two arms can hold stones that lie side by side.
+    """
     room = shapely.buffer(face.outline, -gripper.cup * 1.02)
     if shapely.is_empty(room):
         return []
     middle = face.flat(center)
-    nearest = shapely.shortest_line(shapely.Point(middle), room)
-    at = shapely.get_coordinates(nearest)[-1]
-    point = face.lift(at)
-    lever = float(np.linalg.norm(at - middle)) / size
     margin = min(1.0, gripper.cup / max(np.sqrt(face.area), 1e-9))
-    quality = _quality(lever, 1.0 - margin, face.normal, ways)
-    return [
-        Grasp(
-            part,
-            _tool(point + STANDOFF * face.normal, -face.normal, face.frame[0], 2 * np.pi * k / YAWS),
-            -face.normal,
-            quality,
-        )
-        for k in range(YAWS)
-    ]
+    groups = []
+    for at in _spots(room, middle, gripper.cup):
+        point = face.lift(at) + STANDOFF * face.normal
+        lever = float(np.linalg.norm(at - middle)) / size
+        quality = _quality(lever, 1.0 - margin, face.normal, ways)
+        tools = [_tool(point, -face.normal, face.frame[0], 2 * np.pi * k / YAWS) for k in range(YAWS)]
+        groups.append([Grasp(part, tool, -face.normal, quality) for tool in tools])
+    return groups
+
+
+def _spots(room: shapely.Geometry, middle: Array, cup: float) -> list[Array]:
+    """Points of a flat region: the one nearest to the middle, then those far out, no two nearer than a cup's radius."""
+    first = shapely.get_coordinates(shapely.shortest_line(shapely.Point(middle), room))[-1]
+    spots = [first]
+    corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(room))
+    for corner, following in itertools.pairwise(corners):
+        wanted = first + SPOT * ((corner + following) / 2 - first)
+        at = shapely.get_coordinates(shapely.shortest_line(shapely.Point(wanted), room))[-1]
+        if min(float(np.linalg.norm(at - spot)) for spot in spots) > cup:
+            spots.append(at)
+    return spots
 
 
 def _between_faces(
@@ -199,13 +212,19 @@ def _tool(point: Array, z: Array, x: Array, turn: float) -> Array:
     """A tool frame at a point with a given z, and x turned about z from a given direction."""
     x = x - (x @ z) * z
     x /= np.linalg.norm(x)
-    y = np.cross(z, x)
+    y = _cross(z, x)
     made = np.eye(4)
     made[:3, 0] = np.cos(turn) * x + np.sin(turn) * y
-    made[:3, 1] = np.cross(z, made[:3, 0])
+    made[:3, 1] = np.cos(turn) * y - np.sin(turn) * x
     made[:3, 2] = z
     made[:3, 3] = point
     return made
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Vector product of two vectors; numpy's own is made for many and slow for two."""
+    (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
+    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 def _open_way(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper, approach: float):

@@ -47,7 +47,7 @@ class HybridSettings:
     """Same seed, same machine, same result, unless the deadline strikes."""
     deadline: float | None = None
     """Seconds after which the search ends with what it has."""
-    attempts: int = 12
+    attempts: int = 40
     """Searches, each in another order."""
     dead_ends: int = 15
     """Dead ends in the first search; when they are used up, the next one begins and may have more."""

@@ -35,13 +35,13 @@ Array = NDArray[np.float64]
 class KeyframeSettings:
     """How many possibilities are tried before a step counts as impossible."""
 
-    grasps: int = 32
+    grasps: int = 128
     """Grasps of a part, best first."""
     candidates: int = 24
     """Configurations of one robot for one grasp or place that are looked at closely, nearest first."""
     directions: int = 4
     """Ways out that are tried for a part."""
-    approaches: tuple[float, ...] = (1.0, 0.4)
+    approaches: tuple[float, ...] = (1.0, 0.4, 1.8)
     """Lengths of the line on which a gripper comes, in lengths of an approach."""
     withdrawals: tuple[float, ...] = (1.0, 2.0, 4.0)
     """Lengths of the line on which a part leaves, in lengths of an approach, until it is clear of everything."""
@@ -249,25 +249,53 @@ class KeyframeGraph:
         for row in np.flatnonzero(hits >= 0)[:1]:
             self.reasons.add("hold", part, robot, "a robot is in the way of every grip", view.pair(int(hits[row])))
         open_grips = [grips[row] for row in np.flatnonzero(hits < 0)]
-        order = sorted(open_grips, key=lambda grip: float(np.abs(grip.configuration - here).max()))
+        room = self._room(node, robot, open_grips)
+        way = np.array([np.abs(grip.configuration - here).max() for grip in open_grips])
+        order = [open_grips[row] for row in np.argsort(0.1 * way - room, kind="stable")]
         for grip in _spread(order, self.settings.candidates):
             edge = self._try_grip(node, part, grip, view)
             if edge is not None:
                 yield edge
 
+    def _room(self, node: Node, robot: int, grips: list[Grip]) -> Array:
+        """How far grips keep out of the way of other arms, in lengths of an approach, shape (grips,).
+
+        The gripper's end at the flange had better be on the side of the own base, and away from what others hold.
+        Zeros for fewer than three arms: two seldom crowd each other, and nearest first does better for them.
+        """
+        if not grips or self.cell.robot_count < 3:
+            return np.zeros(len(grips))
+        entry = self.cell.robots[robot]
+        tools = np.array([grip.grasp.tool for grip in grips])
+        flanges = (tools @ np.linalg.inv(entry.gripper.tool))[:, :2, 3]
+        room = -np.linalg.norm(flanges - entry.base[:2, 3], axis=1)
+        for other, part in enumerate(node.held):
+            if part is not None:
+                flange = tool_pose(self.cell.robots[other], node.configurations[other]) @ np.linalg.inv(
+                    self.cell.robots[other].gripper.tool
+                )
+                room = room + np.minimum(np.linalg.norm(flanges - flange[:2, 3], axis=1), 0.3)
+        return room / self.cell.margins.approach
+
     def _try_grip(self, node: Node, part: int, grip: Grip, view: View) -> Edge | None:
         robot, margins = grip.robot, self.cell.margins
+        clear = self._view_of(node.scene, robot, NO_CONTACT, margins.free)
+        outside: Array | None = None
         for share in self.settings.approaches:
             retreat = follow_line(view, grip.configuration, -grip.grasp.approach, share * margins.approach)
-            if retreat:
+            if retreat.path is None:
+                self.reasons.add("hold", part, robot, f"approach: {retreat.reason}", retreat.pair, retreat.at)
+                continue
+            hit = int(clear.hits(retreat.path[-1])[0])
+            if hit < 0:
+                outside = retreat.path[-1]
                 break
-        else:
-            self.reasons.add("hold", part, robot, f"approach: {retreat.reason}", retreat.pair, retreat.at)
+            self.reasons.add("hold", part, robot, "approach: too near", clear.pair(hit), retreat.path[-1])
+        if outside is None:
             return None
         # A robot cannot grip anew later: the part must be able to leave in this grip, when its way is free.
         if not self._can_leave_later(node, part, grip):
             return None
-        outside = retreat.path[-1]  # type: ignore[index]
         free = self._free_motion(node.scene, robot, node.configurations[robot], outside)
         if not free:
             self.reasons.add("hold", part, robot, f"way to the part: {free.reason}", free.pair, free.at)
@@ -296,7 +324,7 @@ class KeyframeGraph:
             what = f"{name} weighs {self.parts.mass[part]:.3g} kg, more than the payload of {entry.payload:.3g} kg"
             self.reasons.add("hold", part, robot, what)
             return []
-        found = grasps(self.assembly, self.parts, part, present, entry)[: self.settings.grasps]
+        found = grasps(self.assembly, self.parts, part, present, entry, limit=self.settings.grasps)
         if not found:
             self.reasons.add("hold", part, robot, "no face that the gripper can take")
             return []
