@@ -1,8 +1,8 @@
 """Arms described here, so that examples need no files: joints and limits as published, links as simple convex pieces.
 
-Each link is one bevelled block, its sizes taken from the outer extents of public collision models and rounded. It covers
-the convex hull of such a model to a few millimetres and sticks out of it by up to 11 cm at corners. Cables and fittings
-are not in it: add obstacles or a wider margin for a real cell.
+Each link is one bevelled block, its sizes taken from the outer extents of public collision models and rounded. It
+covers the convex hull of such a model to a few millimetres and sticks out of it by up to 11 cm at corners. Cables and
+fittings are not in it: add obstacles or a wider margin for a real cell.
 """
 
 from __future__ import annotations
