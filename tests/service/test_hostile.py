@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -184,7 +185,8 @@ def test_a_deadline_is_kept_while_the_planner_hangs(live: Any) -> None:
         answer = live.post("/replan", {"deadline": 200}).json()
         seconds = time.monotonic() - begun
     finally:
-        os.kill(planner, signal.SIGCONT)
+        with contextlib.suppress(ProcessLookupError):  # a planner that hangs may have been replaced
+            os.kill(planner, signal.SIGCONT)
     assert answer["outcome"] == "not_yet"
     assert answer["plans"] == []
     assert answer["deadline_passed"]
@@ -247,7 +249,8 @@ def test_more_requests_than_may_wait_are_turned_away(live: Any, monkeypatch: pyt
         with ThreadPoolExecutor(8) as clients:
             replies = list(clients.map(lambda _: live.post("/replan", {"deadline": 1000}), range(8)))
     finally:
-        os.kill(planner, signal.SIGCONT)
+        with contextlib.suppress(ProcessLookupError):  # a planner that hangs may have been replaced
+            os.kill(planner, signal.SIGCONT)
     away = [reply for reply in replies if reply.status_code == 503]
     assert len(away) >= 3  # one batch may be with the planner, two may wait
     for reply in away:
@@ -276,5 +279,7 @@ def test_who_hangs_up_takes_the_request_back(live: Any) -> None:
             assert time.monotonic() < end, "a request still waits although nobody wants its answer"
         first.close()
     finally:
-        os.kill(planner, signal.SIGCONT)
+        # With nobody left who wants its answer, the pool may have replaced the planner that hangs already.
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(planner, signal.SIGCONT)
     assert live.post("/replan", {}).json()["outcome"] == "found"
