@@ -15,6 +15,7 @@ from falsework.learn.distributed import average_gradients
 from falsework.learn.nan_guard import NanGuard
 from falsework.learn.policy import Policy, masked_log_probabilities
 from falsework.learn.rules import Rules
+from falsework.learn.saved import load_saved, saved_tensors
 from falsework.learn.settings import ImitationSettings
 from falsework.learn.solved import SolvedStates
 from falsework.learn.watch import Memory
@@ -225,26 +226,14 @@ class Imitation:
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All that there is to save, for `load`."""
-        saved = {f"weight.{name}": tensor for name, tensor in self.policy.state_dict().items()}
-        saved |= {f"average.{place}": tensor for place, tensor in enumerate(self._average)}
-        for place, state in self._optimizer.state_dict()["state"].items():
-            saved |= {f"optimizer.{place}.{name}": torch.as_tensor(value) for name, value in state.items()}
+        saved = saved_tensors(self.policy, self._optimizer, self._average)
         saved["steps"] = torch.tensor([self.steps])
         saved["sums"] = self._sums
         return saved
 
     def load(self, tensors: dict[str, torch.Tensor]) -> None:
         """Go back to what `tensors` gave."""
-        weights = {name[len("weight.") :]: one for name, one in tensors.items() if name.startswith("weight.")}
-        self.policy.load_state_dict(weights)
-        for place, average in enumerate(self._average):
-            average.copy_(tensors[f"average.{place}"])
-        state: dict[int, dict[str, torch.Tensor]] = {}
-        for name, one in tensors.items():
-            if name.startswith("optimizer."):
-                _, place, key = name.split(".", 2)
-                state.setdefault(int(place), {})[key] = one.clone()
-        self._optimizer.load_state_dict({**self._optimizer.state_dict(), "state": state})
+        load_saved(tensors, self.policy, self._optimizer, self._average)
         self.steps = int(tensors["steps"][0])
         self._sums.copy_(tensors["sums"])
 

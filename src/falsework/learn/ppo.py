@@ -16,6 +16,7 @@ from falsework.learn.nan_guard import NanGuard
 from falsework.learn.policy import masked_log_probabilities
 from falsework.learn.ppo_settings import PpoSettings
 from falsework.learn.rollout import Rollouts, play
+from falsework.learn.saved import load_saved, saved_tensors
 from falsework.learn.storage import Storage
 from falsework.search.shards import Shards
 
@@ -229,9 +230,7 @@ class PPO:
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Weights and optimizer, which are the same in all processes, to save; for `load`."""
-        saved = {f"weight.{name}": tensor for name, tensor in self.policy.state_dict().items()}
-        for place, state in self._optimizer.state_dict()["state"].items():
-            saved |= {f"optimizer.{place}.{name}": torch.as_tensor(value) for name, value in state.items()}
+        saved = saved_tensors(self.policy, self._optimizer)
         return {**saved, "updates": torch.tensor([self.updates])}
 
     def own_tensors(self) -> dict[str, torch.Tensor]:
@@ -240,15 +239,7 @@ class PPO:
 
     def load(self, tensors: dict[str, torch.Tensor], own: dict[str, torch.Tensor] | None = None) -> None:
         """Go back to what `tensors` and `own_tensors` gave; without the latter, randomness goes on where it is."""
-        prefix = "weight."
-        self.policy.load_state_dict({n[len(prefix) :]: t for n, t in tensors.items() if n.startswith(prefix)})
-        state: dict[int, dict[str, torch.Tensor]] = {}
-        for name, tensor in tensors.items():
-            if name.startswith("optimizer."):
-                _, place, entry = name.split(".", 2)
-                state.setdefault(int(place), {})[entry] = tensor
-        groups = self._optimizer.state_dict()["param_groups"]
-        self._optimizer.load_state_dict({"state": state, "param_groups": groups})
+        load_saved(tensors, self.policy, self._optimizer)
         self.updates = int(tensors["updates"][0])
         if own is not None:
             self.generator.set_state(own["generator"].cpu())

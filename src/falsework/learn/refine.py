@@ -19,6 +19,7 @@ from falsework.learn.imitation import Network, imitation_loss
 from falsework.learn.moves import Moves, hindsight, play_and_judge
 from falsework.learn.policy import Policy, masked_log_probabilities
 from falsework.learn.refine_settings import RefineSettings
+from falsework.learn.saved import load_saved, saved_tensors
 from falsework.learn.solved import SolvedStates
 from falsework.search.shards import Shards
 
@@ -122,10 +123,7 @@ class Refinement:
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All that there is to save and is the same in all processes."""
-        saved = {f"weight.{name}": tensor for name, tensor in self._policy.state_dict().items()}
-        saved |= {f"average.{place}": tensor for place, tensor in enumerate(self._average)}
-        for place, state in self._optimizer.state_dict()["state"].items():
-            saved |= {f"optimizer.{place}.{name}": torch.as_tensor(value) for name, value in state.items()}
+        saved = saved_tensors(self._policy, self._optimizer, self._average)
         return {**saved, "steps": torch.tensor([self.steps])}
 
     def own_tensors(self) -> dict[str, torch.Tensor]:
@@ -138,16 +136,7 @@ class Refinement:
 
     def load(self, tensors: dict[str, torch.Tensor], own: dict[str, torch.Tensor] | None) -> None:
         """Go back to what was saved; `own` is None if the number of processes has changed."""
-        named = {name[len("weight.") :]: one for name, one in tensors.items() if name.startswith("weight.")}
-        self._policy.load_state_dict(named)
-        for place, average in enumerate(self._average):
-            average.copy_(tensors[f"average.{place}"])
-        state: dict[int, dict[str, torch.Tensor]] = {}
-        for name, one in tensors.items():
-            if name.startswith("optimizer."):
-                _, place, key = name.split(".", 2)
-                state.setdefault(int(place), {})[key] = one.clone()
-        self._optimizer.load_state_dict({**self._optimizer.state_dict(), "state": state})
+        load_saved(tensors, self._policy, self._optimizer, self._average)
         self.steps = int(tensors["steps"][0])
         if own is None:
             self._generator.manual_seed(100_003 * (self.steps + 1) + self._shards.rank)
