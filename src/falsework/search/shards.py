@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -103,6 +104,10 @@ def joined(device: str = "auto") -> Iterator[tuple[Shards, torch.device]]:
     if "RANK" not in os.environ or "WORLD_SIZE" not in os.environ or dist.is_initialized():
         yield Shards.of_group(), choose_device(device)
         return
+    # Its functions have the group that exists at import as a default argument. Imported now, there is none; imported
+    # later, which an optimizer does, they would keep the group and its threads beyond the block, and a thread that
+    # frees a tensor while Python shuts down ends the process by `terminate`.
+    importlib.import_module("torch.distributed.nn.functional")
     chosen = choose_device(device)
     if chosen.type == "cuda":
         local = int(os.environ.get("LOCAL_RANK", "0"))
