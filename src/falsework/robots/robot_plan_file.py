@@ -6,13 +6,12 @@ import json
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.errors import PlanError
-from falsework.search.archive import write_whole
+from falsework.search.json_file import Reader, write_json
 from falsework.search.plan import Plan
 from falsework.search.plan_file import from_json as plan_from_json
 from falsework.search.plan_file import to_json as plan_to_json
@@ -44,15 +43,7 @@ def write_robot_plan(plan: RobotPlan, path: Path | str) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    entries = []
-    for key, value in robot_plan_to_json(plan).items():
-        if isinstance(value, list) and value:
-            written = "[\n  " + ",\n  ".join(_dump(entry) for entry in value) + "\n ]"
-        else:
-            written = _dump(value)
-        entries.append(f" {json.dumps(key)}: {written}")
-    text = "{\n" + ",\n".join(entries) + "\n}\n"
-    write_whole(path, lambda file: file.write(text.encode()))
+    write_json(path, robot_plan_to_json(plan), spread=("keyframes", "steps"))
 
 
 def robot_plan_to_json(plan: RobotPlan) -> dict[str, Any]:
@@ -108,16 +99,7 @@ def read_robot_plan(path: Path | str) -> RobotPlan:
     Raises:
         PlanError: no such file, damaged, of another version, or with motions that do not join.
     """
-    path = Path(path)
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise PlanError(f"there is no robot plan file {path}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise PlanError(f"{path} cannot be read as a robot plan ({type(error).__name__}); plan again") from None
-    except (ValueError, RecursionError):
-        raise PlanError(f"{path} is not valid JSON; it may be truncated; plan again") from None
-    return robot_plan_from_json(data, str(path))
+    return robot_plan_from_json(_Reader.load(path), str(Path(path)))
 
 
 def robot_plan_from_json(data: Any, source: str = "the robot plan") -> RobotPlan:
@@ -133,24 +115,15 @@ def _numbers(values: Array) -> Any:
     return (np.round(np.asarray(values, dtype=np.float64), DIGITS) + 0.0).tolist()
 
 
-def _dump(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+class _Reader(Reader):
+    """Checks all of a robot plan that can be checked without the cell and the structure."""
 
-
-class _Reader:
-    """Takes JSON values apart and complains about the first thing that is not as it must be."""
-
-    def __init__(self, source: str) -> None:
-        self._source = source
+    kind, form, command = "robot plan", FORMAT, "falsework robots plan"
 
     def plan(self, data: Any) -> RobotPlan:
         from falsework.robots.robot_plan import RobotPlan
 
-        if not isinstance(data, dict) or "format" not in data:
-            self._fail('it has no "format"', "give a file that `falsework robots plan` wrote")
-        if data["format"] != FORMAT:
-            self._fail(f"its format is {data['format']!r}", f"this version reads {FORMAT!r} only; plan again")
-        self._keys(data, _KEYS, "the robot plan")
+        self._header(data, _KEYS)
         cell = data["cell"]
         self._keys(cell, {"name", "identity", "robots"}, "cell", frozenset({"source"}))
         robots = tuple(self._robot(entry, f"robot {k}") for k, entry in enumerate(self._list(cell["robots"], "robots")))
@@ -268,25 +241,7 @@ class _Reader:
             self._fail(f"{place} is {value!r}", f"it must be null or a part from 0 to {parts - 1}")
         return value
 
-    def _list(self, value: Any, place: str) -> list[Any]:
-        if not isinstance(value, list):
-            self._fail(f"{place} is no list")
-        return value
-
     def _text(self, value: Any, place: str) -> str:
         if not isinstance(value, str):
             self._fail(f"{place} is {value!r}", "it must be a text")
         return value
-
-    def _keys(self, value: Any, keys: set[str], place: str, optional: frozenset[str] = frozenset()) -> None:
-        if not isinstance(value, dict):
-            self._fail(f"{place} is no object")
-        absent = sorted(keys - set(value))
-        if absent:
-            self._fail(f"{place} lacks {absent[0]!r}")
-        unknown = sorted(set(value) - keys - optional)
-        if unknown:
-            self._fail(f"{place} has an unknown entry {unknown[0]!r}", "it may be from another version; plan again")
-
-    def _fail(self, what: str, remedy: str = "the file is damaged; plan again") -> NoReturn:
-        raise PlanError(f"{self._source} is not a valid robot plan: {what}; {remedy}")

@@ -9,14 +9,14 @@ import zlib
 from dataclasses import asdict, dataclass
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
-from falsework.errors import PlanError, StateError
-from falsework.search.archive import write_whole
+from falsework.errors import StateError
+from falsework.search.json_file import Reader, write_json
 from falsework.search.task import Direction
 from falsework.stability.certificate import Claim
 from falsework.stability.verdict import Proof, Verdict
@@ -68,8 +68,6 @@ def needs_of(
 
 
 _KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
-_VERDICTS = {"stable": int(Verdict.STABLE)}
-_PROOFS = {"forces": int(Proof.FORCES)}
 
 
 def plan_schema() -> dict[str, Any]:
@@ -84,20 +82,7 @@ def write_plan(plan: Plan, path: Path | str, *, proofs: bool) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    # One step a line keeps the file readable and a difference between two plans short.
-    entries = []
-    for key, value in to_json(plan, proofs=proofs).items():
-        if key == "steps" and value:
-            written = "[\n  " + ",\n  ".join(_dump(step) for step in value) + "\n ]"
-        else:
-            written = _dump(value)
-        entries.append(f" {json.dumps(key)}: {written}")
-    text = "{\n" + ",\n".join(entries) + "\n}\n"
-    write_whole(path, lambda file: file.write(text.encode()))
-
-
-def _dump(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    write_json(path, to_json(plan, proofs=proofs), spread=("steps",))
 
 
 def to_json(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
@@ -151,18 +136,7 @@ def read_plan(path: Path | str) -> dict[str, Any]:
     Raises:
         PlanError: no such file, damaged, of another version, or with an action that the rules forbid.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise PlanError(f"there is no plan file {path}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise PlanError(f"{path} cannot be read as a plan ({type(error).__name__}); plan again") from None
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError):
-        raise PlanError(f"{path} is not valid JSON; it may be truncated; plan again") from None
-    return from_json(data, str(path))
+    return from_json(_Reader.load(path), str(Path(path)))
 
 
 def from_json(data: Any, source: str = "the plan") -> dict[str, Any]:
@@ -174,25 +148,15 @@ def from_json(data: Any, source: str = "the plan") -> dict[str, Any]:
     return _Reader(source).fields(data)
 
 
-class _Reader:
-    """Takes JSON values apart and complains about the first thing that is not as it must be."""
+class _Reader(Reader):
+    """Checks all of a plan that can be checked without the structure."""
 
-    def __init__(self, source: str) -> None:
-        self._source = source
+    kind, form, command = "plan", FORMAT, "falsework plan"
 
     def fields(self, data: Any) -> dict[str, Any]:
-        if not isinstance(data, dict) or "format" not in data:
-            self._fail('it has no "format"', "give a file that `falsework plan` wrote")
-        if data["format"] != FORMAT:
-            self._fail(f"its format is {data['format']!r}", f"this version reads {FORMAT!r} only; plan again")
-        self._keys(data, _KEYS, "the plan", optional=frozenset({"forces"}))
+        self._header(data, _KEYS, optional=frozenset({"forces"}))
         structure, rules, stability = data["structure"], data["rules"], data["stability"]
-        self._keys(
-            structure,
-            {"name", "identity", "friction", "boundary", "parts"},
-            "structure",
-            optional=frozenset({"source"}),
-        )
+        self._keys(structure, {"name", "identity", "friction", "boundary", "parts"}, "structure", frozenset({"source"}))
         self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules")
         self._keys(stability, {"cone", "gravity", "tolerance", "force_bound"}, "stability")
         names = structure["parts"]
@@ -276,9 +240,7 @@ class _Reader:
             self._fail(f"start.state has {held} parts held with {robots} robots")
         residuals = [self._judged(data["start"], "start")]
         states, actions = [state], []
-        if not isinstance(data["steps"], list):
-            self._fail("steps is no list")
-        for number, step in enumerate(data["steps"], 1):
+        for number, step in enumerate(self._list(data["steps"], "steps"), 1):
             place = f"step {number}"
             self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place)
             word, part = step["do"], self._count(step["part"], f"{place}: part")
@@ -303,8 +265,7 @@ class _Reader:
         return np.array(states), np.array(actions, dtype=np.int64), np.array(residuals)
 
     def _judged(self, record: dict[str, Any], place: str) -> float:
-        # Compared with lists, since what is in a damaged file need not be hashable.
-        if record["verdict"] not in list(_VERDICTS) or record["proof"] not in list(_PROOFS):
+        if (record["verdict"], record["proof"]) != ("stable", "forces"):
             found = f"{place} has verdict {record['verdict']!r} with proof {record['proof']!r}"
             self._fail(found, "every state must be stable by forces")
         return self._number(record["residual"], f"{place}: residual")
@@ -349,16 +310,3 @@ class _Reader:
         if type(value) is not int or value < least:
             self._fail(f"{place} is {value!r}", f"it must be a whole number from {least} on")
         return value
-
-    def _keys(self, value: Any, keys: set[str], place: str, optional: frozenset[str] = frozenset()) -> None:
-        if not isinstance(value, dict):
-            self._fail(f"{place} is no object")
-        absent = sorted(keys - set(value))
-        if absent:
-            self._fail(f"{place} lacks {absent[0]!r}")
-        unknown = sorted(set(value) - keys - optional)
-        if unknown:
-            self._fail(f"{place} has an unknown entry {unknown[0]!r}", "it may be from another version; plan again")
-
-    def _fail(self, what: str, remedy: str = "the file is damaged; plan again") -> NoReturn:
-        raise PlanError(f"{self._source} is not a valid plan: {what}; {remedy}")

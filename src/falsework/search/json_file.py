@@ -1,0 +1,90 @@
+"""Versioned JSON files that may come damaged: how they are written, and how they are taken apart with clear errors."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Container, Mapping
+from pathlib import Path
+from typing import Any, ClassVar, NoReturn
+
+from falsework.errors import PlanError
+from falsework.search.archive import write_whole
+
+
+def write_json(path: Path | str, data: Mapping[str, Any], spread: Container[str]) -> None:
+    """Write JSON, whole or not at all: an entry a line, and a line for each element of the lists that are to spread.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    # Short lines keep the file readable and a difference between two files small.
+    lines = []
+    for key, value in data.items():
+        if key in spread and value:
+            written = "[\n  " + ",\n  ".join(_dump(entry) for entry in value) + "\n ]"
+        else:
+            written = _dump(value)
+        lines.append(f" {json.dumps(key)}: {written}")
+    text = "{\n" + ",\n".join(lines) + "\n}\n"
+    write_whole(path, lambda file: file.write(text.encode()))
+
+
+def _dump(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+class Reader:
+    """Takes JSON values apart and complains about the first thing that is not as it must be.
+
+    A class for one kind of file says what messages call it, which format is read, and which command writes it.
+    """
+
+    kind: ClassVar[str]
+    form: ClassVar[str]
+    command: ClassVar[str]
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+
+    @classmethod
+    def load(cls, path: Path | str) -> Any:
+        """The JSON values in a file.
+
+        Raises:
+            PlanError: no such file, or no JSON.
+        """
+        path = Path(path)
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise PlanError(f"there is no {cls.kind} file {path}") from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise PlanError(f"{path} cannot be read as a {cls.kind} ({type(error).__name__}); plan again") from None
+        except (ValueError, RecursionError):
+            raise PlanError(f"{path} is not valid JSON; it may be truncated; plan again") from None
+
+    def _header(self, data: Any, keys: set[str], optional: frozenset[str] = frozenset()) -> None:
+        """The format comes first: of a file of another version it is all there is to say."""
+        if not isinstance(data, dict) or "format" not in data:
+            self._fail('it has no "format"', f"give a file that `{self.command}` wrote")
+        if data["format"] != self.form:
+            self._fail(f"its format is {data['format']!r}", f"this version reads {self.form!r} only; plan again")
+        self._keys(data, keys, f"the {self.kind}", optional)
+
+    def _keys(self, value: Any, keys: set[str], place: str, optional: frozenset[str] = frozenset()) -> None:
+        if not isinstance(value, dict):
+            self._fail(f"{place} is no object")
+        absent = sorted(keys - set(value))
+        if absent:
+            self._fail(f"{place} lacks {absent[0]!r}")
+        unknown = sorted(set(value) - keys - optional)
+        if unknown:
+            self._fail(f"{place} has an unknown entry {unknown[0]!r}", "it may be from another version; plan again")
+
+    def _list(self, value: Any, place: str) -> list[Any]:
+        if not isinstance(value, list):
+            self._fail(f"{place} is no list")
+        return value
+
+    def _fail(self, what: str, remedy: str = "the file is damaged; plan again") -> NoReturn:
+        raise PlanError(f"{self._source} is not a valid {self.kind}: {what}; {remedy}")
