@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,3 +35,36 @@ def shared_assembly() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+@pytest.fixture(scope="session")
+def run_processes(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., None]:
+    """Run a script in several processes that find each other as under torchrun; skips the test where torch cannot."""
+    torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[gpu]'")
+    if not (torch.distributed.is_available() and torch.distributed.is_gloo_available()):
+        pytest.skip("this torch has no gloo")
+
+    def run(script: Path, processes: int, *arguments: object) -> None:
+        # They meet in a store that is open before they start, as torchrun does it. Its port comes from the system, so
+        # that nothing else can take it in between.
+        store = torch.distributed.TCPStore("127.0.0.1", 0, is_master=True, wait_for_workers=False)
+        common = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(store.port), "TORCHELASTIC_USE_AGENT_STORE": "True"}
+        common |= {"WORLD_SIZE": str(processes), "OMP_NUM_THREADS": "1"}
+        command = [sys.executable, str(script), *map(str, arguments)]
+        said = [tmp_path_factory.mktemp("process") / "stderr" for _ in range(processes)]
+        running, codes, left = [], [], 100.0
+        try:
+            for rank, path in enumerate(said):
+                own = {**os.environ, **common, "RANK": str(rank), "LOCAL_RANK": str(rank)}
+                with path.open("w") as file:
+                    running.append(subprocess.Popen(command, env=own, stderr=file))
+            while None in (codes := [process.poll() for process in running]) and left > 0:
+                time.sleep(0.05)
+                left -= 1.0 if any(codes) else 0.05  # once one has failed, the others end soon or never
+        finally:
+            for process in running:
+                process.kill()
+                process.wait()
+        assert codes == [0] * processes, "\n".join([f"they ended with {codes}", *(path.read_text() for path in said)])
+
+    return run

@@ -6,11 +6,10 @@ import errno
 import json
 import os
 import signal
-import socket
-import subprocess
 import sys
 import time
 import types
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -55,14 +54,6 @@ SMALL = TrainSettings(
     refine=RefinePhase(settings=RefineSettings(rollouts=8, batch=16)),
     patience=0,
 )
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> Any:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="module")
@@ -279,35 +270,9 @@ def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
 PARALLEL = ("search", "refine")
 
 
-def free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return sock.getsockname()[1]
-
-
-@pytest.mark.skipif(
-    not (torch.distributed.is_available() and torch.distributed.is_gloo_available()), reason="this torch has no gloo"
-)
-def test_two_processes_are_one_training(tmp_path: Path) -> None:
+def test_two_processes_are_one_training(tmp_path: Path, run_processes: Callable[..., None]) -> None:
     """The same weights and known states in both, to the last bit; steps of the environment add up."""
-    common = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port()), "OMP_NUM_THREADS": "1"}
-    script = Path(__file__).with_name("distributed_training.py")
-    running = [
-        subprocess.Popen(
-            [sys.executable, str(script), str(tmp_path), *PARALLEL],
-            env={**os.environ, **common, "RANK": str(rank), "LOCAL_RANK": str(rank)},
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for rank in range(2)
-    ]
-    try:
-        for process in running:
-            _, error = process.communicate(timeout=100)
-            assert process.returncode == 0, error
-    finally:
-        for process in running:
-            process.kill()
+    run_processes(Path(__file__).with_name("distributed_training.py"), 2, tmp_path, *PARALLEL)
     for method in PARALLEL:
         folder = tmp_path / method
         one, two = (safetensors.load_file(folder / f"{rank}.safetensors") for rank in range(2))

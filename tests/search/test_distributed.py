@@ -2,55 +2,22 @@
 
 from __future__ import annotations
 
-import os
 import runpy
-import socket
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[gpu]'")
-if not (torch.distributed.is_available() and torch.distributed.is_gloo_available()):
-    pytest.skip("this torch has no gloo", allow_module_level=True)
 
 from falsework.search.shards import Shards, joined  # noqa: E402
 
 SCRIPT = Path(__file__).with_name("distributed_search.py")
 
 
-def free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return sock.getsockname()[1]
-
-
-def start(processes: int, folder: Path) -> None:
-    """Run the script in several processes, with the environment that torchrun gives them."""
-    common = {"WORLD_SIZE": str(processes), "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}
-    common |= {"OMP_NUM_THREADS": "1"}
-    running = [
-        subprocess.Popen(
-            [sys.executable, str(SCRIPT), str(folder)],
-            env={**os.environ, **common, "RANK": str(rank), "LOCAL_RANK": str(rank)},
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for rank in range(processes)
-    ]
-    try:
-        for process in running:
-            _, error = process.communicate(timeout=100)
-            assert process.returncode == 0, error
-    finally:
-        for process in running:
-            process.kill()
-
-
-def test_two_processes_find_the_same_levels_as_one(tmp_path: Path) -> None:
-    start(2, tmp_path)
+def test_two_processes_find_the_same_levels_as_one(tmp_path: Path, run_processes: Callable[..., None]) -> None:
+    run_processes(SCRIPT, 2, tmp_path)
     alone = runpy.run_path(str(SCRIPT))["search_all"]("cpu", Shards())
     shares = [np.load(tmp_path / f"{rank}-of-2.npz") for rank in range(2)]
     assert sum(len(alone[name]) > 0 for name in alone if name.startswith("route")) >= 3
