@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -298,10 +299,15 @@ def test_an_interrupted_search_goes_on(falsework: Run, tmp_path: Path, monkeypat
 @pytest.mark.skipif(os.name == "nt", reason="interrupts are sent differently on Windows")
 def test_a_real_interrupt_is_one_line(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "falsework", "plan", "vault:parts=300", "--out", str(tmp_path / "plan.json")]
-    running = subprocess.Popen([*command, "--alternatives", "9"], stderr=subprocess.PIPE, text=True)
-    time.sleep(3)  # wherever this is, importing, building or searching
-    running.send_signal(signal.SIGINT)
-    _, error = running.communicate(timeout=60)
+    # Where the tests were started in the background, interrupts are ignored, which processes inherit.
+    default = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
+    running = subprocess.Popen([*command, "--alternatives", "9"], stderr=subprocess.PIPE, text=True, preexec_fn=default)
+    try:
+        time.sleep(3)  # wherever this is, importing, building or searching
+        running.send_signal(signal.SIGINT)
+        _, error = running.communicate(timeout=60)
+    finally:
+        running.kill()
     assert running.returncode in (130, -signal.SIGINT), error
     assert "Traceback" not in error
     assert not (tmp_path / "plan.json").exists()
