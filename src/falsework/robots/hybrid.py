@@ -15,25 +15,23 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, REMOVED, Mask, States
-from falsework.errors import InputError, StateError
+from falsework.assembly.state import REMOVED, States
+from falsework.errors import InputError
 from falsework.robots.cell import Cell
-from falsework.robots.exits import Exits
 from falsework.robots.explain import Explanation, Reasons, explain
 from falsework.robots.keyframes import Edge, KeyframeGraph, KeyframeSettings, Node
+from falsework.robots.origin import first_keyframe, task_in_cell
 from falsework.robots.proposals import Proposals
+from falsework.robots.ranking import Ranking
 from falsework.robots.robot_plan import RobotPlan
 from falsework.robots.schedule import make_robot_plan
 from falsework.search.guide import Guide
 from falsework.search.result import Outcome, Route, SearchResult
-from falsework.search.task import Direction, Task
+from falsework.search.task import Task
 from falsework.stability.oracle import Stability
-
-Array = NDArray[np.float64]
-
 
 _SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """How long missing parts are done without, as shares of what stability alone allows, in turn."""
@@ -135,7 +133,7 @@ def plan_robots(
         StateError: held parts that do not go with the start state.
     """
     search = _Search(assembly, cell, task, oracle or Stability(assembly), guide, settings, progress, graph)
-    return search.run(search.root(configurations, held))
+    return search.run(first_keyframe(search.graph, search.task, configurations, held))
 
 
 class _Search:
@@ -153,7 +151,7 @@ class _Search:
         graph: KeyframeGraph | None,
     ) -> None:
         self.began = time.perf_counter()
-        self.assembly, self.cell, self.oracle, self.guide = assembly, cell, oracle, guide
+        self.assembly, self.cell, self.oracle = assembly, cell, oracle
         self.settings, self.progress = settings, progress
         self.reasons = Reasons() if graph is None else graph.reasons
         self.graph = graph or KeyframeGraph(
@@ -161,6 +159,7 @@ class _Search:
         )
         self.task = task_in_cell(assembly, cell, task, self.graph.exits)
         self.proposals = Proposals(assembly, self.task, oracle, guide=guide, seed=settings.seed)
+        self.ranking = Ranking(self.graph, self.proposals, guide)
         self.abstract: SearchResult | None = None
         self.best: list[Edge] = []
         self.tried: Counter[tuple[str, int]] = Counter()
@@ -170,31 +169,6 @@ class _Search:
         self.attempt = 0
         self.unreachable: list[int] | None = None
         self._reported = self.began
-
-    def root(self, configurations: Sequence[ArrayLike] | None, held: Sequence[int | None] | None) -> Node:
-        """The keyframe to begin with, checked."""
-        robots = self.cell.robots
-        values = self.cell.homes if configurations is None else tuple(configurations)
-        held = (None,) * len(robots) if held is None else tuple(held)
-        if len(values) != len(robots) or len(held) != len(robots):
-            raise InputError(f"{self.cell.name} has {len(robots)} robots; say of each where it is and what it holds")
-        checked = tuple(
-            robot.model.check_configuration(entry, f"configuration of {robot.name}")
-            for robot, entry in zip(robots, values, strict=True)
-        )
-        start = self.task.start
-        wanted = np.flatnonzero((start == HELD) & ~self.assembly.boundary).tolist()
-        named = sorted(part for part in held if part is not None)
-        if named != wanted:
-            raise StateError(
-                f"the robots hold parts {named}, the start state has {wanted} held; say which robot holds which part"
-            )
-        node = self.graph.start(start, checked, held)
-        for robot in range(len(robots)):
-            pair = self.graph.collision(node, robot)
-            if pair is not None:
-                raise InputError(f"at the start {pair[0]} is too near {pair[1]}; move {robots[robot].name} away first")
-        return node
 
     def run(self, root: Node) -> HybridResult:
         """Find an abstract plan, then motions for it or for one near it."""
@@ -260,7 +234,7 @@ class _Search:
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Edges out of a keyframe in the order in which to try them."""
         tried, probes, worked = 0, self.settings.probes * (1 + self.attempt), False
-        for action in self._ranked(node, rng):
+        for action in self.ranking.actions(node, self.attempt, rng):
             if (node.key, action) in self.impossible or self.late():
                 continue
             if not self.proposals.known(node.state, action):
@@ -286,45 +260,6 @@ class _Search:
             tried += 1
             if tried == self.settings.actions:
                 return
-
-    def _ranked(self, node: Node, rng: np.random.Generator) -> list[int]:
-        """Legal actions in the order in which to try them: as the guide says, else what motions make easy.
-
-        Removals first: they set a robot free. Then parts that nothing blocks, high up, near a free robot and far
-        from the busy ones.
-        """
-        actions = self.proposals.legal(node.state)
-        if not actions:
-            return []
-        parts = self.assembly.part_count
-        if self.guide is not None:
-            allowed: Mask = np.zeros((1, 2 * parts), dtype=bool)
-            allowed[0, actions] = True
-            scores = np.asarray(self.guide(node.state[None], allowed, Direction.DISASSEMBLY), float)[0, actions]
-            scores = scores + rng.gumbel(size=len(actions)) * (0.0 if self.attempt == 0 else 0.5)
-            return [actions[k] for k in np.argsort(-scores, kind="stable")]
-        scores = np.array([self._ease(node, action) for action in actions])
-        scores += rng.normal(size=len(actions)) * (0.1 if self.attempt == 0 else 0.4 * min(self.attempt, 4))
-        return [actions[k] for k in np.argsort(-scores, kind="stable")]
-
-    def _ease(self, node: Node, action: int) -> float:
-        """How easy an action is for the robots, by rules of thumb."""
-        # What is known costs nothing to judge; a part with its way blocked is worse than an unknown answer.
-        known = 3.0 * self.proposals.preferred(node.state, action) + self.proposals.known(node.state, action)
-        if action >= self.assembly.part_count:
-            return 100.0 + known
-        center = self.graph.parts.center[action]
-        score = known - 5.0 * min(self.graph.blocked_by(action, node.state), 4)
-        score += 2.0 * (center[2] - self.graph.lowest) / self.graph.height
-        robots = self.cell.robots
-        free = [robot.base[:2, 3] for robot, held in zip(robots, node.held, strict=True) if held is None]
-        near = min(float(np.linalg.norm(base - center[:2])) for base in free)
-        score -= near / self.graph.spread
-        for part in node.held:
-            if part is not None:
-                apart = float(np.linalg.norm(self.graph.parts.center[part] - center)) / self.graph.spread
-                score += min(apart, 1.0)
-        return score
 
     def _note_dead_end(self, node: Node, depth: int) -> None:
         """Actions that failed where the search came farthest."""
@@ -410,22 +345,3 @@ class _Search:
             "free_motions_used_again": self.graph.motions_kept,
             "verdicts": self.oracle.counters.asked,
         }
-
-
-def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: Exits) -> Task:
-    """A task with as many robots as the cell has, and with clear ways out, none of them downwards.
-
-    Raises:
-        InputError: more parts held at start or target than there are robots.
-    """
-    given = task or Task.create(assembly.boundary, cell.robot_count, identity=assembly.identity)
-    return Task.create(
-        assembly.boundary,
-        cell.robot_count,
-        start=given.start,
-        target=given.target,
-        fixed=given.fixed,
-        missing=given.missing,
-        clearance=exits.table,
-        identity=assembly.identity,
-    )

@@ -8,7 +8,6 @@ asks for is computed, and kept for when it asks again.
 from __future__ import annotations
 
 import itertools
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,11 +20,11 @@ from falsework.assembly.state import HELD, REMOVED, States
 from falsework.robots.cell import Cell
 from falsework.robots.exits import Exits
 from falsework.robots.explain import Reasons
-from falsework.robots.grasp import Grasp, grasps
-from falsework.robots.inverse import inverse
-from falsework.robots.kinematics import tool_pose
-from falsework.robots.motion import Motion, follow_line, plan_free
+from falsework.robots.grips import Grip, Grips
+from falsework.robots.kept import Kept
+from falsework.robots.motion import follow_line
 from falsework.robots.parts import PartShapes, place_parts
+from falsework.robots.withdrawal import Withdrawal
 from falsework.robots.world import NO_CONTACT, CollisionWorld, Contact, Scene, View
 
 Array = NDArray[np.float64]
@@ -49,16 +48,6 @@ class KeyframeSettings:
     """Free motions to a drop-off that are tried."""
     nodes: int = 500
     """Nodes of the trees of one free motion."""
-
-
-@dataclass(frozen=True, eq=False)
-class Grip:
-    """A way for one robot to hold a part."""
-
-    robot: int
-    grasp: Grasp
-    configuration: Array
-    """Shape (joints,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,11 +127,11 @@ class KeyframeGraph:
         self.parts = parts or place_parts(assembly, cell.placement)
         self.world = CollisionWorld(cell, self.parts)
         self.reasons = Reasons() if reasons is None else reasons
-        self.motions = self.motions_kept = self.views = 0
-        self._free: dict[bytes, Motion] = {}
-        self._grips: dict[tuple[int, int, bytes], list[Grip]] = {}
-        self._view: dict[bytes, View] = {}
-        self._places: dict[int, Array] = {}
+        self._kept = Kept(self.world, nodes=settings.nodes, seed=seed)
+        self._grips = Grips(assembly, cell, self.parts, self._kept, self.reasons, limit=settings.grasps)
+        self._withdrawal = Withdrawal(
+            cell, self._kept, self.reasons, directions=settings.directions, lengths=settings.withdrawals
+        )
         self.exits = Exits(assembly, self.parts.turn)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
@@ -175,11 +164,7 @@ class KeyframeGraph:
 
     def grips(self, robot: int, part: int, state: States) -> list[Grip]:
         """All ways in which a robot can hold a part among the parts of a state; other robots do not count."""
-        present = state != REMOVED
-        key = (robot, part, np.packbits(present).tobytes())
-        if key not in self._grips:
-            self._grips[key] = self._find_grips(robot, part, present)
-        return self._grips[key]
+        return self._grips.of(robot, part, state)
 
     def way_out(self, part: int, state: States) -> tuple[States, Array]:
         """The state in which a part can leave once what blocks its easiest way has gone, and its ways there, (n, 3)."""
@@ -198,6 +183,21 @@ class KeyframeGraph:
         alone = np.where(self.assembly.boundary, HELD, REMOVED).astype(np.uint8)
         alone[part] = HELD
         return any(self.grips(robot, part, alone) for robot in range(self.cell.robot_count))
+
+    @property
+    def motions(self) -> int:
+        """Free motions that were planned."""
+        return self._kept.motions
+
+    @property
+    def motions_kept(self) -> int:
+        """Times that a free motion was asked for and known."""
+        return self._kept.motions_kept
+
+    @property
+    def views(self) -> int:
+        """Views of scenes that were made."""
+        return self._kept.views
 
     @cached_property
     def lowest(self) -> float:
@@ -219,7 +219,7 @@ class KeyframeGraph:
         part = node.held[robot]
         contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
         # At the start of a plan robots stand as they stand: what does not touch is good enough.
-        return self._view_of(node.scene, robot, contact, 0.0).explain(node.configurations[robot])
+        return self._kept.view(node.scene, robot, contact, 0.0).explain(node.configurations[robot])
 
     # Holding
 
@@ -238,48 +238,24 @@ class KeyframeGraph:
                     yield edge
 
     def _hold_with(self, node: Node, part: int, robot: int) -> Iterator[Edge]:
-        here = node.configurations[robot]
         grips = self.grips(robot, part, node.state)
         if not grips:
             return
         contact = Contact(gripper=frozenset({part}))
-        view = self._view_of(node.scene, robot, contact, self.cell.margins.line)
+        view = self._kept.view(node.scene, robot, contact, self.cell.margins.line)
         values = np.array([grip.configuration for grip in grips])
         hits = view.hits(values)
         for row in np.flatnonzero(hits >= 0)[:1]:
             self.reasons.add("hold", part, robot, "a robot is in the way of every grip", view.pair(int(hits[row])))
         open_grips = [grips[row] for row in np.flatnonzero(hits < 0)]
-        room = self._room(node, robot, open_grips)
-        way = np.array([np.abs(grip.configuration - here).max() for grip in open_grips])
-        order = [open_grips[row] for row in np.argsort(0.1 * way - room, kind="stable")]
-        for grip in _spread(order, self.settings.candidates):
+        for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates):
             edge = self._try_grip(node, part, grip, view)
             if edge is not None:
                 yield edge
 
-    def _room(self, node: Node, robot: int, grips: list[Grip]) -> Array:
-        """How far grips keep out of the way of other arms, in lengths of an approach, shape (grips,).
-
-        The gripper's end at the flange had better be on the side of the own base, and away from what others hold.
-        Zeros for fewer than three arms: two seldom crowd each other, and nearest first does better for them.
-        """
-        if not grips or self.cell.robot_count < 3:
-            return np.zeros(len(grips))
-        entry = self.cell.robots[robot]
-        tools = np.array([grip.grasp.tool for grip in grips])
-        flanges = (tools @ np.linalg.inv(entry.gripper.tool))[:, :2, 3]
-        room = -np.linalg.norm(flanges - entry.base[:2, 3], axis=1)
-        for other, part in enumerate(node.held):
-            if part is not None:
-                flange = tool_pose(self.cell.robots[other], node.configurations[other]) @ np.linalg.inv(
-                    self.cell.robots[other].gripper.tool
-                )
-                room = room + np.minimum(np.linalg.norm(flanges - flange[:2, 3], axis=1), 0.3)
-        return room / self.cell.margins.approach
-
     def _try_grip(self, node: Node, part: int, grip: Grip, view: View) -> Edge | None:
         robot, margins = grip.robot, self.cell.margins
-        clear = self._view_of(node.scene, robot, NO_CONTACT, margins.free)
+        clear = self._kept.view(node.scene, robot, NO_CONTACT, margins.free)
         outside: Array | None = None
         for share in self.settings.approaches:
             retreat = follow_line(view, grip.configuration, -grip.grasp.approach, share * margins.approach)
@@ -296,7 +272,7 @@ class KeyframeGraph:
         # A robot cannot grip anew later: the part must be able to leave in this grip, when its way is free.
         if not self._can_leave_later(node, part, grip):
             return None
-        free = self._free_motion(node.scene, robot, node.configurations[robot], outside)
+        free = self._kept.motion(node.scene, robot, node.configurations[robot], outside)
         if not free:
             self.reasons.add("hold", part, robot, f"way to the part: {free.reason}", free.pair, free.at)
             return None
@@ -315,39 +291,8 @@ class KeyframeGraph:
             for robot, (entry, held) in enumerate(zip(self.cell.robots, node.held, strict=True))
         )
         scene = Scene(values, later != REMOVED, (None,) * len(values))
-        return next(self._leaving(scene, part, grip.robot, grip.configuration, ways, "later way out"), None) is not None
-
-    def _find_grips(self, robot: int, part: int, present: NDArray[np.bool_]) -> list[Grip]:
-        entry = self.cell.robots[robot]
-        name = self.parts.names[part]
-        if self.parts.mass[part] > entry.payload:
-            what = f"{name} weighs {self.parts.mass[part]:.3g} kg, more than the payload of {entry.payload:.3g} kg"
-            self.reasons.add("hold", part, robot, what)
-            return []
-        found = grasps(self.assembly, self.parts, part, present, entry, limit=self.settings.grasps)
-        if not found:
-            self.reasons.add("hold", part, robot, "no face that the gripper can take")
-            return []
-        branches = inverse(entry, np.array([grasp.tool for grasp in found]))
-        if not sum(len(solutions) for solutions in branches):
-            self.reasons.add("hold", part, robot, "out of reach")
-            return []
-        scene = self._alone(robot, present)
-        view = self._view_of(scene, robot, Contact(gripper=frozenset({part})), self.cell.margins.line)
-        grips = []
-        pair = None
-        for grasp, solutions in zip(found, branches, strict=True):
-            hits = view.hits(solutions) if len(solutions) else np.empty(0, int)
-            grips += [Grip(robot, grasp, solutions[row]) for row in np.flatnonzero(hits < 0)]
-            if (hits >= 0).any():
-                pair = view.pair(int(hits[hits >= 0][0]))
-        if not grips:
-            self.reasons.add("hold", part, robot, "every grip collides", pair)
-        return grips
-
-    def _alone(self, robot: int, present: NDArray[np.bool_]) -> Scene:
-        """One robot among parts, all others at home."""
-        return Scene(self.cell.homes, present, (None,) * self.cell.robot_count)
+        lines = self._withdrawal.lines(scene, part, grip.robot, grip.configuration, ways, "later way out")
+        return next(lines, None) is not None
 
     # Removing
 
@@ -358,53 +303,16 @@ class KeyframeGraph:
         if not len(ways):
             self.reasons.add("remove", part, robot, "no clear way out")
             return
-        for paths, scene in self._leaving(node.scene, part, robot, here, ways, "way out"):
+        for paths, scene in self._withdrawal.lines(node.scene, part, robot, here, ways, "way out"):
             edge = self._carry(node, part, robot, paths, scene)
             if edge is not None:
                 yield edge
 
-    def _leaving(
-        self, scene: Scene, part: int, robot: int, here: Array, ways: Array, what: str
-    ) -> Iterator[tuple[tuple[Array, ...], Scene]]:
-        """Lines on which a part leaves, until it is clear of everything; with the scene in which it is carried."""
-        tool = tool_pose(self.cell.robots[robot], here)
-        scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
-        around = frozenset(np.flatnonzero(scene.present).tolist())
-        contact = Contact(carried=around, carried_floor=True)
-        line = self._view_of(scene, robot, contact, self.cell.margins.line)
-        free: View | None = None
-        for way in self._ordered(ways, tool):
-            for times in self.settings.withdrawals:
-                out = follow_line(line, here, way, times * self.cell.margins.approach)
-                if not out:
-                    self.reasons.add("remove", part, robot, f"{what}: {out.reason}", out.pair, out.at)
-                    break
-                free = free or self._view_of(scene, robot, NO_CONTACT, self.cell.margins.free)
-                path = out.path
-                assert path is not None
-                hit = int(free.hits(path[-1])[0])
-                if hit < 0:
-                    yield (path,), scene
-                    break
-                lift = self._lift(scene, robot, path[-1], free)
-                if lift is not None:
-                    yield (path, lift), scene
-                    break
-                self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), path[-1])
-
-    def _lift(self, scene: Scene, robot: int, here: Array, free: View) -> Array | None:
-        """A part that has been drawn out over the floor is lifted off it before it is carried away."""
-        view = self._view_of(scene, robot, Contact(carried_floor=True), self.cell.margins.line)
-        up = follow_line(view, here, (0.0, 0.0, 1.0), 0.3 * self.cell.margins.approach)
-        if up.path is None or free.collides(up.path[-1])[0]:
-            return None
-        return up.path
-
     def _carry(self, node: Node, part: int, robot: int, paths: tuple[Array, ...], scene: Scene) -> Edge | None:
         entry = self.cell.robots[robot]
-        view = self._view_of(scene, robot, NO_CONTACT, self.cell.margins.free)
+        view = self._kept.view(scene, robot, NO_CONTACT, self.cell.margins.free)
         end = paths[-1][-1]
-        places = self._place_configurations(robot)
+        places = self._grips.places(robot)
         if not len(places):
             self.reasons.add("remove", part, robot, "no place to put parts is within reach")
             return None
@@ -415,7 +323,7 @@ class KeyframeGraph:
                 "remove", part, robot, "every place to put it collides", view.pair(int(hits[0])), places[0]
             )
         for goal in clear[np.argsort(np.abs(clear - end).max(axis=1), kind="stable")][: self.settings.places]:
-            free = self._free_motion(scene, robot, end, goal)
+            free = self._kept.motion(scene, robot, end, goal)
             if free:
                 state = node.state.copy()
                 state[part] = REMOVED
@@ -427,81 +335,16 @@ class KeyframeGraph:
             self.reasons.add("remove", part, robot, f"way to {entry.name}'s place: {free.reason}", free.pair, free.at)
         return None
 
-    def _ordered(self, ways: Array, tool: Array) -> Array:
-        """Ways out to try: best first those away from where the gripper points, then upwards."""
-        score = ways @ -tool[:3, 2] + 0.5 * ways[:, 2]
-        return ways[np.argsort(-score, kind="stable")][: self.settings.directions]
-
-    def _place_configurations(self, robot: int) -> Array:
-        if robot not in self._places:
-            entry = self.cell.robots[robot]
-            found = [values for values in inverse(entry, entry.places) if len(values)]
-            self._places[robot] = np.concatenate(found) if found else np.zeros((0, entry.model.joints))
-        return self._places[robot]
-
     # What both need
-
-    def _free_motion(self, scene: Scene, robot: int, start: Array, goal: Array) -> Motion:
-        """A free motion, kept for the next time that it is asked for; its seed depends on what is asked alone."""
-        key = _digest(scene, robot) + np.round([start, goal], 6).tobytes()
-        if key not in self._free:
-            self.motions += 1
-            settings = _motion_settings(self.settings.nodes)
-            view = self._view_of(scene, robot, NO_CONTACT, self.cell.margins.free)
-            seed = (zlib.crc32(key) + self.seed) % 2**31
-            self._free[key] = plan_free(view, start, goal, seed=seed, settings=settings)
-        else:
-            self.motions_kept += 1
-        return self._free[key]
-
-    def _view_of(self, scene: Scene, robot: int, contact: Contact, margin: float) -> View:
-        key = (
-            _digest(scene, robot)
-            + repr((sorted(contact.gripper), sorted(contact.carried), contact.carried_floor, margin)).encode()
-        )
-        if key not in self._view:
-            self.views += 1
-            while len(self._view) > 256:
-                del self._view[next(iter(self._view))]
-            self._view[key] = self.world.view(scene, robot, contact=contact, margin=margin)
-        return self._view[key]
 
     def _stands(self, node: Node, robot: int) -> bool:
         part = node.held[robot]
         contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
-        view = self._view_of(node.scene, robot, contact, self.cell.margins.line)
+        view = self._kept.view(node.scene, robot, contact, self.cell.margins.line)
         return not bool(view.collides(node.configurations[robot])[0])
-
-
-def _motion_settings(nodes: int):
-    from falsework.robots.motion import MotionSettings
-
-    return MotionSettings(nodes=nodes)
 
 
 def _replaced(node: Node, state: States, robot: int, values: Array, part: int | None) -> Node:
     configurations, held = list(node.configurations), list(node.held)
     configurations[robot], held[robot] = np.asarray(values), part
     return Node(state, tuple(configurations), tuple(held))
-
-
-def _spread(grips: list[Grip], count: int) -> list[Grip]:
-    """The first grips, of each grasp one at a time, so that a single grasp does not use up all tries."""
-    rank: dict[int, int] = {}
-    keyed = []
-    for place, grip in enumerate(grips):
-        turn = rank.setdefault(id(grip.grasp), 0)
-        rank[id(grip.grasp)] += 1
-        keyed.append((turn, place, grip))
-    keyed.sort(key=lambda entry: entry[:2])
-    return [grip for _, _, grip in keyed[:count]]
-
-
-def _digest(scene: Scene, robot: int) -> bytes:
-    """Everything that a motion of one robot depends on in a scene."""
-    others = [np.round(values, 6) + 0.0 for other, values in enumerate(scene.configurations) if other != robot]
-    pieces = [bytes([robot]), np.packbits(scene.present).tobytes(), *(values.tobytes() for values in others)]
-    for carried in scene.attached:
-        if carried is not None:
-            pieces.append(bytes([carried.part % 256]) + np.round(carried.tool_from_part, 7).tobytes())
-    return b"|".join(pieces)
