@@ -25,10 +25,10 @@ from falsework.robots.explain import Explanation, Reasons, explain
 from falsework.robots.keyframes import Edge, KeyframeGraph, KeyframeSettings, Node
 from falsework.robots.origin import first_keyframe, task_in_cell
 from falsework.robots.proposals import Proposals
-from falsework.robots.ranking import Ranking
+from falsework.robots.ranking import Ease, Ranking
 from falsework.robots.robot_plan import RobotPlan
 from falsework.robots.schedule import make_robot_plan
-from falsework.search.guide import Guide
+from falsework.search.guide import Guide, RememberingGuide
 from falsework.search.result import Outcome, Route, SearchResult
 from falsework.search.task import Task
 from falsework.stability.oracle import Stability
@@ -123,7 +123,7 @@ def plan_robots(
         configurations: where the robots are at the start, one a robot, shape (joints,) each; at home if not given.
         held: the part that each robot holds at the start; needed if the start state has held parts.
         oracle: decides stability; hand in the one you have, for it remembers what it was asked.
-        guide: ranks actions, such as a trained policy.
+        guide: ranks actions, such as a trained policy; how easy they are for the arms counts beside it.
         settings: how hard to look.
         progress: called now and then.
         graph: keyframe graph of the same structure and cell, whose motions are used again.
@@ -158,8 +158,10 @@ class _Search:
             assembly, cell, settings=settings.keyframes, seed=settings.seed, reasons=self.reasons
         )
         self.task = task_in_cell(assembly, cell, task, self.graph.exits)
-        self.proposals = Proposals(assembly, self.task, oracle, guide=guide, seed=settings.seed)
-        self.ranking = Ranking(self.graph, self.proposals, guide)
+        ease = Ease(self.graph, None if guide is None else RememberingGuide(guide))
+        taste = None if guide is None else ease
+        self.proposals = Proposals(assembly, self.task, oracle, guide=guide, taste=taste, seed=settings.seed)
+        self.ranking = Ranking(self.graph, ease, self.proposals)
         self.abstract: SearchResult | None = None
         self.best: list[Edge] = []
         self.tried: Counter[tuple[str, int]] = Counter()

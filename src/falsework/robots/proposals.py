@@ -1,7 +1,8 @@
 """Which actions keep the way to the target open: states that are known to be solvable, and a search that joins them.
 
-One abstract plan is found first. Its states are solvable, and so is every state from which a short search, forwards and
-narrow, meets one that is. The set grows with every answer, so that alternatives near a plan are cheap to judge.
+One abstract plan is found first: by a rollout where there is a taste to follow, else by a search. Its states are
+solvable, and so is every state from which a short search, forwards and narrow, meets one that is. The set grows with
+every answer, so that alternatives near a plan are cheap to judge.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, Mask, States
+from falsework.robots.rollouts import Taste, roll_out
 from falsework.search.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.guide import Guide, SupportGuide
 from falsework.search.planner import Planner, PlannerSettings
@@ -30,13 +32,22 @@ _FIRST = 256
 """Widest beam for the first plan."""
 _VARIED = 16
 """Widest beam for another one."""
+_ROLLOUTS = 16
+"""Rollouts with random actions at once."""
 
 
 class Proposals:
     """Abstract actions for the hybrid planner, with the certainty that the structure can still come apart."""
 
     def __init__(
-        self, assembly: Assembly, task: Task, oracle: Stability, *, guide: Guide | None = None, seed: int = 0
+        self,
+        assembly: Assembly,
+        task: Task,
+        oracle: Stability,
+        *,
+        guide: Guide | None = None,
+        taste: Taste | None = None,
+        seed: int = 0,
     ) -> None:
         """Nothing is known yet but the target.
 
@@ -45,10 +56,12 @@ class Proposals:
             task: rules, with clear ways out.
             oracle: decides stability.
             guide: ranks actions in the search for the first plan; by default parts with much support go in first.
+            taste: scores actions for rollouts, which are tried before a search for a plan.
             seed: of that search.
         """
         self.task, self.oracle = task, oracle
         self._guide = guide or SupportGuide(assembly)
+        self._taste = taste
         self._assembly, self._seed = assembly, seed
         self.postponed: tuple[int, ...] = ()
         self._left = 0
@@ -64,6 +77,9 @@ class Proposals:
         """Find one abstract plan. Where parts are missing, the task then says how late they can come."""
         settings = PlannerSettings(width=_FIRST, seed=self._seed)
         planner = Planner(self.task, self.oracle, settings, guide=self._guide)
+        route = self._roll_out(None, stop) or self._roll_out(np.random.default_rng(self._seed), stop)
+        if route is not None:
+            planner.begin_with(route)
         result = planner.run(stop=stop)
         if result.found:
             self.postponed = planner.postponed
@@ -74,6 +90,10 @@ class Proposals:
     def vary(self, seed: int) -> None:
         """Find another abstract plan to follow, with the guide's taste disturbed; the old one stays known."""
         rng = np.random.default_rng([self._seed, seed])
+        route = self._roll_out(rng)
+        if route is not None:
+            self._follow([route])
+            return
 
         def disturbed(states: States, actions: Mask, direction: Direction) -> NDArray[np.floating]:
             scores = np.asarray(self._guide(states, actions, direction), dtype=np.float64)
@@ -82,6 +102,13 @@ class Proposals:
         direction = Direction.ASSEMBLY if seed % 2 else Direction.DISASSEMBLY
         beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(direction, seed=seed), guide=disturbed)
         self._follow(beam.run(_VARIED).routes)
+
+    def _roll_out(self, rng: np.random.Generator | None, stop: Stop | None = None) -> Route | None:
+        """A whole way by taste: the best actions, or some drawn at random; None if there is no taste, or no luck."""
+        if self._taste is None or self.task.steps == 0:
+            return None
+        target, rows = {self.task.target.tobytes()}, 1 if rng is None else _ROLLOUTS
+        return roll_out(self.task, self.oracle, self._taste, self.task.start, target, rng=rng, rows=rows, stop=stop)
 
     def preferred(self, state: States, action: int) -> bool:
         """Whether an action follows the plan found last."""

@@ -18,6 +18,7 @@ from falsework.robots.keyframes import KeyframeSettings
 from falsework.robots.proposals import Proposals
 from falsework.robots.shapes import block
 from falsework.search import Direction, Task
+from falsework.search.guide import SupportGuide
 from falsework.stability import Stability
 
 
@@ -72,6 +73,33 @@ def test_a_guide_decides_the_order(column: Assembly, cell: Cell, oracle: Stabili
     assert found.plan.plan.removed_parts[0] == 2
 
 
+def test_a_guide_is_asked_about_each_state_once(column: Assembly, cell: Cell, oracle: Stability) -> None:
+    """A rollout of the guide is a plan already; looking for motions along it asks nothing new."""
+    asked: list[bytes] = []
+
+    def counting(states, actions, direction) -> np.ndarray:
+        asked.extend(state.tobytes() for state in states)
+        return np.zeros(actions.shape)
+
+    found = plan_robots(column, cell, oracle=oracle, guide=counting)
+    assert found.plan is not None
+    assert asked == [state.tobytes() for state in found.plan.plan.states[:-1]]
+    assert found.statistics["dead_ends"] == 0
+    again = plan_robots(column, cell, guide=counting)
+    assert again.plan is not None
+    np.testing.assert_array_equal(again.plan.plan.actions, found.plan.plan.actions)
+    assert len(asked) == 2 * len(found.plan)
+
+
+def test_where_rollouts_fail_the_plan_is_searched_for(
+    column: Assembly, cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("falsework.robots.proposals.roll_out", lambda *_, **__: None)
+    found = plan_robots(column, cell, guide=SupportGuide(column))
+    assert found.plan is not None
+    assert found.plan.plan.validate(column).good
+
+
 def test_a_target_and_missing_parts(column: Assembly, cell: Cell, oracle: Stability) -> None:
     target = complete_state(column.boundary)
     target[1] = 0
@@ -82,6 +110,11 @@ def test_a_target_and_missing_parts(column: Assembly, cell: Cell, oracle: Stabil
     late = plan_robots(column, cell, task=Task.create(column.boundary, 2, missing=[2]), oracle=oracle)
     assert late.plan is not None
     assert late.plan.plan.removed_parts[0] == 2  # taken off first: put in last
+    guided = plan_robots(
+        column, cell, task=Task.create(column.boundary, 2, missing=[2]), oracle=oracle, guide=SupportGuide(column)
+    )
+    assert guided.plan is not None
+    assert guided.plan.plan.removed_parts[0] == 2
 
 
 def test_what_is_out_of_reach_is_named(column: Assembly, cell_of: Callable[..., Cell]) -> None:

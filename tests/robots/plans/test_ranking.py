@@ -1,0 +1,113 @@
+"""What is tried first: rollouts keep to the rules and to what stands, easy actions come before hard ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from falsework.assembly import load_structure
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import complete_state
+from falsework.robots.cell import Cell
+from falsework.robots.keyframes import KeyframeGraph
+from falsework.robots.ranking import Ease
+from falsework.robots.rollouts import roll_out
+from falsework.search import Direction, Task
+from falsework.search.guide import RememberingGuide, SupportGuide
+from falsework.stability import Stability
+
+ARCH = load_structure("arch:blocks=5")
+TASK = Task.create(ARCH.boundary, 2)
+GOAL = {TASK.target.tobytes()}
+
+
+@pytest.fixture(scope="module")
+def arch_oracle() -> Stability:
+    return Stability(ARCH)
+
+
+def removals(states, actions) -> np.ndarray:
+    """Remove wherever it can be done."""
+    return np.tile(np.repeat([0.0, 1.0], ARCH.part_count), (len(states), 1))
+
+
+@pytest.mark.parametrize("rows", [1, 8])
+def test_a_rollout_is_a_plan(arch_oracle: Stability, rows: int) -> None:
+    rng = None if rows == 1 else np.random.default_rng(0)
+    route = roll_out(TASK, arch_oracle, removals, TASK.start, GOAL, rng=rng, rows=rows)
+    assert route is not None
+    assert len(route.actions) == TASK.steps
+    np.testing.assert_array_equal(route.states[0], TASK.start)
+    np.testing.assert_array_equal(route.states[-1], TASK.target)
+    assert arch_oracle.check(route.states).stable.all()
+    for state, action, after in zip(route.states, route.actions, route.states[1:], strict=False):
+        assert TASK.moves(state[None], Direction.DISASSEMBLY)[0, action]
+        np.testing.assert_array_equal(TASK.follow(state[None], action[None], Direction.DISASSEMBLY)[0], after)
+
+
+def test_a_rollout_ends_where_the_rest_is_known(arch_oracle: Stability) -> None:
+    route = roll_out(TASK, arch_oracle, removals, TASK.start, GOAL)
+    assert route is not None
+    early = roll_out(TASK, arch_oracle, removals, TASK.start, {route.states[4].tobytes(), *GOAL})
+    assert early is not None
+    np.testing.assert_array_equal(early.actions, route.actions[:4])
+    nothing = roll_out(TASK, arch_oracle, removals, TASK.start, {TASK.start.tobytes()})
+    assert nothing is not None
+    assert len(nothing.actions) == 0
+
+
+def test_a_rollout_may_fail(arch_oracle: Stability) -> None:
+    """One robot cannot take an arch apart, and nobody waits for a search that has been stopped."""
+    alone = Task.create(ARCH.boundary, 1)
+    for rows in (1, 8):
+        rng = None if rows == 1 else np.random.default_rng(0)
+        assert roll_out(alone, arch_oracle, removals, alone.start, GOAL, rng=rng, rows=rows) is None
+    assert roll_out(TASK, arch_oracle, removals, TASK.start, GOAL, stop=lambda: True) is None
+
+
+def test_rows_step_together(arch_oracle: Stability) -> None:
+    """The scores of all rows are asked for in one go at each step."""
+    sizes = []
+
+    def counting(states, actions) -> np.ndarray:
+        sizes.append(len(states))
+        return removals(states, actions)
+
+    rng = np.random.default_rng(0)
+    assert roll_out(TASK, arch_oracle, counting, TASK.start, GOAL, rng=rng, rows=8) is not None
+    assert len(sizes) == TASK.steps
+    assert sizes[0] == 8
+
+
+def test_what_blocks_and_what_is_high(column: Assembly, cell: Cell) -> None:
+    """A removal is easier than any hold, and the upper cube easier than the lower ones."""
+    graph = KeyframeGraph(column, cell)
+    state = complete_state(column.boundary)
+    plain = Ease(graph, None)
+    assert plain.of(state, 1) > plain.of(state, 2) == plain.of(state, 0)
+    state[2] = 2
+    allowed = np.zeros((1, 2 * column.part_count), dtype=bool)
+    allowed[0, [0, 1, column.part_count + 2]] = True
+    scores = plain(state[None], allowed)[0]
+    assert scores.argmax() == column.part_count + 2
+    assert (scores[~allowed[0]] == 0).all()
+    guided = Ease(graph, lambda states, actions, direction: np.full(actions.shape, 0.5))
+    np.testing.assert_allclose(guided(state[None], allowed)[0] - scores, 0.5)
+
+
+def test_a_guide_with_a_memory_says_the_same() -> None:
+    base = SupportGuide(ARCH)
+    memory = RememberingGuide(base, limit=3)
+    rng = np.random.default_rng(0)
+    states = rng.integers(0, 3, (8, ARCH.part_count)).astype(np.uint8)
+    actions = rng.random((8, 2 * ARCH.part_count)) < 0.5
+    for direction in Direction:
+        np.testing.assert_array_equal(memory(states, actions, direction), base(states, actions, direction))
+    assert memory.calls == 2
+    np.testing.assert_array_equal(
+        memory(states[-2:], actions[-2:], direction), base(states[-2:], actions[-2:], direction)
+    )
+    assert memory.calls == 2  # the last ones are still there ...
+    memory(states[:1], actions[:1], direction)
+    assert memory.calls == 3  # ... the first are not
+    assert memory(states[:0], actions[:0], direction).shape == (0, 2 * ARCH.part_count)
