@@ -14,10 +14,10 @@ A row is a structure, by the name of a real one (FALSEWORK_DATA, else the folder
 built-in one or by its path, and a number of robots. `table3`: greedy success on the training and the test set, all
 states of them, `paper` beside it where the paper has the row, `target` what is asked for; `--data width64` learns from
 the paper's data alone, `--search` adds the share of test states with a proven plan. `table4`: two states, beside a
-policy that is not told the target. `table5`: graph network, attention between parts and perceptrons with the same
-budget. `transfer`: a policy of the bottle asked about the dog. `methods`: curves of all ways to train. `minutes` is the
-budget for everything from the meshes on, `seconds` what it came to; evaluating all states comes on top. Rows are
-independent: run them as processes of their own, each with its CUDA_VISIBLE_DEVICES.
+policy that is not told the target, or one of the two (`--told`). `table5`: graph network, attention between parts and
+perceptrons with the same budget. `transfer`: a policy of the bottle asked about the dog. `methods`: curves of all ways
+to train. `minutes` is the budget for everything from the meshes on, `seconds` what it came to; evaluating all states
+comes on top. Rows are independent: run them as processes of their own, each with its CUDA_VISIBLE_DEVICES.
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ def table4(options: argparse.Namespace) -> None:
     """Greedy success from states to other states, told the target and not told."""
     for name, assembly, robots, seeds in rows_of(options):
         for seed in seeds[:1]:
-            for two in (True, False):
+            for two in {"both": (True, False), "yes": (True,), "no": (False,)}[options.told]:
                 kind = PolicySettings(options.policy) if options.policy else PolicySettings()
                 settings = settings_of(options, name, robots, seed, policy=replace(kind, two_states=two))
                 label = f"{name}:{robots} {'two states' if two else 'one state'} seed {seed}"
@@ -300,6 +300,7 @@ def main() -> None:
     parser.add_argument("--policy", choices=("residual", "parts", "graph", "mlp"), default="")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--states", type=int, default=0, help="states evaluated of each set; 0 for all")
+    parser.add_argument("--told", choices=("both", "yes", "no"), default="both", help="which policies table4 trains")
     parser.add_argument("--search", action="store_true", help="search where the policy fails")
     parser.add_argument("--keep", default="", help="folder to keep the runs in; those that are there are gone on with")
     parser.add_argument("--curves", default="curves.jsonl", help="what methods printed, for plot")

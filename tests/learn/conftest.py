@@ -5,8 +5,28 @@ from __future__ import annotations
 import pytest
 import torch
 
+from falsework.assembly import Assembly, load_structure
+from falsework.learn.data import task_for
+from falsework.search import BeamSearch, BeamSettings, Direction, StateGraph
+from falsework.stability import Stability
+
 
 @pytest.fixture(scope="session", autouse=True)
 def one_thread() -> None:
     """Networks this small are slower on two threads, and far slower where other work keeps one of them waiting."""
     torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def bottle() -> Assembly:
+    """A structure with few parts and many ways."""
+    return load_structure("bottle")
+
+
+@pytest.fixture(scope="session")
+def bottle_graph(bottle: Assembly) -> StateGraph:
+    """States of a narrow search that takes the bottle apart."""
+    task = task_for(bottle)
+    search = BeamSearch(task, Stability(bottle), BeamSettings(width=12, direction=Direction.DISASSEMBLY))
+    search.run()
+    return StateGraph.build(task, search.states())

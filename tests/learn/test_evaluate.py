@@ -29,14 +29,6 @@ WIDE = "arch:blocks=13"
 PARTS = PolicySettings("parts", channels=16, layers=1, heads=2)
 
 
-@pytest.fixture(autouse=True)
-def _one_thread() -> Any:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.fixture(scope="module")
 def arch() -> Any:
     return load_structure("arch:blocks=9")

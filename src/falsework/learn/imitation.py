@@ -19,6 +19,7 @@ from falsework.learn.saved import load_saved, saved_tensors
 from falsework.learn.settings import ImitationSettings
 from falsework.learn.solved import SolvedStates
 from falsework.learn.watch import Memory
+from falsework.learn.ways import TaskSource
 from falsework.search.shards import Shards
 
 _LOW = -1e30
@@ -155,7 +156,7 @@ class Imitation:
         *,
         mistakes: Memory | None = None,
         outcomes: Memory | None = None,
-        targets: TargetSamples | None = None,
+        tasks: TaskSource | None = None,
     ) -> None:
         """Take some steps.
 
@@ -165,13 +166,17 @@ class Imitation:
             progress: how much of the whole training is done before and after these steps, between 0 and 1.
             mistakes: actions to unlearn, as of `WatchedEnvironment`.
             outcomes: values to learn, likewise.
-            targets: samples with targets; drawn from in place of `solved`.
+            tasks: draws states with targets, in place of `solved`.
         """
         self.policy.train()
         share = self.settings.batch // self.shards.size
+        # All at once, since a draw takes as many small kernels for one task as for all of them.
+        drawn = None if tasks is None else tasks.draw(steps * share, self._generator)
         for step in range(steps):
             place = progress[0] + (progress[1] - progress[0]) * step / steps
-            loss = self._loss(solved, share, mistakes, outcomes, targets)
+            rows = slice(step * share, (step + 1) * share)
+            batch = None if drawn is None else (drawn[0][rows], drawn[1][rows], drawn[2][rows])
+            loss = self._loss(solved, share, mistakes, outcomes, batch)
             self._optimizer.zero_grad(set_to_none=True)
             loss.backward()
             average_gradients(self._weights, self.shards)
@@ -262,24 +267,24 @@ class Imitation:
         count: int,
         mistakes: Memory | None,
         outcomes: Memory | None,
-        targets: TargetSamples | None,
+        tasks: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None,
     ) -> torch.Tensor:
         settings = self.settings
-        if targets is None:
+        if tasks is None:
             rows = torch.randint(len(solved), (count,), generator=self._generator, device=self._device)
             states, aims = solved.states[rows], None
             mask = self._rules.mask(states)
             valid = solved.valid_actions(states, mask)
         else:
-            states, aims, valid = targets.draw(count, self._generator)
+            states, aims, valid = tasks
             mask = self._rules.mask(states, aims)
         sizes = [count]
         wrong = value = None
-        if targets is None and mistakes is not None and len(mistakes) and settings.unstable:
+        if tasks is None and mistakes is not None and len(mistakes) and settings.unstable:
             wrong = mistakes.draw(max(settings.mistakes // self.shards.size, 1), self._generator)
             states = torch.cat([states, wrong["states"]])
             sizes.append(len(wrong["states"]))
-        if targets is None and outcomes is not None and len(outcomes) and settings.value:
+        if tasks is None and outcomes is not None and len(outcomes) and settings.value:
             value = outcomes.draw(max(settings.mistakes // self.shards.size, 1), self._generator)
             states = torch.cat([states, value["states"]])
             sizes.append(len(value["states"]))
@@ -296,25 +301,3 @@ class Imitation:
         if value is not None:
             loss = loss + settings.value * ((estimate_parts.pop(0) - value["value"]) ** 2).mean()
         return loss
-
-
-class TargetSamples:
-    """States with targets and the actions that are valid on the way, on one device (paper, section 5.3)."""
-
-    def __init__(self, states: torch.Tensor, targets: torch.Tensor, valid: torch.Tensor) -> None:
-        """Keep samples.
-
-        Args:
-            states: `uint8`, shape (count, parts).
-            targets: `uint8`, shape (count, parts).
-            valid: bool, shape (count, 2 parts).
-        """
-        self.states, self.targets, self.valid = states, targets, valid
-
-    def __len__(self) -> int:
-        return len(self.states)
-
-    def draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Samples drawn evenly, with repetition."""
-        rows = torch.randint(len(self.states), (count,), generator=generator, device=self.states.device)
-        return self.states[rows], self.targets[rows], self.valid[rows]

@@ -11,13 +11,14 @@ import torch
 
 from falsework.learn.curriculum import Curriculum
 from falsework.learn.distributed import gather_rows, summed
-from falsework.learn.imitation import Imitation, Network, TargetSamples
+from falsework.learn.imitation import Imitation, Network
 from falsework.learn.policy import Policy
 from falsework.learn.ppo import PPO
 from falsework.learn.ppo_settings import PpoSettings
 from falsework.learn.settings import TrainSettings
 from falsework.learn.solved import SolvedStates
 from falsework.learn.watch import WatchedEnvironment
+from falsework.learn.ways import TaskSource
 from falsework.search.shards import Shards
 
 
@@ -65,7 +66,7 @@ class SearchLearner:
         rounds: bool,
         compiled: bool = False,
         shards: Shards = Shards(),
-        targets: TargetSamples | None = None,
+        tasks: TaskSource | None = None,
         folder: Path | None = None,
     ) -> None:
         """Begin.
@@ -78,12 +79,12 @@ class SearchLearner:
             rounds: let the policy play and search where it fails.
             compiled: compile the network.
             shards: processes.
-            targets: samples with targets, in place of `solved`.
+            tasks: draws states with targets, in place of `solved`.
             folder: for the batch of a loss that is not finite.
         """
         self.exhausted = False
         self._environment, self._solved, self._settings = environment, solved, settings
-        self._rounds, self._shards, self._targets = rounds, shards, targets
+        self._rounds, self._shards, self._tasks = rounds, shards, tasks
         environment.remember = rounds
         self._imitation = Imitation(
             policy,
@@ -113,7 +114,7 @@ class SearchLearner:
             progress,
             mistakes=self._environment.mistakes,
             outcomes=self._environment.outcomes,
-            targets=self._targets,
+            tasks=self._tasks,
         )
         return {**self._imitation.report(), "solved": float(len(self._solved)), **self._numbers}
 

@@ -14,9 +14,10 @@ from falsework.assembly.model import Assembly
 from falsework.learn.checkpoint import DATA
 from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
 from falsework.learn.evaluate import Sets, sample
-from falsework.learn.hindsight import Pairs, TargetDataset, TargetDataSettings, target_dataset
-from falsework.learn.imitation import TargetSamples
+from falsework.learn.pairs import Pairs
 from falsework.learn.settings import TrainSettings
+from falsework.learn.target_data import TargetDataset, TargetDataSettings, target_dataset
+from falsework.learn.ways import Ways
 from falsework.search.shards import Shards
 from falsework.search.tensor_judge import TensorOracle
 from falsework.search.tensors import put
@@ -30,8 +31,8 @@ class Material:
     """States to start from, shape (count, parts)."""
     targets: torch.Tensor | None
     """Target of each, shape (count, parts)."""
-    samples: TargetSamples | None
-    """Pairs with valid actions, where there are targets."""
+    tasks: Ways | None
+    """Draws more of both, with valid actions, where there are targets."""
     test: torch.Tensor
     """States that are not to be learned from, shape (count, parts)."""
     curve: Sets
@@ -71,15 +72,13 @@ def find_material(
     count = settings.evaluation_states
     if settings.policy.two_states:
         pairs = find_pairs(assembly, settings, oracle, device=device, shards=shards)
-        both = [pairs.train, pairs.more]
-        states, targets, valid = (
-            put(np.concatenate([getattr(piece, name) for piece in both]), device)
-            for name in ("states", "targets", "valid")
-        )
+        tasks = Ways(pairs.wide, device=device, forbidden=pairs.test_states)
+        generator = torch.Generator(device).manual_seed(settings.data_seed)
+        states, targets, _ = tasks.draw(settings.pairs, generator)
         return Material(
             states,
             targets,
-            TargetSamples(states, targets, valid),
+            tasks,
             put(pairs.test_states, device),
             {"train": _some(pairs.train, count), "test": _some(pairs.test, count)},
             time.perf_counter() - begun,

@@ -21,6 +21,7 @@ from falsework.learn.policy import Policy, masked_log_probabilities
 from falsework.learn.refine_settings import RefineSettings
 from falsework.learn.saved import load_saved, saved_tensors
 from falsework.learn.solved import SolvedStates
+from falsework.learn.ways import TaskSource
 from falsework.search.shards import Shards
 
 _FEWEST = 16
@@ -39,6 +40,7 @@ class Refinement:
         settings: RefineSettings,
         *,
         targets: torch.Tensor | None = None,
+        tasks: TaskSource | None = None,
         begin: float = 0.0,
         seed: int = 0,
         precision: str = "float32",
@@ -54,6 +56,7 @@ class Refinement:
             starts: states to begin at, like those that the policy is for; solvable, shape (count, parts).
             settings: filled in, see `RefineSettings.resolved`.
             targets: the target of each start, shape (count, parts), or None.
+            tasks: draws other starts and targets for every collection, in place of those.
             begin: progress of the whole training at which this begins.
             seed: of starts, rollouts and batches.
             precision: of the network.
@@ -64,7 +67,7 @@ class Refinement:
         self.steps = 0
         """Steps of the optimizer taken."""
         self._environment, self._solved, self._settings, self._shards = environment, solved, settings, shards
-        self._starts, self._targets, self._begin = starts, targets, begin
+        self._starts, self._targets, self._tasks, self._begin = starts, targets, tasks, begin
         self._policy = policy
         self._network = Network(policy, precision, compiled=compiled)
         self._playing = Network(policy, precision)
@@ -167,11 +170,17 @@ class Refinement:
             return torch.cat(pieces), None
         passed = round(count * settings.from_hindsight) if len(self._passed[0]) else 0
         drawn = [
-            (self._starts, self._targets, self._draw(count - failures - passed, len(self._starts))),
             (self._failed, self._failed_targets, self._draw(failures, len(self._failed))),
             (*self._passed, self._draw(passed, len(self._passed[0]))),
         ]
-        return torch.cat([s[rows] for s, _, rows in drawn]), torch.cat([t[rows] for _, t, rows in drawn])
+        pairs = [(states[rows], targets[rows]) for states, targets, rows in drawn]
+        fresh = count - failures - passed
+        if self._tasks is None:
+            rows = self._draw(fresh, len(self._starts))
+            pairs.append((self._starts[rows], self._targets[rows]))
+        else:
+            pairs.append(self._tasks.draw(fresh, self._generator)[:2])
+        return torch.cat([states for states, _ in pairs]), torch.cat([targets for _, targets in pairs])
 
     def _collect(self, wanted: int) -> Moves:
         """Play, remember failures and solvable states, and keep the moves that may be learned from."""
@@ -180,7 +189,7 @@ class Refinement:
         self._policy.eval()
         moves = play_and_judge(self._environment, self._playing, starts, targets, settings.trace, self._generator)
         failed = ~moves.success
-        most = 4 * len(starts)
+        most = 4 * settings.rollouts // self._shards.size
         self._failed = torch.cat([starts[failed], self._failed])[:most]
         if self._failed_targets is not None and targets is not None:
             self._failed_targets = torch.cat([targets[failed], self._failed_targets])[:most]

@@ -169,7 +169,7 @@ class TrainSettings:
             self,
             policy=_policy(self.policy, gpu).resolved(),
             minutes=self.minutes or default_minutes(parts, device),
-            widths=self.widths or default_widths(parts, device),
+            widths=self.widths or default_widths(parts, device, two_states=self.policy.two_states),
             imitation=replace(
                 imitation,
                 batch=batch,
@@ -197,8 +197,13 @@ def default_minutes(parts: int, device: str) -> float:
     return minutes if device == "cuda" else 2.0 * minutes
 
 
-def default_widths(parts: int, device: str) -> tuple[int, ...]:
-    """Widths of the searches that make data beyond the paper's: one wide one, and narrow ones that stray further."""
+def default_widths(parts: int, device: str, *, two_states: bool = False) -> tuple[int, ...]:
+    """Widths of the searches that make data beyond the paper's: one wide one, and narrow ones that stray further.
+
+    With targets there are far more tasks than states, and nothing but many searches shows them all over the structure.
+    """
+    if two_states and parts > 20:
+        return (*[128] * 16, *[512] * 8) if device == "cuda" else (128,) * 12
     if device == "cuda":
         return (*[128] * (4 if parts <= 20 else 8 if parts <= 50 else 16), 1024 if parts <= 20 else 4096)
     return (128, 128, 256) if parts <= 20 else (128, 256)

@@ -244,7 +244,7 @@ class Trainer:
                 rounds=way == "search",
                 compiled=compiled,
                 shards=shards,
-                targets=material.samples,
+                tasks=material.tasks,
                 folder=self.folder,
             )
         if way == "refine":
@@ -255,6 +255,7 @@ class Trainer:
                 material.starts,
                 settings.refine.settings,
                 targets=material.targets,
+                tasks=material.tasks,
                 begin=self._phases()[self._phase - 1][1] if self._phase else 0.0,
                 seed=settings.seed,
                 precision=settings.precision,

@@ -1,0 +1,160 @@
+"""Pairs of start and target with all actions that are known to lead from one to the other (paper, section 5.3).
+
+Any state that a stable way passes can be made the target of that way: the actions that led to it keep what it keeps.
+So a state graph searched in the direction of disassembly holds a task for every pair of states that one way connects.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from falsework.assembly.state import Mask, States
+from falsework.errors import InputError
+from falsework.search.graph import StateGraph
+from falsework.search.hashing import StateIndex
+from falsework.search.tensors import put
+
+_WORD = 64
+_TARGETS = 1024
+"""Targets looked at together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """States with targets and the actions that are known to lead there."""
+
+    states: States
+    """Shape (count, parts)."""
+    targets: States
+    """Shape (count, parts)."""
+    valid: Mask
+    """At least one a row, shape (count, 2 parts)."""
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    def __getitem__(self, rows: slice) -> Pairs:
+        """Some of them."""
+        return Pairs(self.states[rows], self.targets[rows], self.valid[rows])
+
+    def tensors(self, device: torch.device) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """States, targets and valid actions on a device."""
+        return put(self.states, device), put(self.targets, device), put(self.valid, device)
+
+
+class PairSource:
+    """Draws pairs of states of one graph between which a way runs inside the graph."""
+
+    def __init__(self, graph: StateGraph, *, forbidden: States | None = None) -> None:
+        """Prepare a graph, usually one that was searched in the direction of disassembly.
+
+        Args:
+            graph: states and valid actions.
+            forbidden: states that are neither start nor target of any pair, such as those kept for testing; ways may
+                lead through them. Shape (count, parts).
+
+        Raises:
+            InputError: no way between any two states that are allowed.
+        """
+        self.graph = graph
+        states = graph.states
+        self._allowed = np.ones(len(states), dtype=bool)
+        if forbidden is not None and len(forbidden):
+            self._allowed = StateIndex(np.unique(forbidden, axis=0)).find(states) < 0
+        self._levels = [edges for edges in graph.edges_by_level() if edges.stop > edges.start]
+        # Rows of `after` are the successors of each state; the last row, which no target is ever found in, is nobody's.
+        self._after = np.full((len(states), 2 * states.shape[1]), len(states), dtype=np.int32)
+        self._after[graph.source, graph.action] = graph.target
+        has_way = np.zeros(len(states), dtype=bool)
+        has_way[graph.target] = True
+        self._ends = np.flatnonzero(self._allowed & has_way)
+        if len(self._ends) == 0:
+            raise InputError("no way leads between two states of this graph; search with a greater width")
+
+    @property
+    def ends(self) -> NDArray[np.intp]:
+        """States that can be targets, as rows of the graph."""
+        return self._ends
+
+    def draw(self, count: int, rng: np.random.Generator) -> Pairs:
+        """Pairs with targets drawn evenly, and starts drawn evenly from those with a way to the target.
+
+        Args:
+            count: how many; fewer come back only if a target has no allowed start.
+            rng: source of randomness.
+        """
+        per_target = max(1, count // _TARGETS)
+        pieces: list[Pairs] = []
+        missing = count
+        for _ in range(4 * (1 + count // (_TARGETS * per_target))):
+            if missing <= 0:
+                break
+            ends = rng.choice(self._ends, size=min(_TARGETS, -(-missing // per_target)))
+            pieces.append(self._pairs(ends, per_target, rng))
+            missing -= len(pieces[-1])
+        return joined_pairs(pieces, count)
+
+    def one_for_each_end(self, rng: np.random.Generator) -> Pairs:
+        """One pair for every state that can be a target and has an allowed start, in random order."""
+        ends = rng.permutation(self._ends)
+        pieces = [self._pairs(ends[begin : begin + _TARGETS], 1, rng) for begin in range(0, len(ends), _TARGETS)]
+        return joined_pairs(pieces, len(ends))
+
+    def _pairs(self, ends: NDArray[np.intp], per_target: int, rng: np.random.Generator) -> Pairs:
+        graph = self.graph
+        leads = self._leads_to(ends)
+        chosen = []
+        block = np.empty((0, 0), dtype=bool)
+        for column, end in enumerate(ends):
+            if column % _WORD == 0:
+                bits = leads[:-1, column // _WORD, None].view(np.uint8)
+                block = np.ascontiguousarray(np.unpackbits(bits, axis=1, bitorder="little").T).astype(bool)
+            starts = block[column % _WORD] & self._allowed
+            starts[end] = False
+            rows = np.flatnonzero(starts)
+            if len(rows):
+                chosen.append(np.stack([rng.choice(rows, size=per_target), np.full(per_target, column)]))
+        row, column = np.concatenate(chosen, axis=1) if chosen else np.empty((2, 0), dtype=np.intp)
+        word, bit = column // _WORD, (column % _WORD).astype(np.uint64)
+        after = self._after[row]
+        valid = (leads[after, word[:, None]] >> bit[:, None]) & np.uint64(1)
+        return Pairs(graph.states[row], graph.states[ends[column]], valid.astype(bool))
+
+    def _leads_to(self, ends: NDArray[np.intp]) -> NDArray[np.uint64]:
+        """From which states a way leads to each end: bit `k` of a row says whether it leads to `ends[k]`.
+
+        Returns:
+            Shape (states + 1, words); the last row is empty.
+        """
+        words = -(-len(ends) // _WORD)
+        leads = np.zeros((len(self.graph) + 1, words), dtype=np.uint64)
+        place = np.arange(len(ends))
+        bits = np.uint64(1) << (place % _WORD).astype(np.uint64)
+        np.bitwise_or.at(leads, (ends, place // _WORD), bits)
+        for edges in reversed(self._levels):
+            source, begin = np.unique(self.graph.source[edges], return_index=True)
+            leads[source] |= np.bitwise_or.reduceat(leads[self.graph.target[edges]], begin, axis=0)
+        return leads
+
+
+def sample_pairs(graph: StateGraph, count: int, rng: np.random.Generator, *, forbidden: States | None = None) -> Pairs:
+    """Draw pairs of a graph once; `PairSource` draws again and again.
+
+    Args:
+        graph: searched in the direction of disassembly.
+        count: how many.
+        rng: source of randomness.
+        forbidden: states that are neither start nor target.
+    """
+    return PairSource(graph, forbidden=forbidden).draw(count, rng)
+
+
+def joined_pairs(pieces: list[Pairs], count: int | None = None) -> Pairs:
+    """Several lots of pairs as one, all of them or the first `count`."""
+    columns = ([getattr(piece, name) for piece in pieces] for name in ("states", "targets", "valid"))
+    whole = Pairs(*(np.concatenate(column) for column in columns))
+    return whole if count is None else whole[:count]

@@ -1,0 +1,128 @@
+"""Data of two-state policies: tasks to learn from, and unseen ones to test on (paper, section 7.2, Table 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import States
+from falsework.errors import InputError
+from falsework.learn.data import search_states
+from falsework.learn.pairs import Pairs, PairSource
+from falsework.search.graph import StateGraph
+from falsework.search.shards import Shards
+from falsework.search.task import Direction, Task
+from falsework.search.tensor_judge import TensorOracle, oracle_on
+from falsework.search.tensors import choose_device
+
+
+@dataclass(frozen=True)
+class TargetDataSettings:
+    """Which searches make a data set of pairs (paper, section 7.2, Table 4)."""
+
+    train_width: int = 64
+    """Width of the search, in the direction of disassembly, whose states are those to learn from."""
+    test_width: int = 128
+    """Width of the search that unseen pairs come from."""
+    widths: tuple[int, ...] = ()
+    """Widths of further searches to learn from."""
+    pairs: int = 20_000
+    """Pairs of the training set, drawn from the first graph."""
+    test_pairs: int = 2_000
+    """Unseen pairs at most."""
+    seed: int = 0
+    """Of the first search; each further one, the test search included, adds one."""
+
+    def __post_init__(self) -> None:
+        for width in (self.train_width, self.test_width, *self.widths):
+            if width < 1:
+                raise InputError(f"a search of width {width} finds nothing; give at least 1")
+        if self.pairs < 1 or self.test_pairs < 1:
+            raise InputError("pairs and test_pairs are counts; give at least 1")
+        if self.seed < 0:
+            raise InputError(f"a seed is not negative; {self.seed} was given")
+
+
+@dataclass(frozen=True, eq=False)
+class TargetDataset:
+    """Pairs of start and target of one structure; no start or target of a test pair is one of the training states."""
+
+    train: Pairs
+    """From the search of the training width."""
+    test: Pairs
+    """Unseen: neither start nor target is in the training graph."""
+    graph: StateGraph
+    """All training states."""
+    wide: StateGraph
+    """Those and the states of further searches; the same graph where there are none."""
+    task: Task
+    name: str = ""
+    settings: TargetDataSettings = field(default_factory=TargetDataSettings)
+
+    @property
+    def test_states(self) -> States:
+        """Every start and target of the test pairs once, to be kept out of training; shape (count, parts)."""
+        return np.unique(np.concatenate([self.test.states, self.test.targets]), axis=0)
+
+
+def target_dataset(
+    assembly: Assembly,
+    task: Task,
+    settings: TargetDataSettings = TargetDataSettings(),
+    *,
+    oracle: TensorOracle | None = None,
+    device: str = "auto",
+    shards: Shards = Shards(),
+) -> TargetDataset:
+    """Run the searches of the protocol of Table 4 and draw the pairs.
+
+    The paper's training set is what a search of width 64 from the complete structure finds; unseen pairs come from
+    a search of width 128, and both their states are new. All of them have a way from start to target. Further searches
+    add states, and with them ways, between which `falsework.learn.ways.Ways` draws tasks.
+
+    Args:
+        assembly: the structure.
+        task: taking all of it apart, as of `falsework.learn.data.task_for`.
+        settings: widths, numbers of pairs and seed.
+        oracle: verdicts; made if not given.
+        device: `auto`, `cpu` or `cuda`.
+        shards: processes that search together.
+
+    Raises:
+        DependencyError: torch is not installed.
+        InputError: no such device, or a structure so small that the wider search finds no new pair.
+    """
+    from falsework.stability import Stability
+
+    where = choose_device(device)
+    asked = oracle_on(Stability(assembly), where) if oracle is None else oracle
+    forward = Direction.DISASSEMBLY
+
+    def states_of(number: int, width: int) -> States:
+        seed = settings.seed + number
+        return search_states(task, asked, width, seed, device=where, shards=shards, direction=forward)[0]
+
+    first = states_of(0, settings.train_width)
+    graph = StateGraph.build(task, first, name=assembly.name)
+    wider = StateGraph.build(task, states_of(1, settings.test_width), name=assembly.name)
+    rng = np.random.default_rng(settings.seed)
+    train = PairSource(graph).draw(settings.pairs, rng)
+    test = _unseen(wider, graph.states, rng)[: settings.test_pairs]
+    if len(test) == 0:
+        raise InputError(
+            f"a search of width {settings.test_width} finds no pair of states of {assembly.name} that one of width "
+            f"{settings.train_width} has not seen; test with a greater width"
+        )
+    more = [states_of(2 + number, width) for number, width in enumerate(settings.widths)]
+    wide = StateGraph.build(task, np.concatenate([first, *more]), name=assembly.name) if more else graph
+    return TargetDataset(train, test, graph, wide, task, assembly.name, settings)
+
+
+def _unseen(wider: StateGraph, seen: States, rng: np.random.Generator) -> Pairs:
+    """Pairs of states of a graph that are not among `seen`, if there are any."""
+    try:
+        return PairSource(wider, forbidden=seen).one_for_each_end(rng)
+    except InputError:
+        return PairSource(wider).draw(1, rng)[:0]

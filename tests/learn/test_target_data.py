@@ -1,0 +1,49 @@
+"""Data of two-state policies: what is learned from and what is tested on have no state in common."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
+
+from falsework.assembly import Assembly, load_structure  # noqa: E402
+from falsework.errors import InputError  # noqa: E402
+from falsework.learn.data import task_for  # noqa: E402
+from falsework.learn.target_data import TargetDataSettings, target_dataset  # noqa: E402
+from falsework.search.hashing import StateIndex  # noqa: E402
+
+
+def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
+    settings = TargetDataSettings(train_width=4, test_width=12, widths=(20,), pairs=500, test_pairs=100)
+    data = target_dataset(bottle, task_for(bottle), settings, device="cpu")
+    assert len(data.train) == 500
+    assert 0 < len(data.test) <= 100
+    seen = StateIndex(data.graph.states)
+    for states in (data.test.states, data.test.targets):
+        assert (seen.find(states) < 0).all()
+    for states in (data.train.states, data.train.targets):
+        assert (seen.find(states) >= 0).all()
+    kept = StateIndex(data.test_states)
+    assert (kept.find(data.train.states) < 0).all()
+    assert len(data.wide) > len(data.graph)
+    assert (data.wide.index.find(data.graph.states) >= 0).all()
+    again = target_dataset(bottle, task_for(bottle), settings, device="cpu")
+    assert np.array_equal(again.test.targets, data.test.targets)
+    alone = target_dataset(bottle, task_for(bottle), replace(settings, widths=()), device="cpu")
+    assert alone.wide is alone.graph
+    assert np.array_equal(alone.test.states, data.test.states)
+
+
+def test_bad_input_is_one_clear_line() -> None:
+    tiny = load_structure("stack:blocks=2")
+    with pytest.raises(InputError, match="finds no pair of states of stack:blocks=2 that one of width 64 has not seen"):
+        target_dataset(tiny, task_for(tiny, 1), device="cpu")
+    with pytest.raises(InputError, match="a search of width 0 finds nothing"):
+        TargetDataSettings(train_width=0)
+    with pytest.raises(InputError, match="pairs and test_pairs are counts"):
+        TargetDataSettings(pairs=0)
+    with pytest.raises(InputError, match="a seed is not negative"):
+        TargetDataSettings(seed=-1)
