@@ -6,13 +6,15 @@
     python benchmarks/robots.py bottle-12 --seeds 5
     python benchmarks/robots.py dome-72
     python benchmarks/robots.py random --cells 20
+    python benchmarks/robots.py dome-37 --policy RUN
     python benchmarks/robots.py all
 
 The first five plan a published structure in the built-in cell of that name: `seconds` is from structure and cell in
 memory to a proven plan with timed motions, compiling done before. The last line of each has median and worst.
 `random`: dome-37 in cells whose two arms stand anywhere within what lets every part be held; success and, for each
-failure, the explanation. `--no-check` leaves the check by Pinocchio and Coal out. The structures are looked for in
-FALSEWORK_DATA, else in the folder `shared` beside the repository.
+failure, the explanation. `--policy`: a run of `falsework train` for that structure as guide. `--no-check` leaves the
+check by Pinocchio and Coal out. The structures are looked for in FALSEWORK_DATA, else in the folder `shared` beside the
+repository.
 """
 
 from __future__ import annotations
@@ -39,6 +41,8 @@ from falsework.robots.hybrid import HybridResult, HybridSettings, plan_robots
 from falsework.robots.keyframes import KeyframeGraph
 from falsework.robots.shapes import inverse_pose, pose
 from falsework.robots.validate import check_cell
+from falsework.search.guide import Guide
+from falsework.search.task import Task
 from falsework.stability import Stability
 
 STRUCTURES = {
@@ -70,6 +74,7 @@ class Arguments:
     first_seed: int = 0
     deadline: float = 180.0
     cells: int = 20
+    policy: Path | None = None
     no_check: bool = False
 
 
@@ -86,10 +91,12 @@ def structure(name: str) -> Assembly:
     return assembly
 
 
-def once(assembly: Assembly, cell: Cell, seed: int, deadline: float, *, check: bool) -> tuple[HybridResult, dict]:
-    """One plan from nothing but structure and cell."""
+def once(
+    assembly: Assembly, cell: Cell, seed: int, deadline: float, *, check: bool, guide: Guide | None = None
+) -> tuple[HybridResult, dict]:
+    """One plan from nothing but structure and cell, and a guide if there is one."""
     begun, work = time.perf_counter(), time.process_time()
-    result = plan_robots(assembly, cell, settings=HybridSettings(seed=seed, deadline=deadline))
+    result = plan_robots(assembly, cell, guide=guide, settings=HybridSettings(seed=seed, deadline=deadline))
     seconds, work = time.perf_counter() - begun, time.process_time() - work
     statistics = {key: value for key, value in result.statistics.items() if key not in ("failure", "seconds", "seed")}
     fields: dict[str, Any] = {"found": result.found, "seconds": round(seconds, 3), "cpu_seconds": round(work, 3)}
@@ -106,13 +113,26 @@ def once(assembly: Assembly, cell: Cell, seed: int, deadline: float, *, check: b
     return result, fields
 
 
+def policy_guide(run: Path, assembly: Assembly, cell: Cell) -> Guide:
+    """A trained policy, on one thread, which is faster for single states."""
+    import torch
+
+    from falsework.learn.checkpoint import load_run
+    from falsework.learn.guide import PolicyGuide
+
+    torch.set_num_threads(1)
+    task = Task.create(assembly.boundary, cell.robot_count, clearance=assembly.clearance, identity=assembly.identity)
+    return PolicyGuide(load_run(run, assembly=assembly).policy, task=task)
+
+
 def building(name: str, arguments: Arguments) -> None:
     """Seeds of one built-in cell, then median and worst."""
     assembly, cell = structure(STRUCTURES[name]), load_cell(name)
     seconds, found, good = [], 0, 0
     for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
-        result, fields = once(assembly, cell, seed, arguments.deadline, check=not arguments.no_check)
-        say(benchmark=name, robots=cell.robot_count, seed=seed, **fields)
+        guide = None if arguments.policy is None else policy_guide(arguments.policy, assembly, cell)
+        result, fields = once(assembly, cell, seed, arguments.deadline, check=not arguments.no_check, guide=guide)
+        say(benchmark=name, robots=cell.robot_count, seed=seed, guided=guide is not None, **fields)
         seconds.append(fields["seconds"])
         found += result.found
         good += bool(fields.get("check"))

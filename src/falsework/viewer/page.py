@@ -19,9 +19,8 @@ from falsework.viewer.arrows import KINDS
 from falsework.viewer.disruption import Tool
 from falsework.viewer.look import bounds_of
 from falsework.viewer.model import Model
-from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, robot_color
+from falsework.viewer.page_text import about_text, legend_text, marked_text, where_text
 from falsework.viewer.scene import SIZE, Scene
-from falsework.viewer.timeline import NOBODY
 
 LOCAL = ("localhost", "127.0.0.1", "::1")
 """Hosts that nobody else can reach."""
@@ -352,8 +351,11 @@ class Page:
 
     # What is written.
 
+    def _shown(self) -> list[str]:
+        return [kind for kind, toggle in self._toggles.items() if toggle.value]
+
     def _show_proof(self) -> None:
-        kinds = [kind for kind, toggle in self._toggles.items() if toggle.value]
+        kinds = self._shown()
         if not kinds:
             self.scene.show_arrows({}, {})
             self.scene.see_through(False)
@@ -364,52 +366,11 @@ class Page:
         self.scene.show_arrows(chosen, proof.moved if "motion" in kinds else {})
 
     def _say(self) -> None:
-        model, steps = self.model, len(self.model.timeline)
-        place = int(np.ceil(model.place))  # between two states the step that is under way
-        doing = f": **{model.timeline.words(place - 1)}**" if place and steps else ""
-        lines = [f"step {place} of {steps}{doing}" if steps else f"**{model.assembly.name}**"]
-        # A plan has proven its states; what is marked on top has not been asked about yet.
-        if not model.disruption.empty or any(toggle.value for toggle in self._toggles.values()) or not steps:
-            lines.append(f"*{model.proof().words}*")
-        self._where.content = "<br/>".join(lines)
-        words = model.disruption.words(model.assembly)
-        self._marked.content = f"Marked {words}." if words else "Nothing is marked: choose what a click does."
-        self._about.content = self._about_text()
-        self._legend.content = self._legend_text()
-
-    def _about_text(self) -> str:
-        model = self.model
-        if model.selected is None:
-            return "<div style='margin:0.5em 1em;color:#666'>Click a part to learn about it.</div>"
-        rows = "".join(
-            f"<tr><td style='color:#666;padding-right:1em;vertical-align:top'>{html.escape(name)}</td>"
-            f"<td>{html.escape(value)}</td></tr>"
-            for name, value in model.about(model.selected)
-        )
-        return f"<table id='falsework-part' style='margin:0.5em 1em;font-size:0.85em'>{rows}</table>"
-
-    def _legend_text(self) -> str:
-        model = self.model
-        entries = [(BOUNDARY, "boundary"), (INSTALLED, "stands by itself")]
-        holding = int(model.timeline.holders.max(initial=NOBODY)) + 1
-        entries += [(robot_color(robot), f"held by robot {robot + 1} (R{robot + 1})") for robot in range(holding)]
-        if holding > len(ROBOTS):
-            entries.append(("#ffffff", "colours repeat: labels say which robot"))
-        entries += [(SELECTED, "selected"), (MISSING, "missing (wires)"), (FIXED, "not to be touched")]
-        entries += [(color, kind) for kind, color in KINDS.items() if self._toggles[kind].value]
-        boxes = "".join(
-            f"<div><span style='display:inline-block;width:1.2em;height:0.8em;background:{color};"
-            f"border:1px solid #999;margin-right:0.5em'></span>{html.escape(words)}</div>"
-            for color, words in entries
-        )
-        if model.show_chances:
-            scale = f"linear-gradient(to right,{','.join(RAMP)})"
-            boxes += (
-                f"<div style='height:0.8em;margin-top:0.5em;background:{scale}'></div>"
-                "<div style='display:flex;justify-content:space-between'><span>0 %</span>"
-                "<span>probability of the action on a part</span><span>100 %</span></div>"
-            )
-        return f"<div id='falsework-legend' style='margin:0.5em 1em;font-size:0.85em'>{boxes}</div>"
+        model, shown = self.model, self._shown()
+        self._where.content = where_text(model, ask=bool(shown))
+        self._marked.content = marked_text(model)
+        self._about.content = about_text(model)
+        self._legend.content = legend_text(model, shown)
 
 
 def check_host(host: str) -> str | None:

@@ -1,0 +1,77 @@
+"""What the page says in words: where the plan is, what is marked, what is known of a part, what colours mean."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Collection
+
+import numpy as np
+
+from falsework.viewer.arrows import KINDS
+from falsework.viewer.model import Model
+from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, robot_color
+from falsework.viewer.timeline import NOBODY
+
+
+def where_text(model: Model, *, ask: bool) -> str:
+    """The step and what it does, in Markdown.
+
+    Args:
+        model: what is shown.
+        ask: say also whether the state is stable; it is said anyway where no plan has proven it.
+    """
+    steps = len(model.timeline)
+    place = int(np.ceil(model.place))  # between two states the step that is under way
+    doing = f": **{model.timeline.words(place - 1)}**" if place and steps else ""
+    lines = [f"step {place} of {steps}{doing}" if steps else f"**{model.assembly.name}**"]
+    # A plan has proven its states; what is marked on top has not been asked about yet.
+    if ask or not model.disruption.empty or not steps:
+        lines.append(f"*{model.proof().words}*")
+    return "<br/>".join(lines)
+
+
+def marked_text(model: Model) -> str:
+    """Which parts are marked as missing, already there or not to be touched."""
+    words = model.disruption.words(model.assembly)
+    return f"Marked {words}." if words else "Nothing is marked: choose what a click does."
+
+
+def about_text(model: Model) -> str:
+    """A table of what is known of the part that was clicked, in HTML."""
+    if model.selected is None:
+        return "<div style='margin:0.5em 1em;color:#666'>Click a part to learn about it.</div>"
+    rows = "".join(
+        f"<tr><td style='color:#666;padding-right:1em;vertical-align:top'>{html.escape(name)}</td>"
+        f"<td>{html.escape(value)}</td></tr>"
+        for name, value in model.about(model.selected)
+    )
+    return f"<table id='falsework-part' style='margin:0.5em 1em;font-size:0.85em'>{rows}</table>"
+
+
+def legend_text(model: Model, shown: Collection[str]) -> str:
+    """What the colours mean that are in use, in HTML.
+
+    Args:
+        model: what is shown.
+        shown: kinds of arrows that are.
+    """
+    entries = [(BOUNDARY, "boundary"), (INSTALLED, "stands by itself")]
+    holding = int(model.timeline.holders.max(initial=NOBODY)) + 1
+    entries += [(robot_color(robot), f"held by robot {robot + 1} (R{robot + 1})") for robot in range(holding)]
+    if holding > len(ROBOTS):
+        entries.append(("#ffffff", "colours repeat: labels say which robot"))
+    entries += [(SELECTED, "selected"), (MISSING, "missing (wires)"), (FIXED, "not to be touched")]
+    entries += [(color, kind) for kind, color in KINDS.items() if kind in shown]
+    boxes = "".join(
+        f"<div><span style='display:inline-block;width:1.2em;height:0.8em;background:{color};"
+        f"border:1px solid #999;margin-right:0.5em'></span>{html.escape(words)}</div>"
+        for color, words in entries
+    )
+    if model.show_chances:
+        scale = f"linear-gradient(to right,{','.join(RAMP)})"
+        boxes += (
+            f"<div style='height:0.8em;margin-top:0.5em;background:{scale}'></div>"
+            "<div style='display:flex;justify-content:space-between'><span>0 %</span>"
+            "<span>probability of the action on a part</span><span>100 %</span></div>"
+        )
+    return f"<div id='falsework-legend' style='margin:0.5em 1em;font-size:0.85em'>{boxes}</div>"
