@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,12 +13,15 @@ from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
 from falsework.learn.environment import Environment  # noqa: E402
+from falsework.learn.imitation import imitation_loss  # noqa: E402
 from falsework.learn.moves import advantages, hindsight, play_and_judge  # noqa: E402
 from falsework.learn.policy import Policy, make_policy  # noqa: E402
 from falsework.learn.policy_settings import PolicySettings  # noqa: E402
 from falsework.learn.refine import Refinement  # noqa: E402
 from falsework.learn.refine_settings import RefineSettings  # noqa: E402
 from falsework.learn.solved import SolvedStates  # noqa: E402
+from falsework.learn.ways import Ways  # noqa: E402
+from falsework.search import StateGraph  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
 SMALL = RefineSettings(rollouts=64, batch=64, learning_rate=2e-3)
@@ -174,3 +179,31 @@ def test_what_a_rollout_passed_can_be_reached(arch: Assembly, data: Dataset) -> 
     assert Stability(arch).stable(np.concatenate([states.numpy(), targets.numpy()])).all()
     none = hindsight(moves.take(torch.arange(0)), 10, environment.generator(4))
     assert len(none[0]) == 0
+
+
+def test_tasks_are_drawn_anew_and_imitated(bottle: Assembly, bottle_graph: StateGraph) -> None:
+    """With a source of tasks hardly any start comes twice, and what the source knows is learned beside."""
+    environment = Environment(bottle, 2, oracle=Stability(bottle), device="cpu")
+    ways = Ways(bottle_graph, device=environment.device)
+    states, targets, valid = ways.draw(300, environment.generator(7))
+
+    def learned(imitation: float) -> float:
+        policy = make_policy(bottle, PolicySettings(kind="residual", channels=32, layers=2, two_states=True))
+        refinement = Refinement(
+            environment,
+            policy,
+            SolvedStates(environment.rules),
+            states[:1],
+            replace(SMALL, imitation=imitation),
+            targets=targets[:1],
+            tasks=ways,
+        )
+        starts, aims = refinement._choose_starts(10**6)
+        assert aims is not None
+        assert len(torch.unique(torch.cat([starts, aims], dim=1), dim=0)) > 0.9 * len(starts)
+        refinement.block(60, (0.0, 1.0))
+        with torch.no_grad():
+            logits, _ = policy(states, targets)
+        return float(imitation_loss(logits, environment.rules.mask(states, targets), valid))
+
+    assert learned(1.0) < learned(0.0)

@@ -27,6 +27,9 @@ from falsework.search.shards import Shards
 _FEWEST = 16
 """Rollouts of one collection, at least."""
 
+Known = tuple[torch.Tensor, torch.Tensor | None, torch.Tensor | None]
+"""States to imitate at, their targets, and valid actions; None if there are no targets, or actions are looked up."""
+
 
 class Refinement:
     """Learns in blocks, as `falsework.learn.learners.Learner`."""
@@ -221,8 +224,10 @@ class Refinement:
             group["lr"] = rate
         sums = torch.zeros(4, device=order.device)
         every: Any = torch._foreach_lerp_  # pyright: ignore[reportPrivateImportUsage]
+        known = self._known(steps)
         for step in range(steps):
-            loss, numbers = self._loss(moves.take(order[step * share : (step + 1) * share]), scale)
+            rows = order[step * share : (step + 1) * share]
+            loss, numbers = self._loss(moves.take(rows), scale, None if known is None else known[step])
             self._optimizer.zero_grad(set_to_none=True)
             loss.backward()
             average_gradients(self._weights, self._shards)
@@ -236,14 +241,26 @@ class Refinement:
         loss, entropy, error, drift = (sums / steps).tolist()
         self._numbers |= {"loss": loss, "entropy": entropy, "value_error": error, "drift": drift, "rate": rate}
 
-    def _loss(self, moves: Moves, scale: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _known(self, steps: int) -> list[Known] | None:
+        """What is imitated in some steps; None if nothing is."""
+        settings = self._settings
+        count = max(round(settings.batch * settings.imitation_share / self._shards.size), 1)
+        if settings.imitation == 0:
+            return None
+        if self._tasks is not None:
+            states, targets, valid = self._tasks.draw(steps * count, self._generator)
+            return list(zip(states.split(count), targets.split(count), valid.split(count), strict=True))
+        if self._targets is not None or len(self._solved) == 0:
+            return None
+        rows = (self._draw(count, len(self._solved)) for _ in range(steps))
+        return [(self._solved.states[some], None, None) for some in rows]
+
+    def _loss(self, moves: Moves, scale: torch.Tensor, known: Known | None) -> tuple[torch.Tensor, torch.Tensor]:
         settings = self._settings
         states, targets = moves.states, moves.targets
-        imitate = settings.imitation > 0 and targets is None and len(self._solved) > 0
-        if imitate:
-            count = max(round(settings.batch * settings.imitation_share / self._shards.size), 1)
-            known = self._solved.states[self._draw(count, len(self._solved))]
-            states = torch.cat([states, known])
+        if known is not None:
+            states = torch.cat([states, known[0]])
+            targets = None if targets is None or known[1] is None else torch.cat([targets, known[1]])
         logits, value = self._network(states, targets)
         size = len(moves)
         logs = masked_log_probabilities(logits[:size], moves.mask)
@@ -256,9 +273,10 @@ class Refinement:
         chance = 0.5 + 0.4999 * value[:size]  # never 0 nor 1, whose logarithm would be infinite
         error = torch.nn.functional.binary_cross_entropy(chance, moves.chance, reduction="sum") / count
         loss = surrogate - settings.entropy * entropy + settings.value * error
-        if imitate:
-            mask = self._environment.rules.mask(known)
-            valid = self._solved.valid_actions(known, mask)
+        if known is not None:
+            right, aims, valid = known
+            mask = self._environment.rules.mask(right, aims)
+            valid = self._solved.valid_actions(right, mask) if valid is None else valid
             loss = loss + settings.imitation * imitation_loss(logits[size:], mask, valid)
         drift = (moves.log_probability.sum() - logs.gather(1, moves.actions[:, None]).sum()) / count
         return loss, torch.stack([loss, entropy, error, drift]).detach()

@@ -30,7 +30,7 @@ class RefineSettings:
     value: float = 0.5
     """Weight of the error of the estimated success."""
     imitation: float = 0.1
-    """Weight of the imitation of states known to be solvable, which keeps what was learned."""
+    """Weight of the imitation of states known to be solvable, or of ways to targets, which keeps what was learned."""
     imitation_share: float = 0.25
     """States imitated a step, as a share of the batch."""
     from_data: float = 0.5
