@@ -212,7 +212,7 @@ class Environment:
         """
         from falsework.learn.rollout import roll_out
 
-        return roll_out(
+        rollouts = roll_out(
             self,
             policy,
             starts,
@@ -222,6 +222,18 @@ class Environment:
             generator=generator,
             keep=keep,
         )
+        self.note(rollouts, told=targets is not None, drawn=not greedy, whole=keep == "all")
+        return rollouts
+
+    def note(self, rollouts: Rollouts, *, told: bool, drawn: bool, whole: bool) -> None:
+        """Called with all rollouts of `rollout`, for environments that learn from them; this one does nothing.
+
+        Args:
+            rollouts: as they ended.
+            told: they had targets.
+            drawn: actions were drawn, not the most probable ones.
+            whole: all states are kept.
+        """
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:

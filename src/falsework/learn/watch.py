@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import Any
 
 import torch
 
 from falsework.learn.environment import Environment, Step
-from falsework.learn.rollout import Policy, Rollouts
+from falsework.learn.rollout import Rollouts
 from falsework.learn.solved import SolvedStates
 
 
@@ -89,29 +89,15 @@ class WatchedEnvironment(Environment):
         finally:
             self._watching = before
 
-    def rollout(
-        self,
-        policy: Policy,
-        starts: torch.Tensor,
-        targets: torch.Tensor | None = None,
-        *,
-        greedy: bool = True,
-        temperature: float = 1.0,
-        generator: torch.Generator | None = None,
-        keep: Literal["all", "ends"] = "all",
-    ) -> Rollouts:
-        """As `Environment.rollout`."""
-        rollouts = super().rollout(
-            policy, starts, targets, greedy=greedy, temperature=temperature, generator=generator, keep=keep
-        )
-        noting = self._watching and self.remember and targets is None and keep == "all" and not greedy
-        if noting and self.solved is not None:
-            value = (2.0 * rollouts.success.float() - 1.0).expand(len(rollouts.states), -1)
-            passed = rollouts.passed()
-            states, value = rollouts.states[passed], value[passed]
-            learnable = (~self.solved.is_forbidden(states)).nonzero()[:, 0]
-            self.outcomes.add(states=states[learnable], value=value[learnable])
-        return rollouts
+    def note(self, rollouts: Rollouts, *, told: bool, drawn: bool, whole: bool) -> None:
+        """As `Environment.note`: remember how rollouts without targets ended that were drawn."""
+        if self.solved is None or not (self._watching and self.remember and drawn and whole) or told:
+            return
+        value = (2.0 * rollouts.success.float() - 1.0).expand(len(rollouts.states), -1)
+        passed = rollouts.passed()
+        states, value = rollouts.states[passed], value[passed]
+        learnable = (~self.solved.is_forbidden(states)).nonzero()[:, 0]
+        self.outcomes.add(states=states[learnable], value=value[learnable])
 
     def step(
         self,

@@ -17,7 +17,16 @@ from falsework.search.frontier import expand
 from falsework.search.guide import Guide
 from falsework.search.hashing import StateHash
 from falsework.search.judge import Judge, Oracle
-from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
+from falsework.search.result import (
+    Outcome,
+    Progress,
+    Route,
+    SearchCounters,
+    SearchProgress,
+    SearchResult,
+    Stop,
+    beam_failure,
+)
 from falsework.search.selection import Selector
 from falsework.search.task import Direction, Task
 
@@ -330,12 +339,7 @@ class BeamSearch:
         undecided, limit = self._judge.undecided + self._undecided, ""
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:
-            if not self.exhaustive:
-                limit = f"the beam keeps {self.settings.width} states a level; a wider one may find a plan"
-            elif undecided:
-                limit = f"{undecided} states could be proved neither stable nor unstable"
-            else:
-                outcome = Outcome.PROVED_IMPOSSIBLE
+            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided)
         # A beam that was taken back may be less far now than where it died before.
         farther_now = len(self.levels) > self._farthest
         return SearchResult(

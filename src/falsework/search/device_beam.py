@@ -12,7 +12,16 @@ import numpy as np
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.beam import BeamSettings, Level
-from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
+from falsework.search.result import (
+    Outcome,
+    Progress,
+    Route,
+    SearchCounters,
+    SearchProgress,
+    SearchResult,
+    Stop,
+    beam_failure,
+)
 from falsework.search.shards import Shards
 from falsework.search.task import Direction, Task
 from falsework.search.tensor_clusters import find_centers
@@ -230,12 +239,7 @@ class DeviceBeam:
         undecided, limit = int(self._refused[1]), ""
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:
-            if not self.exhaustive:
-                limit = f"the beam keeps {self.settings.width} states a level; a wider one may find a plan"
-            elif undecided:
-                limit = f"{undecided} states could be proved neither stable nor unstable"
-            else:
-                outcome = Outcome.PROVED_IMPOSSIBLE
+            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided)
         return SearchResult(
             outcome=outcome,
             routes=(self.route(),) if self.found else (),

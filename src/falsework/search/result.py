@@ -49,6 +49,21 @@ class Route:
         return rank
 
 
+def beam_failure(width: int, exhaustive: bool, undecided: int) -> tuple[Outcome, str]:
+    """What it means that a beam came to no end, and which limit it met, if any.
+
+    Args:
+        width: states that it keeps a level.
+        exhaustive: it never had to leave one out.
+        undecided: states that could be proved neither stable nor unstable.
+    """
+    if not exhaustive:
+        return Outcome.NOT_FOUND, f"the beam keeps {width} states a level; a wider one may find a plan"
+    if undecided:
+        return Outcome.NOT_FOUND, f"{undecided} states could be proved neither stable nor unstable"
+    return Outcome.PROVED_IMPOSSIBLE, ""
+
+
 @dataclass(frozen=True)
 class SearchCounters:
     """Work that a search has done."""
