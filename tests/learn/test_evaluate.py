@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +135,28 @@ def test_a_policy_of_two_states_learns_targets(method: Any, tmp_path: Path) -> N
     assert result.test.states == result.train.states == 64
     assert result.test.share > (0.5 if method == "imitation" else 0.0)
     assert main(["evaluate", str(tmp_path / "run"), "--json", "--targets", "--states", "20", "--device", "cpu"]) == 0
+
+
+def test_a_resumed_run_with_targets_does_not_search_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fifth of its time went into searches, and pieces are to be short."""
+    settings = TrainSettings(
+        steps=20,
+        block=10,
+        policy=PolicySettings("residual", two_states=True, channels=32, layers=1),
+        pairs=100,
+        widths=(8,),
+        evaluation_states=32,
+    )
+    wide, folder = load_structure(WIDE), tmp_path / "run"
+    first = train(wide, settings, folder=folder, device="cpu", logs=(), source={"built_in": WIDE})
+
+    def search_states(*arguments: Any, **options: Any) -> Any:
+        raise AssertionError("it searched again")
+
+    monkeypatch.setattr("falsework.learn.target_data.search_states", search_states)
+    more = replace(settings, steps=40)
+    second = train(wide, more, folder=folder, device="cpu", logs=(), source={"built_in": WIDE}, resume=True)
+    assert (first.steps, second.steps) == (20, 40)
 
 
 def test_targets_need_a_method_that_knows_them() -> None:

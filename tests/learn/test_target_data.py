@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn.data import task_for  # noqa: E402
-from falsework.learn.target_data import TargetDataSettings, target_dataset  # noqa: E402
+from falsework.learn.target_data import Searched, TargetDataSettings, target_dataset  # noqa: E402
 from falsework.search.hashing import StateIndex  # noqa: E402
+from falsework.search.tensor_judge import oracle_on  # noqa: E402
+from falsework.stability import Stability  # noqa: E402
 
 
 def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
@@ -35,6 +38,31 @@ def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
     alone = target_dataset(bottle, task_for(bottle), replace(settings, widths=()), device="cpu")
     assert alone.wide is alone.graph
     assert np.array_equal(alone.test.states, data.test.states)
+
+
+def test_searches_are_read_back(bottle: Assembly, tmp_path: Path) -> None:
+    """The same data set comes of them; files that are something else are refused."""
+    task = task_for(bottle)
+    settings = TargetDataSettings(train_width=4, test_width=12, widths=(8, 8), pairs=100, test_pairs=20)
+    oracle = oracle_on(Stability(bottle), torch.device("cpu"))
+    seen: list[str] = []
+    searched = Searched.find(task, settings, oracle, device=torch.device("cpu"), report=seen.append)
+    assert seen[-1] == "search 4 of 4, width 8"
+    searched.save(tmp_path / "searched.npz", task)
+    again = Searched.load(tmp_path / "searched.npz", task)
+    one, two, three = (
+        target_dataset(bottle, task, settings, device="cpu", searched=known) for known in (searched, again, None)
+    )
+    for other in (two, three):
+        assert np.array_equal(one.test.targets, other.test.targets)
+        assert np.array_equal(one.train.states, other.train.states)
+        assert np.array_equal(one.wide.states, other.wide.states)
+    tetris = load_structure("stack:blocks=12")
+    with pytest.raises(InputError, match="states of another structure"):
+        Searched.load(tmp_path / "searched.npz", task_for(tetris))
+    replace(searched, more=searched.more[:, 1:]).save(tmp_path / "searched.npz", task)
+    with pytest.raises(InputError, match="is damaged"):
+        Searched.load(tmp_path / "searched.npz", task)
 
 
 def test_bad_input_is_one_clear_line() -> None:

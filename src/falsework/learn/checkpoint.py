@@ -26,6 +26,7 @@ FILE = "run.json"
 WEIGHTS = "weights.safetensors"
 CHECKPOINT = Path("checkpoint") / "last.safetensors"
 DATA = "data.npz"
+SEARCHED = "searched.npz"
 
 _KEYS = {"format", "structure", "settings", "policy", "results", "versions"}
 

@@ -11,12 +11,12 @@ import numpy as np
 import torch
 
 from falsework.assembly.model import Assembly
-from falsework.learn.checkpoint import DATA
+from falsework.learn.checkpoint import DATA, SEARCHED
 from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
 from falsework.learn.evaluate import Sets, sample
 from falsework.learn.pairs import Pairs
 from falsework.learn.settings import TrainSettings
-from falsework.learn.target_data import TargetDataset, TargetDataSettings, target_dataset
+from falsework.learn.target_data import Searched, TargetDataset, TargetDataSettings, target_dataset
 from falsework.learn.ways import Ways
 from falsework.search.shards import Shards
 from falsework.search.tensor_judge import TensorOracle
@@ -71,7 +71,16 @@ def find_material(
     begun = time.perf_counter()
     count = settings.evaluation_states
     if settings.policy.two_states:
-        pairs = find_pairs(assembly, settings, oracle, device=device, shards=shards)
+        path = None if folder is None else folder / SEARCHED
+        task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
+        if kept and path is not None and path.exists():
+            searched = Searched.load(path, task)
+        else:
+            searches = _target_searches(settings)
+            searched = Searched.find(task, searches, oracle, device=device, shards=shards, report=report)
+            if shards.first:
+                _keep(path, lambda where: searched.save(where, task), note)
+        pairs = find_pairs(assembly, settings, oracle, device=device, shards=shards, searched=searched)
         tasks = Ways(pairs.wide, device=device, forbidden=pairs.test_states)
         generator = torch.Generator(device).manual_seed(settings.data_seed)
         states, targets, _ = tasks.draw(settings.pairs, generator)
@@ -94,12 +103,8 @@ def find_material(
         )
         if not data.complete and note is not None:
             note("not every search reached the complete structure, so little is known of it; wider ones may")
-        if shards.first and path is not None:
-            try:
-                data.save(path)
-            except OSError as error:
-                if note is not None:
-                    note(f"cannot keep {path}: {error.strerror}; a resumed run searches again")
+        if shards.first:
+            _keep(path, data.save, note)
     return Material(
         put(np.concatenate([data.train, data.more]), device),
         None,
@@ -117,11 +122,27 @@ def find_pairs(
     *,
     device: torch.device,
     shards: Shards = Shards(),
+    searched: Searched | None = None,
 ) -> TargetDataset:
     """Pairs of states and targets that a run with targets learns from and is tested on; always the same ones."""
     task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
-    searches = TargetDataSettings(widths=_widths(settings), pairs=settings.pairs, seed=settings.data_seed)
-    return target_dataset(assembly, task, searches, oracle=oracle, device=str(device), shards=shards)
+    searches = _target_searches(settings)
+    return target_dataset(assembly, task, searches, oracle=oracle, device=str(device), shards=shards, searched=searched)
+
+
+def _target_searches(settings: TrainSettings) -> TargetDataSettings:
+    return TargetDataSettings(widths=_widths(settings), pairs=settings.pairs, seed=settings.data_seed)
+
+
+def _keep(path: Path | None, save: Callable[[Path], None], note: Callable[[str], None] | None) -> None:
+    """Keep data in the folder of a run, if it has one; a full disk is worth a note, not the run."""
+    if path is None:
+        return
+    try:
+        save(path)
+    except OSError as error:
+        if note is not None:
+            note(f"cannot keep {path}: {error.strerror}; a resumed run searches again")
 
 
 def _widths(settings: TrainSettings) -> tuple[int, ...]:

@@ -164,12 +164,15 @@ class TrainSettings:
         """
         gpu = device == "cuda"
         imitation = self.imitation
+        minutes = self.minutes or default_minutes(parts, device)
+        two = self.policy.two_states
+        widths = default_target_widths(parts, device, minutes) if two else default_widths(parts, device)
         batch = imitation.batch or (1024 if gpu else 128)
         return replace(
             self,
             policy=_policy(self.policy, gpu).resolved(),
-            minutes=self.minutes or default_minutes(parts, device),
-            widths=self.widths or default_widths(parts, device, two_states=self.policy.two_states),
+            minutes=minutes,
+            widths=self.widths or widths,
             imitation=replace(
                 imitation,
                 batch=batch,
@@ -197,16 +200,24 @@ def default_minutes(parts: int, device: str) -> float:
     return minutes if device == "cuda" else 2.0 * minutes
 
 
-def default_widths(parts: int, device: str, *, two_states: bool = False) -> tuple[int, ...]:
-    """Widths of the searches that make data beyond the paper's: one wide one, and narrow ones that stray further.
-
-    With targets there are far more tasks than states, and nothing but many searches shows them all over the structure.
-    """
-    if two_states and parts > 20:
-        return (*[128] * 16, *[512] * 8) if device == "cuda" else (128,) * 12
+def default_widths(parts: int, device: str) -> tuple[int, ...]:
+    """Widths of the searches that make data beyond the paper's: one wide one, and narrow ones that stray further."""
     if device == "cuda":
         return (*[128] * (4 if parts <= 20 else 8 if parts <= 50 else 16), 1024 if parts <= 20 else 4096)
     return (128, 128, 256) if parts <= 20 else (128, 256)
+
+
+def default_target_widths(parts: int, device: str, minutes: float) -> tuple[int, ...]:
+    """The same for tasks with targets, which are far more than states: as many searches as a fifth of the time allows.
+
+    Nothing but many states keeps a network from learning by heart where the ways of some searches lead.
+    """
+    if parts <= 20:
+        return default_widths(parts, device)
+    if device == "cuda":
+        return (512,) * min(max(round(12 * minutes), 24), 100)
+    # A search takes some two seconds on one core for 37 parts, and grows with more than their square.
+    return (128,) * min(max(round(6 * minutes * (37 / parts) ** 3), 12), 120)
 
 
 def as_json(settings: Any) -> dict[str, Any]:

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import States
+from falsework.assembly.state import HELD, States
 from falsework.errors import InputError
-from falsework.learn.data import search_states
+from falsework.learn.data import Report, search_states
 from falsework.learn.pairs import Pairs, PairSource
+from falsework.search.archive import read_archive, write_archive
 from falsework.search.graph import StateGraph
 from falsework.search.shards import Shards
 from falsework.search.task import Direction, Task
 from falsework.search.tensor_judge import TensorOracle, oracle_on
 from falsework.search.tensors import choose_device
+
+if TYPE_CHECKING:
+    import torch
+
+FORMAT = "falsework.searched/1"
+
+_ARRAYS = frozenset({"train", "test", "more"})
 
 
 @dataclass(frozen=True)
@@ -67,6 +77,63 @@ class TargetDataset:
         return np.unique(np.concatenate([self.test.states, self.test.targets]), axis=0)
 
 
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """States of the searches of a `TargetDataset`, which take far longer to find than to connect."""
+
+    train: States
+    """Of the first search, shape (count, parts)."""
+    test: States
+    """Of the search that unseen pairs come from."""
+    more: States
+    """Of all further ones."""
+
+    @classmethod
+    def find(
+        cls,
+        task: Task,
+        settings: TargetDataSettings,
+        oracle: TensorOracle,
+        *,
+        device: torch.device,
+        shards: Shards = Shards(),
+        report: Report | None = None,
+    ) -> Searched:
+        """Search; arguments as of `target_dataset`."""
+        found = []
+        for number, width in enumerate((settings.train_width, settings.test_width, *settings.widths)):
+            if report is not None:
+                report(f"search {number + 1} of {2 + len(settings.widths)}, width {width}")
+            seed, forward = settings.seed + number, Direction.DISASSEMBLY
+            found.append(search_states(task, oracle, width, seed, device=device, shards=shards, direction=forward)[0])
+        more = np.concatenate([found[0][:0], *found[2:]])
+        return cls(found[0], found[1], np.unique(more, axis=0) if len(more) else more)
+
+    def save(self, path: Path | str, task: Task) -> None:
+        """Write the states as a versioned `.npz`."""
+        write_archive(path, FORMAT, {"identity": task.identity}, {name: getattr(self, name) for name in _ARRAYS})
+
+    @classmethod
+    def load(cls, path: Path | str, task: Task) -> Searched:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: no such file, a damaged one, one of another version, or one of another structure.
+        """
+        header, arrays = read_archive(path, FORMAT, _ARRAYS)
+        if header.get("identity") != task.identity:
+            raise InputError(f"{path} has states of another structure; remove it")
+        for name, states in arrays.items():
+            if (
+                states.ndim != 2
+                or states.shape[1] != task.part_count
+                or states.dtype != np.uint8
+                or (states > HELD).any()
+            ):
+                raise InputError(f"{path} is damaged ({name} holds no states of {task.part_count} parts); remove it")
+        return cls(**arrays)
+
+
 def target_dataset(
     assembly: Assembly,
     task: Task,
@@ -75,6 +142,7 @@ def target_dataset(
     oracle: TensorOracle | None = None,
     device: str = "auto",
     shards: Shards = Shards(),
+    searched: Searched | None = None,
 ) -> TargetDataset:
     """Run the searches of the protocol of Table 4 and draw the pairs.
 
@@ -89,6 +157,7 @@ def target_dataset(
         oracle: verdicts; made if not given.
         device: `auto`, `cpu` or `cuda`.
         shards: processes that search together.
+        searched: states of these searches, if there are any already.
 
     Raises:
         DependencyError: torch is not installed.
@@ -96,17 +165,12 @@ def target_dataset(
     """
     from falsework.stability import Stability
 
-    where = choose_device(device)
-    asked = oracle_on(Stability(assembly), where) if oracle is None else oracle
-    forward = Direction.DISASSEMBLY
-
-    def states_of(number: int, width: int) -> States:
-        seed = settings.seed + number
-        return search_states(task, asked, width, seed, device=where, shards=shards, direction=forward)[0]
-
-    first = states_of(0, settings.train_width)
-    graph = StateGraph.build(task, first, name=assembly.name)
-    wider = StateGraph.build(task, states_of(1, settings.test_width), name=assembly.name)
+    if searched is None:
+        where = choose_device(device)
+        asked = oracle_on(Stability(assembly), where) if oracle is None else oracle
+        searched = Searched.find(task, settings, asked, device=where, shards=shards)
+    graph = StateGraph.build(task, searched.train, name=assembly.name)
+    wider = StateGraph.build(task, searched.test, name=assembly.name)
     rng = np.random.default_rng(settings.seed)
     train = PairSource(graph).draw(settings.pairs, rng)
     test = _unseen(wider, graph.states, rng)[: settings.test_pairs]
@@ -115,8 +179,9 @@ def target_dataset(
             f"a search of width {settings.test_width} finds no pair of states of {assembly.name} that one of width "
             f"{settings.train_width} has not seen; test with a greater width"
         )
-    more = [states_of(2 + number, width) for number, width in enumerate(settings.widths)]
-    wide = StateGraph.build(task, np.concatenate([first, *more]), name=assembly.name) if more else graph
+    wide = graph
+    if len(searched.more):
+        wide = StateGraph.build(task, np.concatenate([searched.train, searched.more]), name=assembly.name)
     return TargetDataset(train, test, graph, wide, task, assembly.name, settings)
 
 
