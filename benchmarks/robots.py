@@ -42,7 +42,6 @@ from falsework.robots.keyframes import KeyframeGraph
 from falsework.robots.shapes import inverse_pose, pose
 from falsework.robots.validate import check_cell
 from falsework.search.guide import Guide
-from falsework.search.task import Task
 from falsework.stability import Stability
 
 STRUCTURES = {
@@ -118,19 +117,20 @@ def policy_guide(run: Path, assembly: Assembly, cell: Cell) -> Guide:
     import torch
 
     from falsework.learn.checkpoint import load_run
+    from falsework.learn.data import task_for
     from falsework.learn.guide import PolicyGuide
 
     torch.set_num_threads(1)
-    task = Task.create(assembly.boundary, cell.robot_count, clearance=assembly.clearance, identity=assembly.identity)
+    task = task_for(assembly, cell.robot_count, clearance=True)
     return PolicyGuide(load_run(run, assembly=assembly).policy, task=task)
 
 
 def building(name: str, arguments: Arguments) -> None:
     """Seeds of one built-in cell, then median and worst."""
     assembly, cell = structure(STRUCTURES[name]), load_cell(name)
+    guide = None if arguments.policy is None else policy_guide(arguments.policy, assembly, cell)
     seconds, found, good = [], 0, 0
     for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
-        guide = None if arguments.policy is None else policy_guide(arguments.policy, assembly, cell)
         result, fields = once(assembly, cell, seed, arguments.deadline, check=not arguments.no_check, guide=guide)
         say(benchmark=name, robots=cell.robot_count, seed=seed, guided=guide is not None, **fields)
         seconds.append(fields["seconds"])

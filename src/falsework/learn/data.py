@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import Mask, States
+from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
 from falsework.search.archive import read_archive, write_archive
 from falsework.search.beam import BeamSettings
@@ -110,12 +111,27 @@ class Dataset:
         if header["identity"] != assembly.identity:
             raise InputError(f"{path} is a data set of {header['name']}, not of {assembly.name}; make one for it")
         task = task_for(assembly, header["robots"], header["removable_only_if_clear"], header["fixed"])
-        for name in ("train", "test", "more"):
-            states = arrays[name]
-            if states.ndim != 2 or states.shape[1] != task.part_count or states.dtype != np.uint8 or (states > 2).any():
-                raise InputError(f"{path} is damaged ({name} holds no states of {task.part_count} parts); make it anew")
+        found = {name: arrays[name] for name in ("train", "test", "more")}
+        check_states(path, found, task.part_count, "make it anew")
         settings = DataSettings(header["train_width"], header["test_width"])
-        return cls(arrays["train"], arrays["test"], arrays["more"], task, header["name"], settings)
+        return cls(found["train"], found["test"], found["more"], task, header["name"], settings)
+
+
+def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: int, remedy: str) -> None:
+    """Refuse arrays of a file that are not states of so many parts.
+
+    Args:
+        path: of the file.
+        arrays: by name.
+        parts: number of parts.
+        remedy: what to do about it.
+
+    Raises:
+        InputError: one of them holds anything else.
+    """
+    for name, states in arrays.items():
+        if states.ndim != 2 or states.shape[1] != parts or states.dtype != np.uint8 or (states > HELD).any():
+            raise InputError(f"{path} is damaged ({name} holds no states of {parts} parts); {remedy}")
 
 
 def task_for(assembly: Assembly, robots: int = 2, clearance: bool = False, fixed: Any = ()) -> Task:

@@ -106,7 +106,7 @@ class TrainSettings:
     widths: tuple[int, ...] = ()
     """Widths of the wider searches; none given: by the number of parts and the device."""
     pairs: int = 20_000
-    """Pairs of state and target drawn from each search, for a policy of two states."""
+    """Pairs of state and target in the training set of a policy of two states, drawn from its first search."""
     data_seed: int = 0
     """Of the searches: training runs with different seeds share one test set."""
     minutes: float = 0.0

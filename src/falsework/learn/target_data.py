@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, States
+from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.learn.data import Report, search_states
+from falsework.learn.data import Report, check_states, search_states
 from falsework.learn.pairs import Pairs, PairSource
 from falsework.search.archive import read_archive, write_archive
 from falsework.search.graph import StateGraph
@@ -123,14 +123,7 @@ class Searched:
         header, arrays = read_archive(path, FORMAT, _ARRAYS)
         if header.get("identity") != task.identity:
             raise InputError(f"{path} has states of another structure; remove it")
-        for name, states in arrays.items():
-            if (
-                states.ndim != 2
-                or states.shape[1] != task.part_count
-                or states.dtype != np.uint8
-                or (states > HELD).any()
-            ):
-                raise InputError(f"{path} is damaged ({name} holds no states of {task.part_count} parts); remove it")
+        check_states(path, arrays, task.part_count, "remove it")
         return cls(**arrays)
 
 
