@@ -52,7 +52,11 @@ class Pace:
         """What share of the run is done after so many steps."""
         if self._steps:
             return min(steps / self._steps, 1.0)
-        return min(decided(self.seconds, self._shards, self._device) / self._budget, 1.0)
+        return self.share(self.seconds)
+
+    def share(self, seconds: float) -> float:
+        """What share of the run some seconds are; none if steps are counted."""
+        return 0.0 if self._steps else min(decided(seconds, self._shards, self._device) / self._budget, 1.0)
 
     def stretch(self, steps: int, block: int) -> tuple[int, tuple[float, float]]:
         """The next steps: how many, and the progress before and after them, the latter as the last ones went.

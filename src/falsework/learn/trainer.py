@@ -116,6 +116,7 @@ class Trainer:
         self.notes: list[str] = []
         self.steps = 0
         self._phase = 0
+        self._begun = 0.0
         self.data_seconds = 0.0
         self.pace = Pace(minutes=settings.minutes, steps=settings.steps, shards=shards, device=device)
         self._structure = describe_structure(assembly, source)
@@ -166,6 +167,8 @@ class Trainer:
             self._solved.add(self._material.starts)
         else:
             self._phase = saved[1]["phase"]
+            self.data_seconds = saved[1]["data_seconds"]
+        self._begun = self.pace.share(self.data_seconds)
         learner = self._learner()
         if saved is not None:
             self._load(learner, *saved)
@@ -221,12 +224,12 @@ class Trainer:
         return replace(result, notes=tuple(self.notes))
 
     def _phases(self) -> tuple[tuple[str, float], ...]:
-        """Ways to learn one after the other, each with the progress at which it ends."""
+        """Ways to learn one after the other, each with the progress at which it ends; searches do not count for any."""
         settings = self.settings
         first = {"refine": settings.refine.imitation, "imitation+ppo": settings.ppo.imitation}.get(settings.method)
         if first is None:
             return ((settings.method, 1.0),)
-        return ("imitation", first), (settings.method.removeprefix("imitation+"), 1.0)
+        return ("imitation", self._begun + first * (1.0 - self._begun)), (settings.method.removeprefix("imitation+"), 1.0)
 
     def _learner(self) -> Learner:
         """What learns in the present phase."""
@@ -326,7 +329,6 @@ class Trainer:
     def _load(self, learner: Learner, tensors: dict[str, torch.Tensor], state: dict[str, Any]) -> None:
         self.steps = state["steps"]
         self.pace.load(state["pace"])
-        self.data_seconds = state["data_seconds"]
         self._solved.load(names(tensors, "solved."))
         own = own_of(tensors, self.shards)
         if own is None:
