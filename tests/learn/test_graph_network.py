@@ -179,3 +179,22 @@ def test_extreme_scores_do_not_break_the_softmax() -> None:
     logits, value = policy(torch.ones((2, assembly.part_count), dtype=torch.uint8))
     (logits.sum() + value.sum()).backward()
     assert all(weight.grad is not None and weight.grad.isfinite().all() for weight in policy.parameters())
+
+
+def test_the_norm_by_products_is_layer_norm() -> None:
+    generator = torch.Generator().manual_seed(4)
+    norm = graph_network._Norm(16)
+    with torch.no_grad():
+        norm.weight.uniform_(0.5, 2.0, generator=generator)
+        norm.bias.uniform_(-1.0, 1.0, generator=generator)
+    features = (3.0 + 5.0 * torch.randn(3, 7, 16, generator=generator)).requires_grad_()
+    usual, ours = norm(features), norm.by_products(features)
+    torch.testing.assert_close(ours, usual, atol=1e-5, rtol=1e-5)
+    weight = torch.randn(3, 7, 16, generator=generator)
+    wanted = torch.autograd.grad((usual * weight).sum(), [features, norm.weight, norm.bias])
+    found = torch.autograd.grad((ours * weight).sum(), [features, norm.weight, norm.bias])
+    for one, other in zip(found, wanted, strict=True):
+        torch.testing.assert_close(one, other, atol=1e-4, rtol=1e-4)
+    half = norm.by_products(features.detach().bfloat16())
+    assert half.dtype == torch.bfloat16
+    torch.testing.assert_close(half.float(), usual.detach(), atol=0.1, rtol=0.05)

@@ -80,7 +80,7 @@ class PpoPhase:
 class RefinePhase:
     """Policy gradients from many rollouts that start where searches found states."""
 
-    imitation: float = 0.2
+    imitation: float = 0.03
     """Share of the training that is imitation, before; searches do not count."""
     settings: RefineSettings = field(default_factory=RefineSettings)
     """Of the method."""
