@@ -47,6 +47,15 @@ class Program:
         return (len(self.bound) - self.equalities - self.inequalities) // 3
 
 
+def block_diagonal(blocks: Array) -> sp.csc_matrix:
+    """Square blocks along a diagonal, shape (count, size, size) to (count size, count size), without their zeros."""
+    count, size, _ = blocks.shape
+    layout = (blocks, np.arange(count), np.arange(count + 1))
+    matrix = sp.csc_matrix(sp.bsr_matrix(layout, shape=(count * size, count * size)))
+    matrix.eliminate_zeros()
+    return matrix
+
+
 def least_squares(problem: Problem, free: Mask, active: Mask, claim: Claim) -> Program:
     """`min 1/2 |y|^2` with `y = L^-1 (G f + g)`, `f` in the cones (DESIGN, section 4; paper, equation 6).
 
@@ -58,7 +67,7 @@ def least_squares(problem: Problem, free: Mask, active: Mask, claim: Claim) -> P
     """
     # Forces in shares of the weight keep the numbers near one.
     unit = problem.weight
-    whiten = sp.csc_matrix(sp.block_diag(list(problem.whitening[free])))
+    whiten = block_diagonal(problem.whitening[free])
     wrenches = whiten @ wrench_matrix(problem, free, active) * unit
     gravity = whiten @ problem.gravity_wrench[free].ravel()
     rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
@@ -87,7 +96,7 @@ def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: Claim)
     its solution reaches. Arguments as for `least_squares`.
     """
     unit = problem.weight
-    whiten = sp.csc_matrix(sp.block_diag(list(problem.whitening[free])))
+    whiten = block_diagonal(problem.whitening[free])
     inverse_mass = whiten.T @ whiten
     accelerations = inverse_mass @ wrench_matrix(problem, free, active) * unit
     gravity = inverse_mass @ problem.gravity_wrench[free].ravel()

@@ -25,7 +25,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states
 from falsework.errors import DependencyError, InputError
 from falsework.stability.problem import Problem, build_problem
-from falsework.stability.program import wrench_matrix
+from falsework.stability.program import block_diagonal, wrench_matrix
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts
 
@@ -118,7 +118,7 @@ class SharedInverse:
         wrenches = wrench_matrix(problem, np.ones(problem.parts, bool), np.ones(problem.points, bool))
         # Boundary parts never move; the paper's code gives them unit mass, and so their rows unit weight.
         unit = np.where(problem.boundary[:, None, None], np.eye(6), problem.whitening)
-        whiten = sp.csc_matrix(sp.block_diag(list(unit)))
+        whiten = block_diagonal(unit)
         program = sp.csc_matrix(whiten @ sp.hstack([wrenches, -sp.eye(6 * problem.parts)]))
         row = np.array([problem.friction, *[-1.0] * TANGENTS])
         first, second = method.regularisation + method.penalty, method.penalty
