@@ -99,6 +99,17 @@ def test_a_small_arch_is_learned_completely(tmp_path: Path) -> None:
     assert not result.interrupted
 
 
+@pytest.mark.parametrize(
+    ("share", "most", "imitated"), [(1.0, 10, 2), (0.5, 0, 4), (0.25, 1000, 2), (0.0, 0, 0)], ids=str
+)
+def test_imitation_ends_by_share_or_steps(arch: Any, share: float, most: int, imitated: int) -> None:
+    """Only the refinement after it plays rollouts; blocks are of five steps."""
+    phase = replace(SMALL.refine, imitation=share, imitation_steps=most)
+    settings = replace(SMALL, method="refine", refine=phase, evaluate_every=1)
+    result = train(arch, settings, folder=None, device="cpu")
+    assert ["train/rollout_success" in line for line in result.curve] == [False] * imitated + [True] * (8 - imitated)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_two_pieces_are_one_run(arch: Any, method: Any, tmp_path: Path) -> None:
     """To the last bit of the weights, and line by line of the curve; in every phase of every method."""

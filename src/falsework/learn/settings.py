@@ -80,8 +80,10 @@ class PpoPhase:
 class RefinePhase:
     """Policy gradients from many rollouts that start where searches found states."""
 
-    imitation: float = 0.03
-    """Share of the training that is imitation, before; searches do not count."""
+    imitation: float = 0.2
+    """Share of the training that is imitation before, at most; searches do not count."""
+    imitation_steps: int = 1000
+    """Steps of it, at most; 0: any number. What is learned by heart makes the refinement slower and worse."""
     settings: RefineSettings = field(default_factory=RefineSettings)
     """Of the method."""
 

@@ -116,7 +116,7 @@ class Trainer:
         self.notes: list[str] = []
         self.steps = 0
         self._phase = 0
-        self._begun = 0.0
+        self._phase_begun = 0.0
         self.data_seconds = 0.0
         self.pace = Pace(minutes=settings.minutes, steps=settings.steps, shards=shards, device=device)
         self._structure = describe_structure(assembly, source)
@@ -166,9 +166,8 @@ class Trainer:
         if saved is None:
             self._solved.add(self._material.starts)
         else:
-            self._phase = saved[1]["phase"]
+            self._phase, self._phase_begun = saved[1]["phase"], saved[1].get("phase_begun", 0.0)
             self.data_seconds = saved[1]["data_seconds"]
-        self._begun = self.pace.share(self.data_seconds)
         learner = self._learner()
         if saved is not None:
             self._load(learner, *saved)
@@ -197,7 +196,8 @@ class Trainer:
                 interrupted = 1
                 break
             steps, progress = self.pace.stretch(self.steps, settings.block)
-            if progress[0] >= self._phases()[self._phase][1]:
+            if self._phase_is_over(progress[0]):
+                self._phase_begun = progress[0]
                 learner = self._next_phase(learner)
             known = len(self._solved)
             numbers = learner.block(steps, progress)
@@ -223,18 +223,30 @@ class Trainer:
             save_run(self.folder, self._best, self._metadata())
         return replace(result, notes=tuple(self.notes))
 
-    def _phases(self) -> tuple[tuple[str, float], ...]:
-        """Ways to learn one after the other, each with the progress at which it ends; searches do not count for any."""
+    def _ways(self) -> tuple[str, ...]:
+        """Ways to learn, one after the other."""
+        method = self.settings.method
+        return ("imitation", method.removeprefix("imitation+")) if self._imitation() else (method,)
+
+    def _imitation(self) -> tuple[float, int] | None:
+        """Largest share and number of steps of imitation before another way, if there is one; 0 steps: any number."""
         settings = self.settings
-        first = {"refine": settings.refine.imitation, "imitation+ppo": settings.ppo.imitation}.get(settings.method)
-        if first is None:
-            return ((settings.method, 1.0),)
-        return ("imitation", self._begun + first * (1.0 - self._begun)), (settings.method.removeprefix("imitation+"), 1.0)
+        if settings.method == "refine":
+            return settings.refine.imitation, settings.refine.imitation_steps
+        return (settings.ppo.imitation, 0) if settings.method == "imitation+ppo" else None
+
+    def _phase_is_over(self, progress: float) -> bool:
+        """Whether another way to learn is next."""
+        before = self._imitation()
+        if before is None or self._phase:
+            return False
+        searched = self.pace.share(self.data_seconds)
+        return progress >= searched + before[0] * (1.0 - searched) or 0 < before[1] <= self.steps
 
     def _learner(self) -> Learner:
         """What learns in the present phase."""
         settings, shards, material = self.settings, self.shards, self._material
-        way = self._phases()[self._phase][0]
+        way = self._ways()[self._phase]
         compiled = settings.compile == "on" or (
             settings.compile == "auto" and self.device.type == "cuda" and settings.minutes >= _COMPILE_FROM
         )
@@ -259,7 +271,7 @@ class Trainer:
                 settings.refine.settings,
                 targets=material.targets,
                 tasks=material.tasks,
-                begin=self._phases()[self._phase - 1][1] if self._phase else 0.0,
+                begin=self._phase_begun,
                 seed=settings.seed,
                 precision=settings.precision,
                 compiled=compiled,
@@ -318,6 +330,7 @@ class Trainer:
         state = {
             "steps": self.steps,
             "phase": self._phase,
+            "phase_begun": self._phase_begun,
             "pace": self.pace.state(),
             "data_seconds": self.data_seconds,
         }
