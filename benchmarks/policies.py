@@ -52,6 +52,12 @@ class Options:
     """For `learn` and `transfer`: steps of training in place of the time."""
     widths: tuple[int, ...] = ()
     """For `transfer`: widths of further searches for states to learn from, on top of the paper's."""
+    turns: int = 8
+    """For `transfer`: copies of the structure to learn from, all but one turned about the vertical."""
+    layers: int = 0
+    """For `transfer`: layers of the network; 0 for the default of its kind."""
+    channels: int = 0
+    """For `transfer`: its channels, likewise."""
     device: str = "auto"
     """auto, cpu or cuda."""
     batch: int = 0
@@ -164,11 +170,13 @@ def main() -> None:
         for kind in options.kinds:
             if not PolicySettings(kind).transfers:
                 continue
+            sizes = PolicySettings(kind, layers=options.layers, channels=options.channels)
+            about = {"kind": kind, "widths": options.widths, "turns": options.turns, "seed": options.seed}
             for row in transfer_experiment(
-                source, others, PolicySettings(kind), budget=budget, robots=options.robots, device=device,
-                batch=options.batch, seed=options.seed, data=DataSettings(widths=options.widths),
+                source, others, sizes, budget=budget, robots=options.robots, device=device, batch=options.batch,
+                seed=options.seed, data=DataSettings(widths=options.widths), turns=options.turns,
             ):  # fmt: skip
-                show(benchmark="transfer", kind=kind, widths=options.widths, **row, **machine(device))
+                show(benchmark="transfer", **about, **row, **machine(device))
     else:
         generalist(options, device)
 

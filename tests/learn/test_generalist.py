@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
 from falsework.assembly import load_structure
 from falsework.errors import InputError
+from falsework.learn.evaluate import greedy_success
+from falsework.learn.family import turned_copies
 from falsework.learn.generalist import GeneralistSettings, fine_tune, train_generalist
-from falsework.learn.policy import PolicySettings
+from falsework.learn.policy import PolicySettings, make_policy, transfer
 from falsework.learn.policy_table import policy_table
-from falsework.learn.transfer import Budget, compare_networks, transfer_experiment
+from falsework.learn.transfer import Budget, Workbench, compare_networks, transfer_experiment
 
 SMALL = PolicySettings("parts", layers=2, channels=32, heads=4)
 
@@ -94,3 +97,22 @@ def test_operations_of_attention_are_those_of_its_docstring() -> None:
     row = policy_table(vault, [PolicySettings("parts")])[0]
     formula = 4 * (2 * m * c * c * (4 + 2 * 2) + 4 * m * m * c)
     assert formula < row["flops_forward"] < 1.15 * formula
+
+
+def test_turned_copies_train_the_policy_itself() -> None:
+    """Steps on the copies move the one set of weights, and a turned structure is as well known as the one as it was."""
+    arch = load_structure("arch:blocks=5")
+    bench = Workbench(arch)
+    settings = PolicySettings("parts", layers=2, channels=16, heads=2)
+    policy = make_policy(arch, settings, "cpu", 0)
+    copies = list(turned_copies(arch, 4, np.random.default_rng(0)))
+    assert copies[0] is arch
+    assert len({copy.meshes[0].vertices.tobytes() for copy in copies}) == 4
+    trained, steps = bench.imitate(policy, Budget(steps=60), turns=4)
+    straight, _ = bench.imitate(policy, Budget(steps=60))
+    assert steps == 60
+    assert not torch.equal(trained.state_dict()["state_in.weight"], straight.state_dict()["state_in.weight"])
+    for copy in copies:
+        turned_policy = transfer(trained.state_dict(), settings, copy)
+        states = torch.from_numpy(bench.dataset.train)
+        assert greedy_success(bench.environment, turned_policy, states)[0].share > 0.9

@@ -169,3 +169,19 @@ def turned(assembly: Assembly, angle: float) -> Assembly:
         name=assembly.name,
         contact_settings=assembly.contact_settings,
     )
+
+
+def turned_copies(assembly: Assembly, count: int, draw: np.random.Generator) -> Iterator[Assembly]:
+    """The structure as it is, and turned about the vertical by random angles, to learn that directions mean nothing.
+
+    Args:
+        assembly: the structure.
+        count: how many, the one as it is included.
+        draw: source of angles.
+    """
+    yield assembly
+    for _ in range(count - 1):
+        try:
+            yield turned(assembly, float(draw.uniform(0, 2 * np.pi)))
+        except InputError:
+            yield assembly

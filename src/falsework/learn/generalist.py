@@ -19,7 +19,7 @@ from torch import Tensor
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.learn.evaluate import greedy_success, sample
-from falsework.learn.family import KINDS, Member, members, turned
+from falsework.learn.family import KINDS, Member, members, turned_copies
 from falsework.learn.imitation import Network, imitation_loss
 from falsework.learn.policy import Policy, PolicySettings, make_policy, share, transfer
 from falsework.learn.transfer import Budget, Workbench
@@ -153,7 +153,7 @@ def _train(
     draw = np.random.default_rng(settings.seed)
     generator = torch.Generator(device).manual_seed(settings.seed)
     first = make_policy(family[0].assembly, settings.policy, device, settings.seed)
-    copies = [[share(first, one) for one in _copies(member.assembly, settings.turns, draw)] for member in family]
+    copies = [[share(first, one) for one in turned_copies(member.assembly, settings.turns, draw)] for member in family]
     networks = [[Network(policy, "bfloat16" if gpu else "float32") for policy in turns] for turns in copies]
     weights = list(first.parameters())
     matrices = [weight for weight in weights if weight.dim() > 1]
@@ -193,16 +193,6 @@ def _train(
         for mean, weight in zip(average, weights, strict=True):
             weight.copy_(mean)
     return first.eval(), steps
-
-
-def _copies(assembly: Assembly, count: int, draw: np.random.Generator) -> Iterator[Assembly]:
-    """The structure as it is, and turned by random angles."""
-    yield assembly
-    for _ in range(count - 1):
-        try:
-            yield turned(assembly, float(draw.uniform(0, 2 * np.pi)))
-        except InputError:
-            yield assembly
 
 
 @torch.no_grad()

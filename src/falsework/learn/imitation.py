@@ -109,6 +109,7 @@ class Imitation:
         compiled: bool = False,
         shards: Shards = Shards(),
         folder: Path | str | None = None,
+        copies: Sequence[Policy] = (),
     ) -> None:
         """Begin with the weights that the policy has.
 
@@ -121,6 +122,8 @@ class Imitation:
             compiled: compile the network.
             shards: processes that share every batch and average their gradients.
             folder: where the batch goes whose loss is not finite.
+            copies: policies with the very same weights for copies of the structure, as of
+                `falsework.learn.policy.share`; steps take the policy and them in turn.
         """
         if settings.batch < shards.size:
             raise InputError(f"a batch of {settings.batch} cannot be shared by {shards.size} processes; make it larger")
@@ -131,7 +134,7 @@ class Imitation:
         """Steps taken."""
         self._rules = rules
         self._device = rules.device
-        self._network = Network(policy, precision, compiled=compiled)
+        self._networks = [Network(one, precision, compiled=compiled) for one in (policy, *copies)]
         self._weights = [weight for weight in policy.parameters() if weight.requires_grad]
         # Steps of the size of the weight are for matrices; norms and biases are not pulled to zero.
         matrices = [weight for weight in self._weights if weight.dim() > 1]
@@ -289,7 +292,7 @@ class Imitation:
             states = torch.cat([states, value["states"]])
             sizes.append(len(value["states"]))
         self._batch = states
-        logits, estimate = self._network(states, aims)
+        logits, estimate = self._networks[self.steps % len(self._networks)](states, aims)
         logit_parts, estimate_parts = list(logits.split(sizes)), list(estimate.split(sizes))
         loss = imitation_loss(logit_parts.pop(0), mask, valid)
         # All stored states are solvable; only rollouts can say where the policy fails none the less.

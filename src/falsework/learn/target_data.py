@@ -86,7 +86,7 @@ class Searched:
     test: States
     """Of the search that unseen pairs come from."""
     more: States
-    """Of all further ones."""
+    """Of all further ones, one after the other: few come twice, and a graph holds them once."""
 
     @classmethod
     def find(
@@ -106,8 +106,7 @@ class Searched:
                 report(f"search {number + 1} of {2 + len(settings.widths)}, width {width}")
             seed, forward = settings.seed + number, Direction.DISASSEMBLY
             found.append(search_states(task, oracle, width, seed, device=device, shards=shards, direction=forward)[0])
-        more = np.concatenate([found[0][:0], *found[2:]])
-        return cls(found[0], found[1], np.unique(more, axis=0) if len(more) else more)
+        return cls(found[0], found[1], np.concatenate([found[0][:0], *found[2:]]))
 
     def save(self, path: Path | str, task: Task) -> None:
         """Write the states as a versioned `.npz`."""

@@ -7,14 +7,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 
 from falsework.assembly.model import Assembly
 from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
 from falsework.learn.environment import Environment
 from falsework.learn.evaluate import greedy_success, sample
+from falsework.learn.family import turned_copies
 from falsework.learn.imitation import Imitation
-from falsework.learn.policy import Policy, PolicySettings, describe, make_policy, transfer
+from falsework.learn.policy import Policy, PolicySettings, describe, make_policy, share, transfer
 from falsework.learn.settings import ImitationSettings
 from falsework.learn.solved import SolvedStates
 
@@ -77,14 +79,18 @@ class Workbench:
         for states in (dataset.train, dataset.more):
             self.solved.add(torch.from_numpy(states))
 
-    def imitate(self, policy: Policy, budget: Budget, *, batch: int = 0, seed: int = 0) -> tuple[Policy, int]:
+    def imitate(
+        self, policy: Policy, budget: Budget, *, batch: int = 0, seed: int = 0, turns: int = 1
+    ) -> tuple[Policy, int]:
         """Train a policy on the known states.
 
         Args:
             policy: what to begin with; not changed.
             budget: how long.
             batch: states a step; 0: 1,024 on a GPU, 128 on a processor.
-            seed: of the batches.
+            seed: of the batches, and of the angles.
+            turns: copies of the structure to train on, all but the first turned about the vertical; more than one are
+                for networks that know parts by their geometry alone.
 
         Returns:
             The policy with averaged weights, and the number of steps.
@@ -95,7 +101,15 @@ class Workbench:
         student = make_policy(self.assembly, policy.settings, self.device)
         student.load_state_dict(policy.state_dict())
         begin = time.perf_counter()
-        work = Imitation(student, self.rules, settings, seed=seed, precision="bfloat16" if gpu else "float32")
+        copies = list(turned_copies(self.assembly, turns, np.random.default_rng(seed)))[1:]
+        work = Imitation(
+            student,
+            self.rules,
+            settings,
+            seed=seed,
+            precision="bfloat16" if gpu else "float32",
+            copies=[share(student, copy) for copy in copies],
+        )
         done = 0.0
         while done < 1.0:
             # A block lasts a hundredth of the whole, so that the learning rate falls evenly and ends where it should.
@@ -168,6 +182,7 @@ def transfer_experiment(
     batch: int = 0,
     seed: int = 0,
     data: DataSettings | None = None,
+    turns: int = 8,
 ) -> Iterator[dict[str, Any]]:
     """Train on one structure, test on others as it is, then fine-tune there, beside a policy that begins anew.
 
@@ -181,6 +196,7 @@ def transfer_experiment(
         batch: states a step; 0 for the default of the device.
         seed: of weights and batches.
         data: searches that make the data; those of the paper by default.
+        turns: copies of the source, all but one turned about the vertical, so that no direction is learned by heart.
 
     Yields:
         Rows with `trained_on`, `tested_on`, `fine_tuned` (seconds or steps), `from` (`weights` or `nothing`),
@@ -192,7 +208,7 @@ def transfer_experiment(
     home = Workbench(source, robots, device, data)
     policy = make_policy(source, settings, home.device, seed)
     transfer(policy.state_dict(), settings, source)  # refuses before the time is spent
-    trained, _ = home.imitate(policy, budget, batch=batch, seed=seed)
+    trained, _ = home.imitate(policy, budget, batch=batch, seed=seed, turns=turns)
     yield _row(source, source, 0, "weights", home.success(trained))
     for other in others:
         away = Workbench(other, robots, device, data)
