@@ -268,10 +268,13 @@ def test_who_hangs_up_takes_the_request_back(live: Any) -> None:
         head = b"POST /replan HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
         first = socket.create_connection(live.address)  # goes to the planner, which hangs
         first.sendall(head + b"Content-Length: %d\r\n\r\n" % len(body) + body)
-        time.sleep(0.2)
+        end = time.monotonic() + 20
+        # Were both there before the first is handed out, the planner would get both.
+        while not any(worker.busy for worker in live.pool._workers):
+            assert time.monotonic() < end
+            time.sleep(0.01)
         second = socket.create_connection(live.address)  # waits
         second.sendall(head + b"Content-Length: %d\r\n\r\n" % len(body) + body)
-        end = time.monotonic() + 20
         while live.client.get("/health").json()["waiting"] != 1:
             assert time.monotonic() < end
         second.close()

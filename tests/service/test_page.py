@@ -37,4 +37,6 @@ def test_commands_of_the_page_are_answered(words: list[str], live: Any) -> None:
     method = document["paths"][path]["post" if "-d" in words else "get"]
     schema = method["responses"]["200"]["content"]["application/json"]["schema"]
     jsonschema.validate(reply.json(), {**schema, "components": document["components"]})
-    assert reply.json().get("outcome", "found") == "found"
+    # A busy machine may not keep a deadline of milliseconds; then the honest answer is another one.
+    hurried = "-d" in words and "deadline" in words[words.index("-d") + 1]
+    assert reply.json().get("outcome", "found") in ({"found", "not_yet"} if hurried else {"found"})
