@@ -103,6 +103,11 @@ class Pool:
         self._closing = False
 
     @property
+    def busy(self) -> int:
+        """Workers that have requests."""
+        return sum(worker.busy is not None for worker in self._workers)
+
+    @property
     def waiting(self) -> int:
         """Requests that no worker has taken yet."""
         return sum(ticket.open for queue in self._queues.values() for _, _, ticket in queue)
