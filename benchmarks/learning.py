@@ -43,7 +43,7 @@ from falsework.learn.hindsight import OneState
 from falsework.learn.imitation import Network
 from falsework.learn.material import find_pairs
 from falsework.learn.policy import Policy, transfer
-from falsework.learn.policy_settings import PolicySettings
+from falsework.learn.policy_settings import PolicySettings, recommended
 from falsework.learn.settings import METHODS, TrainSettings
 from falsework.learn.train import TrainResult, train
 from falsework.search.shards import Shards, joined
@@ -212,8 +212,9 @@ def table4(options: argparse.Namespace) -> None:
     for name, assembly, robots, seeds in rows_of(options):
         for seed in seeds[:1]:
             for two in {"both": (True, False), "yes": (True,), "no": (False,)}[options.told]:
-                kind = PolicySettings(options.policy) if options.policy else PolicySettings()
-                settings = settings_of(options, name, robots, seed, policy=replace(kind, two_states=two))
+                kind = recommended(assembly.part_count, two_states=two)
+                kind = replace(kind, kind=options.policy or kind.kind)
+                settings = settings_of(options, name, robots, seed, policy=kind)
                 label = f"{name}:{robots} {'two states' if two else 'one state'} seed {seed}"
                 result = run(options, name, assembly, settings, label)
                 line(

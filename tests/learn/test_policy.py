@@ -22,6 +22,7 @@ from falsework.learn.policy import (
     share,
     transfer,
 )
+from falsework.learn.policy_settings import recommended
 
 KINDS = ("parts", "graph", "mlp", "residual")
 TRANSFER = ("parts", "graph")
@@ -290,3 +291,9 @@ def test_a_compiler_sees_one_piece(kind: str, arch: Assembly) -> None:
     states, targets = random_states(arch, 8), random_states(arch, 8, seed=1)
     for one, other in zip(compiled(states, targets), policy(states, targets), strict=True):
         torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-4)
+
+
+def test_the_recommended_network_depends_on_what_there_is_to_learn() -> None:
+    assert recommended(62) == PolicySettings("residual")
+    assert recommended(62, two_states=True) == PolicySettings("parts", two_states=True)
+    assert recommended(12, two_states=True) == PolicySettings("residual", two_states=True)

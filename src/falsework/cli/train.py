@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -12,7 +12,7 @@ from tyro.conf import arg
 from falsework.cli.command import UNSET, Command, Exit, StructureOptions
 from falsework.cli.planning import refuse_unstable
 from falsework.errors import InputError
-from falsework.learn.policy_settings import Kind, PolicySettings
+from falsework.learn.policy_settings import Kind, recommended
 from falsework.learn.settings import Method, TrainSettings
 
 if TYPE_CHECKING:
@@ -51,7 +51,9 @@ class Train(Command):
     method: Method = _DEFAULTS.method
     """Way to learn: imitation of searches, then policy gradients (`refine`) or searches where the policy fails
     (`search`) or neither (`imitation`); `ppo` as in the paper, `imitation+ppo`, `ppo-complete` without curriculum."""
-    policy: Kind = _DEFAULTS.policy.kind
+    policy: Annotated[
+        Kind | None, arg(help_behavior_hint="(default: residual; parts for large structures with --two-states)")
+    ] = None
     """Network: quick layers over the state (`residual`), attention between parts (`parts`), the paper's force-torque
     graph (`graph`) or its baseline (`mlp`). Those of parts and graph carry over to other structures."""
     two_states: bool = False
@@ -79,17 +81,18 @@ class Train(Command):
         for name, given in (("--minutes", self.minutes), ("--steps", self.steps)):
             if given is not None and not given > 0:
                 raise InputError(f"{name} {given} leaves no time to learn; give more than 0")
+        assembly = self.structure.load()
+        policy = recommended(assembly.part_count, two_states=self.two_states)
         settings = TrainSettings(
             method=self.method,
             robots=self.robots,
-            policy=PolicySettings(self.policy, two_states=self.two_states),
+            policy=replace(policy, kind=self.policy or policy.kind),
             removable_only_if_clear=self.removable_only_if_clear,
             data=self.data,
             minutes=self.minutes or 0.0,
             steps=self.steps or 0,
             seed=self.seed,
         )
-        assembly = self.structure.load()
         task = task_for(assembly, self.robots, self.removable_only_if_clear)
         if not self.resume and refuse_unstable(assembly, Stability(assembly), task, output):
             return Exit.NO

@@ -18,6 +18,10 @@ _DEFAULTS: dict[str, dict[str, int]] = {
 """What a size of 0 stands for. The sizes of `graph` and `mlp` are those of the paper (section 5.4)."""
 
 
+_FEW = 20
+"""Parts up to which a policy can know all pairs of states by heart."""
+
+
 @dataclass(frozen=True)
 class PolicySettings:
     """A kind of network and its sizes; a size of 0 is the default of the kind."""
@@ -80,3 +84,17 @@ class PolicySettings:
         if odd:
             raise InputError(f"{odd[0]!r} is no setting of a policy; there are {', '.join(sorted(known))}")
         return PolicySettings(**values)
+
+
+def recommended(parts: int, *, two_states: bool = False) -> PolicySettings:
+    """The network that comes furthest in a given time.
+
+    With one end for all states that is the quickest one, since rollouts count. States with targets of their own are too
+    many for that where there are more than a few parts: a network that knows parts by their contacts is then right
+    about pairs that it has not seen for the same reason as about those that it has.
+
+    Args:
+        parts: number of parts.
+        two_states: whether the policy is told a target.
+    """
+    return PolicySettings("parts" if two_states and parts > _FEW else "residual", two_states=two_states)

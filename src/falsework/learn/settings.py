@@ -190,9 +190,11 @@ class TrainSettings:
 
 
 def _policy(policy: PolicySettings, gpu: bool) -> PolicySettings:
-    """A quick network as large as the device can play with at leisure."""
-    if policy.kind == "residual" and not policy.channels:
-        return replace(policy, channels=1024 if gpu else 256)
+    """A quick network as large as the device can play with at leisure, and an attentive one as it can wait for."""
+    if policy.kind == "residual":
+        return replace(policy, channels=policy.channels or (1024 if gpu else 256))
+    if policy.kind == "parts" and not gpu:
+        return replace(policy, layers=policy.layers or 3, channels=policy.channels or 64)
     return policy
 
 
