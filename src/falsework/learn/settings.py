@@ -218,7 +218,7 @@ def default_target_widths(parts: int, device: str, minutes: float) -> tuple[int,
     """
     if parts <= 20:
         return default_widths(parts, device)
-    # A search of 37 parts takes 0.8 seconds on an H200 and two on one core, and more than the square of it for more.
+    # A search of 37 parts takes 0.8 seconds on an H200 and two on one core; there it grows with more than their square.
     if device == "cuda":
         return (512,) * min(max(round(12 * minutes * (37 / parts) ** 1.5), 24), 100)
     return (128,) * min(max(round(6 * minutes * (37 / parts) ** 3), 12), 120)

@@ -247,9 +247,9 @@ class Trainer:
         """What learns in the present phase."""
         settings, shards, material = self.settings, self.shards, self._material
         way = self._ways()[self._phase]
-        compiled = settings.compile == "on" or (
-            settings.compile == "auto" and self.device.type == "cuda" and settings.minutes >= _COMPILE_FROM
-        )
+        # Compiling takes longer than the little imitation that goes before another way.
+        pays = self.device.type == "cuda" and settings.minutes >= _COMPILE_FROM and way == self._ways()[-1]
+        compiled = settings.compile == "on" or (settings.compile == "auto" and pays)
         if way in ("search", "imitation"):
             return SearchLearner(
                 self._environment,
