@@ -75,3 +75,20 @@ def test_bad_input_is_one_clear_line() -> None:
         TargetDataSettings(pairs=0)
     with pytest.raises(InputError, match="a seed is not negative"):
         TargetDataSettings(seed=-1)
+
+
+def test_no_search_begins_once_there_are_enough(bottle: Assembly) -> None:
+    """What is learned from and tested on is always searched; of three further searches two are left out here."""
+    task, device = task_for(bottle), torch.device("cpu")
+    settings = TargetDataSettings(train_width=4, test_width=12, widths=(8, 10, 12), pairs=100, test_pairs=20)
+    oracle = oracle_on(Stability(bottle), device)
+    answers = iter([False, True])
+    found = Searched.find(task, settings, oracle, device=device, enough=lambda: next(answers))
+    fewer = Searched.find(task, replace(settings, widths=(8,)), oracle, device=device)
+    none = Searched.find(task, settings, oracle, device=device, enough=lambda: True)
+    assert np.array_equal(found.more, fewer.more)
+    assert np.array_equal(found.test, fewer.test)
+    assert len(none.more) == 0
+    alone = target_dataset(bottle, task, settings, device="cpu", searched=none)
+    assert alone.wide is alone.graph
+    assert np.array_equal(alone.test.states, target_dataset(bottle, task, settings, device="cpu").test.states)

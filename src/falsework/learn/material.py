@@ -53,6 +53,7 @@ def find_material(
     dataset: Dataset | None = None,
     report: Callable[[str], None] | None = None,
     note: Callable[[str], None] | None = None,
+    enough: Callable[[], bool] | None = None,
 ) -> Material:
     """Search for states, or read those that an earlier piece of the run found.
 
@@ -67,6 +68,7 @@ def find_material(
         dataset: states to use instead.
         report: told how far a search is.
         note: told what went wrong that does not matter much.
+        enough: asked between searches for tasks with targets whether there is no time for more; in all processes alike.
     """
     begun = time.perf_counter()
     count = settings.evaluation_states
@@ -77,7 +79,7 @@ def find_material(
             searched = Searched.load(path, task)
         else:
             searches = _target_searches(settings)
-            searched = Searched.find(task, searches, oracle, device=device, shards=shards, report=report)
+            searched = Searched.find(task, searches, oracle, device=device, shards=shards, report=report, enough=enough)
             if shards.first:
                 _keep(path, lambda where: searched.save(where, task), note)
         pairs = find_pairs(assembly, settings, oracle, device=device, shards=shards, searched=searched)

@@ -80,7 +80,7 @@ class PpoPhase:
 class RefinePhase:
     """Policy gradients from many rollouts that start where searches found states."""
 
-    imitation: float = 0.2
+    imitation: float = 0.5
     """Share of the training that is imitation before, at most; searches do not count."""
     imitation_steps: int = 1000
     """Steps of it, at most; 0: any number. What is learned by heart makes the refinement slower and worse."""

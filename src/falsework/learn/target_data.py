@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -98,10 +99,24 @@ class Searched:
         device: torch.device,
         shards: Shards = Shards(),
         report: Report | None = None,
+        enough: Callable[[], bool] | None = None,
     ) -> Searched:
-        """Search; arguments as of `target_dataset`."""
+        """Search.
+
+        Args:
+            task: as of `target_dataset`, like the next four.
+            settings: widths and seed.
+            oracle: verdicts.
+            device: where to search.
+            shards: processes that search together.
+            report: told in words how far it is.
+            enough: asked before each further search, in all processes alike, whether it and those after it can be
+                left out.
+        """
         found = []
         for number, width in enumerate((settings.train_width, settings.test_width, *settings.widths)):
+            if number >= 2 and enough is not None and enough():
+                break
             if report is not None:
                 report(f"search {number + 1} of {2 + len(settings.widths)}, width {width}")
             seed, forward = settings.seed + number, Direction.DISASSEMBLY

@@ -46,6 +46,8 @@ from falsework.stability.oracle import Stability
 Report = Callable[[float, str], None]
 """Told how far the run is, between 0 and 1, and words."""
 
+_SEARCHED_BY = 0.25
+"""Share of a training's time after which no further search for tasks with targets begins."""
 _COMPILE_FROM = 4.0
 """Minutes of training from which compiling the network pays."""
 
@@ -159,6 +161,7 @@ class Trainer:
             dataset=dataset,
             report=lambda text: self.report(0.0, text),
             note=self.notes.append,
+            enough=lambda: self.pace.progress(self.steps) >= _SEARCHED_BY,
         )
         self.data_seconds = self._material.seconds
         self._solved.forbid(self._material.test)
