@@ -212,8 +212,7 @@ def table4(options: argparse.Namespace) -> None:
     for name, assembly, robots, seeds in rows_of(options):
         for seed in seeds[:1]:
             for two in {"both": (True, False), "yes": (True,), "no": (False,)}[options.told]:
-                kind = recommended(assembly.part_count, two_states=two)
-                kind = replace(kind, kind=options.policy or kind.kind)
+                kind = recommended(assembly.part_count, two_states=two, kind=options.policy or None)
                 settings = settings_of(options, name, robots, seed, policy=kind)
                 label = f"{name}:{robots} {'two states' if two else 'one state'} seed {seed}"
                 result = run(options, name, assembly, settings, label)

@@ -297,3 +297,4 @@ def test_the_recommended_network_depends_on_what_there_is_to_learn() -> None:
     assert recommended(62) == PolicySettings("residual")
     assert recommended(62, two_states=True) == PolicySettings("parts", two_states=True)
     assert recommended(12, two_states=True) == PolicySettings("residual", two_states=True)
+    assert recommended(62, two_states=True, kind="mlp") == PolicySettings("mlp", two_states=True)

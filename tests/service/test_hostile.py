@@ -272,6 +272,7 @@ def test_who_hangs_up_takes_the_request_back(live: Any) -> None:
         head = b"POST /replan HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
         first = socket.create_connection(live.address)  # goes to the planner, which hangs
         first.sendall(head + b"Content-Length: %d\r\n\r\n" % len(body) + body)
+        end = time.monotonic() + 20
         # Were both there before the first is handed out, the planner would get both.
         while not live.pool.busy:
             assert time.monotonic() < end

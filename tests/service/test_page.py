@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import time
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,8 @@ def test_commands_of_the_page_are_answered(words: list[str], live: Any) -> None:
     method = document["paths"][path]["post" if "-d" in words else "get"]
     schema = method["responses"]["200"]["content"]["application/json"]["schema"]
     jsonschema.validate(reply.json(), {**schema, "components": document["components"]})
-    # A busy machine may not keep a deadline of milliseconds; then the honest answer is another one.
-    hurried = "-d" in words and "deadline" in words[words.index("-d") + 1]
-    assert reply.json().get("outcome", "found") in ({"found", "not_yet"} if hurried else {"found"})
+    # A busy machine may not find a plan in a deadline of milliseconds; it does when it is asked again.
+    end = time.monotonic() + 20
+    while reply.json().get("outcome") == "not_yet" and time.monotonic() < end:
+        reply = live.post(path, json.loads(words[words.index("-d") + 1]))
+    assert reply.json().get("outcome", "found") == "found"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -82,11 +82,10 @@ class Train(Command):
             if given is not None and not given > 0:
                 raise InputError(f"{name} {given} leaves no time to learn; give more than 0")
         assembly = self.structure.load()
-        policy = recommended(assembly.part_count, two_states=self.two_states)
         settings = TrainSettings(
             method=self.method,
             robots=self.robots,
-            policy=replace(policy, kind=self.policy or policy.kind),
+            policy=recommended(assembly.part_count, two_states=self.two_states, kind=self.policy),
             removable_only_if_clear=self.removable_only_if_clear,
             data=self.data,
             minutes=self.minutes or 0.0,

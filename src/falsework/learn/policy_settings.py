@@ -86,7 +86,7 @@ class PolicySettings:
         return PolicySettings(**values)
 
 
-def recommended(parts: int, *, two_states: bool = False) -> PolicySettings:
+def recommended(parts: int, *, two_states: bool = False, kind: Kind | None = None) -> PolicySettings:
     """The network that comes furthest in a given time.
 
     With one end for all states that is the quickest one, since rollouts count. States with targets of their own are too
@@ -96,5 +96,7 @@ def recommended(parts: int, *, two_states: bool = False) -> PolicySettings:
     Args:
         parts: number of parts.
         two_states: whether the policy is told a target.
+        kind: of the network, if that is chosen already.
     """
-    return PolicySettings("parts" if two_states and parts > _FEW else "residual", two_states=two_states)
+    usual: Kind = "parts" if two_states and parts > _FEW else "residual"
+    return PolicySettings(kind or usual, two_states=two_states)
