@@ -44,7 +44,7 @@ from falsework.learn.imitation import Network
 from falsework.learn.material import find_pairs
 from falsework.learn.policy import Policy, transfer
 from falsework.learn.policy_settings import PolicySettings, recommended
-from falsework.learn.settings import METHODS, TrainSettings
+from falsework.learn.settings import METHODS, RefinePhase, TrainSettings
 from falsework.learn.train import TrainResult, train
 from falsework.search.shards import Shards, joined
 from falsework.search.tensor_judge import oracle_on
@@ -100,6 +100,8 @@ def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, *
         given["method"] = options.method
     if options.policy:
         given["policy"] = PolicySettings(options.policy)
+    if options.imitation_steps is not None:
+        given["refine"] = RefinePhase(imitation_steps=options.imitation_steps)
     return TrainSettings(**{**given, **changes})
 
 
@@ -297,6 +299,7 @@ def main() -> None:
     parser.add_argument("--data", choices=("wide", "width64"), default="wide")
     parser.add_argument("--widths", nargs="*", type=int, default=[], help="of the wide searches")
     parser.add_argument("--method", choices=METHODS, default="")
+    parser.add_argument("--imitation-steps", type=int, help="of imitation before the refinement; 0 for any number")
     parser.add_argument("--policy", choices=("residual", "parts", "graph", "mlp"), default="")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--states", type=int, default=0, help="states evaluated of each set; 0 for all")
