@@ -15,7 +15,7 @@ from falsework.errors import StateError
 from falsework.learn.rules import Rules
 from falsework.learn.verdict_table import VerdictTable
 from falsework.search.judge import Oracle
-from falsework.search.tensor_judge import HostOracle, TensorOracle, oracle_on
+from falsework.search.tensor_judge import HostOracle, TensorOracle, oracle_on, without_exact
 from falsework.search.tensors import choose_device, put
 from falsework.stability.oracle import Stability
 
@@ -111,7 +111,11 @@ class Environment:
         """Wait for the device around each kind of work, so that its seconds are its own."""
         self.rows_at_once = 1 << 13
         """States that a policy is given at once, at most."""
+        self.exact = True
+        """Ask the exact solver about the few states that the one on the GPU leaves open; else they count as not proven
+        stable. It works on the processor, and all rollouts wait for it."""
         self._on_device = _tensor_oracle(self.oracle, self.device)
+        self._alone = without_exact(self._on_device)
         self._known = VerdictTable(self.rules)
 
     @property
@@ -140,14 +144,15 @@ class Environment:
 
         def ask(asked: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
             self.counters.removals_asked += len(asked)
-            if parents is None:
-                if isinstance(self._on_device, HostOracle):
-                    return put(self.oracle.judge(asked.cpu().numpy()).verdict, self.device)
-                return self._on_device(asked, asked)
-            return self._on_device(asked.contiguous(), parents[rows].contiguous())
+            oracle = self._on_device if self.exact else self._alone
+            if parents is not None:
+                return oracle(asked.contiguous(), parents[rows].contiguous())
+            if isinstance(oracle, HostOracle):
+                return put(self.oracle.judge(asked.cpu().numpy()).verdict, self.device)
+            return oracle(asked, asked)
 
         with self.timed("seconds_verdicts"):
-            return self._known.stable(states, needed, ask)
+            return self._known.stable(states, needed, ask, final=self.exact)
 
     def step(
         self,

@@ -19,8 +19,11 @@ memory: some 75 passes over the activations of a token in each layer, forward an
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
+
 import torch
 from torch import Tensor, nn
+from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.nn.functional import gelu, pad, scaled_dot_product_attention
 
 from falsework.assembly.model import Assembly
@@ -78,12 +81,24 @@ class PartsPolicy(Policy):
         bias = self.bias_net(self.pair_features).to(x.dtype).permute(2, 0, 1)
         # Fused attention wants rows that lie together and begin at multiples of 16 bytes; the padding is sliced off.
         bias = pad(bias, (0, -parts % 8)).contiguous()[..., :parts]
-        for block, one in zip(self.blocks, bias.unflatten(0, (sizes.layers, 1, sizes.heads)), strict=True):
-            x = block(x, one)
+        with _attention_for_any_batch(x):
+            for block, one in zip(self.blocks, bias.unflatten(0, (sizes.layers, 1, sizes.heads)), strict=True):
+                x = block(x, one)
         x = self.norm(x)
         logits = self.action_head(x).float().transpose(1, 2).reshape(batch, 2 * parts)
         value = self.value_head(gelu(self.value_hidden(x.mean(dim=1)))).float()
         return logits, torch.tanh(value).squeeze(-1)
+
+
+def _attention_for_any_batch(x: Tensor) -> AbstractContextManager[object]:
+    """Kernels of attention for batches of all sizes, as rollouts have them that end one by one.
+
+    On a GPU the first choice of torch is cuDNN, which makes a plan for every new size of batch: 40 ms, of which a
+    rollout would wait at each of its steps. Batches that are learned from have one size, so there it may choose.
+    """
+    if not x.is_cuda or torch.is_grad_enabled():
+        return nullcontext()
+    return sdpa_kernel([SDPBackend.EFFICIENT_ATTENTION, SDPBackend.MATH])
 
 
 class _Block(nn.Module):

@@ -183,7 +183,7 @@ class TrainSettings:
             ),
             improve=replace(self.improve, starts=self.improve.starts or (4096 if gpu else 256)),
             ppo=replace(self.ppo, rollouts=self.ppo.rollouts or (1024 if gpu else 64)),
-            refine=replace(self.refine, settings=self.refine.settings.resolved(device)),
+            refine=replace(self.refine, settings=self.refine.settings.resolved(device, two_states=two)),
             block=self.block or (200 if gpu else 20),
             precision=("bfloat16" if gpu else "float32") if self.precision == "auto" else self.precision,
         )
@@ -212,7 +212,7 @@ def default_widths(parts: int, device: str) -> tuple[int, ...]:
 
 
 def default_target_widths(parts: int, device: str, minutes: float) -> tuple[int, ...]:
-    """The same for tasks with targets, which are far more than states: as many searches as a fifth of the time allows.
+    """The same for tasks with targets, which are far more than states: as many searches as a tenth of the time allows.
 
     Nothing but many states keeps a network from learning by heart where the ways of some searches lead.
     """
@@ -220,7 +220,7 @@ def default_target_widths(parts: int, device: str, minutes: float) -> tuple[int,
         return default_widths(parts, device)
     # A search of 37 parts takes 0.8 seconds on an H200 and two on one core; there it grows with more than their square.
     if device == "cuda":
-        return (512,) * min(max(round(12 * minutes * (37 / parts) ** 1.5), 24), 100)
+        return (512,) * min(max(round(6 * minutes * (37 / parts) ** 1.5), 24), 100)
     return (128,) * min(max(round(6 * minutes * (37 / parts) ** 3), 12), 120)
 
 

@@ -18,7 +18,7 @@ from falsework.search.archive import read_archive, write_archive
 from falsework.search.graph import StateGraph
 from falsework.search.shards import Shards
 from falsework.search.task import Direction, Task
-from falsework.search.tensor_judge import TensorOracle, oracle_on
+from falsework.search.tensor_judge import TensorOracle, oracle_on, without_exact
 from falsework.search.tensors import choose_device
 
 if TYPE_CHECKING:
@@ -120,7 +120,9 @@ class Searched:
             if report is not None:
                 report(f"search {number + 1} of {2 + len(settings.widths)}, width {width}")
             seed, forward = settings.seed + number, Direction.DISASSEMBLY
-            found.append(search_states(task, oracle, width, seed, device=device, shards=shards, direction=forward)[0])
+            # States to test on are judged to the last one; of those to learn from a few may be missing.
+            judge = oracle if number < 2 else without_exact(oracle)
+            found.append(search_states(task, judge, width, seed, device=device, shards=shards, direction=forward)[0])
         return cls(found[0], found[1], np.concatenate([found[0][:0], *found[2:]]))
 
     def save(self, path: Path | str, task: Task) -> None:

@@ -44,6 +44,8 @@ class VerdictTable:
         states: torch.Tensor,
         needed: torch.Tensor | None,
         ask: Callable[[torch.Tensor, torch.Tensor], torch.Tensor],
+        *,
+        final: bool = True,
     ) -> torch.Tensor:
         """Which states are proven stable; asks for what is not known, every distinct state once.
 
@@ -52,7 +54,9 @@ class VerdictTable:
         Args:
             states: shape (batch, parts).
             needed: rows that need a verdict, the others count as stable; all if None. Shape (batch,).
-            ask: given states `(asked, parts)` and their rows `(asked,)`, returns verdicts `(asked,)`, 1 for stable.
+            ask: given states `(asked, parts)` and their rows `(asked,)`, returns verdicts `(asked,)`, 1 for stable, 0
+                for open.
+            final: remember what is left open as not proven; otherwise it is not remembered.
 
         Returns:
             `bool`, shape (batch,).
@@ -74,7 +78,8 @@ class VerdictTable:
         follows = unknown & ~leads & (states[leader] == states).all(dim=1)
         rows = (unknown & ~follows).nonzero()[:, 0]
         if len(rows):
-            verdict[rows] = torch.where(ask(states[rows], rows) == 1, _STABLE, _UNPROVEN).to(torch.int8)
+            answer = ask(states[rows], rows)
+            verdict[rows] = (answer if not final else torch.where(answer == 1, _STABLE, _UNPROVEN)).to(torch.int8)
             verdict = torch.where(follows, verdict[leader], verdict)
             place = torch.where(leads, slot, self._slots)
             self._states[place] = states

@@ -64,7 +64,10 @@ class Memory:
 
 
 class WatchedEnvironment(Environment):
-    """Notes which test states rollouts come across, and which actions bring something down."""
+    """Notes which test states rollouts come across, and which actions bring something down.
+
+    Its rollouts are there to learn from, so states that are open after the solver on a GPU are given up.
+    """
 
     def __init__(self, *arguments: Any, memory: int = 200_000, **options: Any) -> None:
         """As `Environment`; `memory` mistakes are remembered."""
@@ -79,15 +82,17 @@ class WatchedEnvironment(Environment):
         self.remember = False
         """Keep mistakes and outcomes, which costs a wait for the device at every step."""
         self._watching = True
+        self.exact = False
 
     @contextmanager
     def unwatched(self) -> Iterator[None]:
-        """Take no notes for the length of a `with` block, as for an evaluation."""
-        before, self._watching = self._watching, False
+        """Take no notes for the length of a `with` block, and leave no state open, as for an evaluation."""
+        before = self._watching, self.exact
+        self._watching, self.exact = False, True
         try:
             yield
         finally:
-            self._watching = before
+            self._watching, self.exact = before
 
     def note(self, rollouts: Rollouts, *, told: bool, drawn: bool, whole: bool) -> None:
         """As `Environment.note`: remember how rollouts without targets ended that were drawn."""
