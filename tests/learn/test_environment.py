@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from falsework.errors import InputError, StateError  # noqa: E402
 from falsework.learn.environment import Environment  # noqa: E402
 from falsework.learn.rollout import Rollouts, choose_actions, play  # noqa: E402
 from falsework.search import Direction, StateGraph, Task, find_plans, task_of  # noqa: E402
+from falsework.search.tensor_judge import DeviceOracle, HostOracle, without_exact  # noqa: E402
 from falsework.stability import Stability, Verdicts  # noqa: E402
 from falsework.stability.exact import ExactSolver  # noqa: E402
 
@@ -186,6 +189,53 @@ def test_verdicts_are_right_when_slots_are_fought_over(bottle: Assembly) -> None
     for begin in range(0, len(states), 700):
         rows = slice(begin, begin + 700)
         assert torch.equal(environment.stable(states[rows]), truth[rows])
+
+
+class HalfBlind:
+    """A solver on a GPU that leaves every other state of a batch open."""
+
+    def __init__(self, assembly: Assembly) -> None:
+        self.oracle = Stability(assembly)
+        self.asked = 0
+
+    def check_tensor(self, states):
+        self.asked += len(states)
+        verdict = torch.from_numpy(self.oracle.judge(states.numpy()).verdict)
+        verdict[::2] = 0
+        return verdict, None
+
+
+def half_blind_oracle(assembly: Assembly) -> DeviceOracle:
+    oracle = DeviceOracle.__new__(DeviceOracle)
+    oracle._solver, oracle._exact = HalfBlind(assembly), ExactSolver(assembly)  # type: ignore[assignment]
+    return oracle
+
+
+def test_states_left_open_go_to_the_exact_solver_unless_they_may_be_given_up(arch: Assembly) -> None:
+    """Given up they count as not proven, and are not remembered as such."""
+    environment = Environment(arch, 2, device="cpu")
+    oracle = half_blind_oracle(arch)
+    environment._on_device, environment._alone = oracle, without_exact(oracle)
+    _, rollouts = random_rollouts(arch, 60)
+    states = torch.unique(rollouts.states.flatten(0, 1), dim=0)
+    truth = torch.from_numpy(Stability(arch).stable(states.numpy()))
+    assert truth.any()
+    assert not truth.all()
+    solver: Any = oracle._solver
+    environment.exact = False
+    first = environment.stable(states, states)
+    assert not first[::2].any()
+    assert torch.equal(first[1::2], truth[1::2])
+    assert solver.asked == len(states)
+    environment.exact = True
+    assert torch.equal(environment.stable(states, states), truth)
+    again = (len(states) + 1) // 2
+    assert solver.asked == len(states) + again
+    environment.exact = False
+    assert torch.equal(environment.stable(states, states), truth)
+    assert solver.asked == len(states) + again
+    host = HostOracle(Stability(arch))
+    assert without_exact(host) is host
 
 
 def test_same_seed_same_rollouts_and_ends_are_the_ends(bottle: Assembly) -> None:

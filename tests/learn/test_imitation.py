@@ -178,7 +178,9 @@ def test_rollouts_leave_notes(arch: Any, states: Any) -> None:
     policy = make_policy(arch, SMALL)
     starts = solved.states
     with environment.unwatched():
+        assert environment.exact
         environment.rollout(policy, starts, greedy=False, generator=environment.generator(0))
+    assert not environment.exact
     assert solved.met == len(environment.mistakes) == len(environment.outcomes) == 0
     rollouts = environment.rollout(policy, starts, greedy=False, generator=environment.generator(0))
     visited = rollouts.states[1:].flatten(0, 1)

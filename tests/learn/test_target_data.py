@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +13,10 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.data import task_for  # noqa: E402
+from falsework.learn.data import search_states, task_for  # noqa: E402
 from falsework.learn.target_data import Searched, TargetDataSettings, target_dataset  # noqa: E402
 from falsework.search.hashing import StateIndex  # noqa: E402
+from falsework.search.task import Direction  # noqa: E402
 from falsework.search.tensor_judge import oracle_on  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
@@ -75,6 +77,25 @@ def test_bad_input_is_one_clear_line() -> None:
         TargetDataSettings(pairs=0)
     with pytest.raises(InputError, match="a seed is not negative"):
         TargetDataSettings(seed=-1)
+
+
+def test_after_a_search_that_died_out_one_begins_at_the_empty_structure(
+    bottle: Assembly, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What lies behind the point where searches die is learned so; what is tested on stays as it is."""
+    down, up = Direction.DISASSEMBLY, Direction.ASSEMBLY
+    through = iter([False, False, True, True, False, True])
+    directions = []
+
+    def search(*arguments: Any, direction: Direction, **options: Any) -> Any:
+        directions.append(direction)
+        return search_states(*arguments, direction=direction, **options)[0], next(through)
+
+    monkeypatch.setattr("falsework.learn.target_data.search_states", search)
+    task, device = task_for(bottle), torch.device("cpu")
+    settings = TargetDataSettings(train_width=4, test_width=12, widths=(1, 1, 1, 1), pairs=100, test_pairs=20)
+    Searched.find(task, settings, oracle_on(Stability(bottle), device), device=device)
+    assert directions == [down, down, up, down, down, up]
 
 
 def test_no_search_begins_once_there_are_enough(bottle: Assembly) -> None:
