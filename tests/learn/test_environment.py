@@ -215,7 +215,7 @@ def test_states_left_open_go_to_the_exact_solver_unless_they_may_be_given_up(arc
     """Given up they count as not proven, and are not remembered as such."""
     environment = Environment(arch, 2, device="cpu")
     oracle = half_blind_oracle(arch)
-    environment._on_device, environment._alone = oracle, without_exact(oracle)
+    environment._on_device = oracle
     _, rollouts = random_rollouts(arch, 60)
     states = torch.unique(rollouts.states.flatten(0, 1), dim=0)
     truth = torch.from_numpy(Stability(arch).stable(states.numpy()))

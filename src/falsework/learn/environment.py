@@ -115,7 +115,6 @@ class Environment:
         """Ask the exact solver about the few states that the one on the GPU leaves open; else they count as not proven
         stable. It works on the processor, and all rollouts wait for it."""
         self._on_device = _tensor_oracle(self.oracle, self.device)
-        self._alone = without_exact(self._on_device)
         self._known = VerdictTable(self.rules)
 
     @property
@@ -144,7 +143,7 @@ class Environment:
 
         def ask(asked: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
             self.counters.removals_asked += len(asked)
-            oracle = self._on_device if self.exact else self._alone
+            oracle = self._on_device if self.exact else without_exact(self._on_device)
             if parents is not None:
                 return oracle(asked.contiguous(), parents[rows].contiguous())
             if isinstance(oracle, HostOracle):

@@ -113,20 +113,20 @@ class Searched:
             enough: asked before each further search, in all processes alike, whether it and those after it can be
                 left out.
         """
-        found, direction = [], Direction.DISASSEMBLY
+        found, died = [], False
         for number, width in enumerate((settings.train_width, settings.test_width, *settings.widths)):
-            if number >= 2 and enough is not None and enough():
+            further = number >= 2
+            if further and enough is not None and enough():
                 break
             if report is not None:
                 report(f"search {number + 1} of {2 + len(settings.widths)}, width {width}")
-            # States to test on are judged to the last one; of those to learn from a few may be missing.
-            judge, seed = oracle if number < 2 else without_exact(oracle), settings.seed + number
+            # States to test on are judged to the last one; of those to learn from a few may be missing. What lies
+            # behind the point where searches die out, as most of dome-72 do in the middle, is seen from the other end.
+            judge, seed = without_exact(oracle) if further else oracle, settings.seed + number
+            direction = Direction.ASSEMBLY if further and died else Direction.DISASSEMBLY
             states, through = search_states(task, judge, width, seed, device=device, shards=shards, direction=direction)
             found.append(states)
-            # What lies behind the point where searches die out, as most of dome-72 do in the middle, is seen by those
-            # that come from the other end.
             died = direction is Direction.DISASSEMBLY and not through
-            direction = Direction.ASSEMBLY if died and number > 0 else Direction.DISASSEMBLY
         return cls(found[0], found[1], np.concatenate([found[0][:0], *found[2:]]))
 
     def save(self, path: Path | str, task: Task) -> None:

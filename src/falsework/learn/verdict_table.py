@@ -79,7 +79,9 @@ class VerdictTable:
         rows = (unknown & ~follows).nonzero()[:, 0]
         if len(rows):
             answer = ask(states[rows], rows)
-            verdict[rows] = (answer if not final else torch.where(answer == 1, _STABLE, _UNPROVEN)).to(torch.int8)
+            if final:
+                answer = torch.where(answer == _STABLE, _STABLE, _UNPROVEN)
+            verdict[rows] = answer.to(torch.int8)
             verdict = torch.where(follows, verdict[leader], verdict)
             place = torch.where(leads, slot, self._slots)
             self._states[place] = states
