@@ -11,11 +11,13 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
+from falsework.learn.data import task_for  # noqa: E402
 from falsework.learn.environment import Environment  # noqa: E402
 from falsework.learn.pairs import PairSource  # noqa: E402
-from falsework.learn.ways import Ways  # noqa: E402
-from falsework.search import StateGraph  # noqa: E402
+from falsework.learn.ways import Ways, _Reach  # noqa: E402
+from falsework.search import BeamSearch, BeamSettings, Direction, StateGraph  # noqa: E402
 from falsework.search.hashing import StateIndex  # noqa: E402
+from falsework.stability import Stability  # noqa: E402
 
 CPU = torch.device("cpu")
 
@@ -45,25 +47,57 @@ def test_actions_are_legal_for_their_task(bottle: Assembly, bottle_graph: StateG
     assert (environment.rules.steps_left(states, targets) > 0).all()
 
 
-def test_targets_are_drawn_evenly_and_so_are_steps(bottle_graph: StateGraph) -> None:
-    """Every state but the first is a target; a way has any number of steps up to those from the first state."""
+def searched(assembly: Assembly, direction: Direction) -> StateGraph:
+    task = task_for(assembly)
+    search = BeamSearch(task, Stability(assembly), BeamSettings(width=12, direction=direction))
+    search.run()
+    return StateGraph.build(task, search.states())
+
+
+def steps_of(graph: StateGraph, count: int) -> tuple[Any, Any, Any]:
+    """Rows of starts and of targets, and steps from one to the other, of some ways."""
+    states, targets, _ = drawn(Ways(graph, device=CPU), count)
+    starts, ends = graph.index.find(states.numpy()), graph.index.find(targets.numpy())
+    return starts, ends, graph.level[ends] - graph.level[starts]
+
+
+@pytest.mark.parametrize("direction", [Direction.DISASSEMBLY, Direction.ASSEMBLY])
+def test_ways_are_long_whichever_way_was_searched(bottle: Assembly, direction: Direction) -> None:
+    """Walks against the grain of a search end after a few steps, and most ways would have one or two."""
+    graph = searched(bottle, direction)
+    _, _, steps = steps_of(graph, 20_000)
+    even = np.arange(1, graph.task.steps)  # a way from a level drawn evenly to a level drawn evenly beyond it
+    weights = 1.0 / even[:, None] * (even[None] <= even[:, None])
+    share_long = (weights.sum(axis=0) / len(even))[even > graph.task.steps / 3].sum()
+    assert (steps > graph.task.steps / 3).mean() > 0.8 * share_long
+    assert steps.max() >= graph.task.steps - 1
+
+
+def test_every_state_that_is_on_a_way_is_met(bottle_graph: StateGraph) -> None:
     graph = bottle_graph
     ways = Ways(graph, device=CPU)
-    assert ways.targets == len(graph) - 1
-    states, targets, _ = drawn(ways, 200 * len(graph))
-    rows = graph.index.find(targets.numpy())
-    counts = np.bincount(rows, minlength=len(graph))
-    mean = len(rows) / ways.targets
-    assert counts[0] == 0
-    assert np.abs(counts[1:] - mean).max() < 6 * np.sqrt(mean)
-    far = graph.level[rows]
-    steps = far - graph.level[graph.index.find(states.numpy())]
-    depths, samples = np.unique(far, return_counts=True)
-    many = depths[samples > 2000]
-    assert len(many) > 5
-    for depth in many:
-        share = np.bincount(steps[far == depth], minlength=depth + 1)[1:] / (far == depth).sum()
-        assert np.abs(share - 1 / depth).max() < 6 * np.sqrt(1 / depth / 2000)
+    assert ways.ends == len(graph)
+    starts, ends, steps = steps_of(graph, 100 * len(graph))
+    assert (steps > 0).all()
+    assert len(np.unique(np.concatenate([starts, ends]))) == len(graph)
+
+
+def test_walks_go_as_far_as_walks_one_by_one(bottle_graph: StateGraph) -> None:
+    """Mean and longest walk on from each state, against a walk through dictionaries."""
+    graph = bottle_graph
+    after: dict[int, list[int]] = {}
+    for source, target in zip(graph.source.tolist(), graph.target.tolist(), strict=True):
+        after.setdefault(source, []).append(target)
+    mean, longest = {}, {}
+    for row in reversed(range(len(graph))):
+        there = after.get(row, [])
+        mean[row] = 1.0 + sum(mean[one] for one in there) / len(there) if there else 0.0
+        longest[row] = 1 + max(longest[one] for one in there) if there else 0
+    levels = graph.edges_by_level()[::-1]
+    reach = _Reach.over(levels, graph.source, graph.target, np.ones(len(graph), dtype=bool))
+    np.testing.assert_allclose(reach.mean, [mean[row] for row in range(len(graph))], rtol=1e-12)
+    assert reach.longest.tolist() == [longest[row] for row in range(len(graph))]
+    assert reach.meets.tolist() == [row in after for row in range(len(graph))]
 
 
 def test_forbidden_states_are_neither_start_nor_target(bottle_graph: StateGraph) -> None:

@@ -1,16 +1,21 @@
-"""Tasks without end: random walks back from random targets inside a state graph, on one device.
+"""Tasks without end: random walks inside a state graph, back from a target or on from a start, on one device.
 
 A table of pairs holds few targets, and a network learns those by heart. A walk costs a look-up a step, so every batch
-can have pairs of its own: where the walk ends is the start, and the last edge that it took is an action that leads to
-the target.
+can have pairs of its own: the two ends of the walk, and the first action on the way from one to the other.
+
+Which way to walk matters. A beam keeps few of the states that it comes to. In the direction of disassembly all of them
+have a way back to the complete structure, but on from most of them there is none; in the direction of assembly it is
+the other way round. A walk against the grain ends after a few steps, and makes a task with nothing to learn from.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
@@ -42,7 +47,7 @@ class Ways:
     """Draws states, targets and first actions of ways inside one graph; a `TaskSource`."""
 
     def __init__(self, graph: StateGraph, *, device: torch.device, forbidden: States | None = None) -> None:
-        """Put a graph, usually one that was searched in the direction of disassembly, on a device.
+        """Put a graph on a device; it may come from searches in both directions.
 
         Args:
             graph: states and valid actions.
@@ -53,32 +58,38 @@ class Ways:
         Raises:
             InputError: no way between any two states that are allowed.
         """
-        states, count = graph.states, len(graph)
+        count = len(graph)
         allowed = np.ones(count, dtype=bool)
         if forbidden is not None and len(forbidden):
-            allowed = StateIndex(np.unique(forbidden, axis=0)).find(states) < 0
-        order = np.argsort(graph.target, kind="stable")
-        begin = np.searchsorted(graph.target[order], np.arange(count + 1))
-        # A state can be a target if one before it is allowed.
-        led = np.zeros(count, dtype=bool)
-        for edges in graph.edges_by_level():
-            source = graph.source[edges]
-            led[graph.target[edges][allowed[source] | led[source]]] = True
-        ends = np.flatnonzero(allowed & led)
+            allowed = StateIndex(np.unique(forbidden, axis=0)).find(graph.states) < 0
+        levels = graph.edges_by_level()
+        back = _Reach.over(levels, graph.target, graph.source, allowed)
+        on = _Reach.over(levels[::-1], graph.source, graph.target, allowed)
+        ends = np.flatnonzero(allowed & (back.meets | on.meets))
         if len(ends) == 0:
             raise InputError("no way leads between two states of this graph; search with a greater width")
-        self._states, self._allowed, self._ends = put(states, device), put(allowed, device), put(ends, device)
-        self._begin, self._level = put(begin, device), put(graph.level - graph.level.min(), device)
-        self._before, self._action = put(graph.source[order], device), put(graph.action[order], device)
-        self._deepest = int(graph.level[ends].max() - graph.level.min())
+        # Neighbours before each state, and after those of all states the neighbours after each, in one list.
+        order = np.argsort(graph.target, kind="stable")
+        before = np.searchsorted(graph.target[order], np.arange(count + 1))
+        after = np.searchsorted(graph.source, np.arange(count + 1))
+        self._begin = put(np.concatenate([before, after + len(order)]), device)
+        self._next = put(np.concatenate([graph.source[order], graph.target]), device)
+        self._action = put(np.concatenate([graph.action[order], graph.action]), device)
+        self._states, self._allowed, self._ends = put(graph.states, device), put(allowed, device), put(ends, device)
+        usual = np.where(back.meets, back.mean, 0.0), np.where(on.meets, on.mean, 0.0)
+        self._onwards = put(usual[1] / np.maximum(usual[0] + usual[1], 1e-9), device)
+        self._longest = put(np.stack([back.longest, on.longest]), device)
+        self._deepest = int(self._longest.max())
 
     @property
-    def targets(self) -> int:
-        """Number of states that can be targets."""
+    def ends(self) -> int:
+        """Number of states that a way can begin or end with."""
         return len(self._ends)
 
     def draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Targets drawn evenly, each with the end of a walk back of random length, and the action that begins the way.
+        """Ways between a state drawn evenly and another, a walk of random length away, and the actions they begin with.
+
+        The walk leads back or on, in proportion to how far such walks come on average from that state.
 
         Args:
             count: how many.
@@ -88,7 +99,7 @@ class Ways:
             States and targets, `uint8`, shape (count, parts), and one valid action each, bool, shape (count, 2 parts).
 
         Raises:
-            InputError: no walk meets a start that is allowed.
+            InputError: no walk meets a state that is allowed.
         """
         found: list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = []
         missing = count
@@ -101,7 +112,7 @@ class Ways:
                 break
         start, end, action = (torch.cat(column) for column in zip(*found, strict=True))
         if missing and len(start) == 0:
-            raise InputError("no way back from a target meets a state to start at; search with a greater width")
+            raise InputError("no way between two states that are allowed was met; search with a greater width")
         if missing:
             rows = torch.arange(count, device=start.device) % len(start)
             start, end, action = start[rows], end[rows], action[rows]
@@ -111,17 +122,49 @@ class Ways:
     def _walk(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Rows of starts and targets, and first actions, -1 where no state on the way is allowed. Shape (count,)."""
         device = self._states.device
-        end = self._ends[torch.randint(len(self._ends), (count,), generator=generator, device=device)]
-        share = torch.rand(count, generator=generator, device=device, dtype=torch.float64)
-        length = 1 + (share * self._level[end]).long()
-        here, start, action = end, end, torch.full_like(end, -1)
+        begin = self._ends[torch.randint(len(self._ends), (count,), generator=generator, device=device)]
+        shares = torch.rand((2, count), generator=generator, device=device, dtype=torch.float64)
+        onwards = shares[0] < self._onwards[begin]
+        length = 1 + (shares[1] * self._longest[onwards.long(), begin]).long()
+        shift = onwards * (len(self._states) + 1)
+        here, end, action, first = begin, begin, torch.full_like(begin, -1), torch.full_like(begin, -1)
         for step in range(1, self._deepest + 1):
-            degree = self._begin[here + 1] - self._begin[here]
+            here_begins = self._begin[here + shift]
+            degree = self._begin[here + shift + 1] - here_begins
             share = torch.rand(count, generator=generator, device=device, dtype=torch.float64)
-            on = (step <= length) & (degree > 0)
-            edge = torch.where(on, self._begin[here] + (share * degree).long(), 0)
-            here = torch.where(on, self._before[edge].long(), here)
-            taken = on & self._allowed[here]
-            start = torch.where(taken, here, start)
-            action = torch.where(taken, self._action[edge].long(), action)
-        return start, end, action
+            going = (step <= length) & (degree > 0)
+            edge = torch.where(going, here_begins + (share * degree).long(), 0)
+            here = torch.where(going, self._next[edge].long(), here)
+            if step == 1:
+                first = self._action[edge].long()
+            taken = going & self._allowed[here]
+            end = torch.where(taken, here, end)
+            action = torch.where(taken, torch.where(onwards, first, self._action[edge].long()), action)
+        return torch.where(onwards, begin, end), torch.where(onwards, end, begin), action
+
+
+@dataclass(frozen=True, eq=False)
+class _Reach:
+    """How far walks along edges of one direction come from each state of a graph; all of shape (states,)."""
+
+    meets: NDArray[np.bool_]
+    """Whether some walk meets a state that is allowed."""
+    mean: NDArray[np.float64]
+    """Steps until a walk that takes every edge with the same chance can go no further, on average."""
+    longest: NDArray[np.int64]
+    """Steps at most."""
+
+    @classmethod
+    def over(
+        cls, levels: list[slice], near: NDArray[np.int32], far: NDArray[np.int32], allowed: NDArray[np.bool_]
+    ) -> _Reach:
+        """Follow edges from `near` to `far`, given as slices in an order in which what lies further comes first."""
+        degree = np.bincount(near, minlength=len(allowed))
+        meets = np.zeros(len(allowed), dtype=bool)
+        mean, longest = np.zeros(len(allowed)), np.zeros(len(allowed), dtype=np.int64)
+        for edges in levels:
+            here, there = near[edges], far[edges]
+            meets[here[meets[there] | allowed[there]]] = True
+            mean += np.bincount(here, (1.0 + mean[there]) / degree[here], minlength=len(allowed))
+            np.maximum.at(longest, here, 1 + longest[there])
+        return cls(meets, mean, longest)
