@@ -13,10 +13,11 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.data import search_states, task_for  # noqa: E402
+from falsework.learn.data import task_for  # noqa: E402
 from falsework.learn.target_data import Searched, TargetDataSettings, target_dataset  # noqa: E402
 from falsework.search.hashing import StateIndex  # noqa: E402
-from falsework.search.task import Direction  # noqa: E402
+from falsework.search.many_beams import search_many  # noqa: E402
+from falsework.search.task import Direction, Task  # noqa: E402
 from falsework.search.tensor_judge import oracle_on  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
@@ -49,7 +50,7 @@ def test_searches_are_read_back(bottle: Assembly, tmp_path: Path) -> None:
     oracle = oracle_on(Stability(bottle), torch.device("cpu"))
     seen: list[str] = []
     searched = Searched.find(task, settings, oracle, device=torch.device("cpu"), report=seen.append)
-    assert seen[-1] == "search 4 of 4, width 8"
+    assert seen[-1] == "searches 3 to 4 of 4, width 8"
     searched.save(tmp_path / "searched.npz", task)
     again = Searched.load(tmp_path / "searched.npz", task)
     one, two, three = (
@@ -84,18 +85,19 @@ def test_after_a_search_that_died_out_one_begins_at_the_empty_structure(
 ) -> None:
     """What lies behind the point where searches die is learned so; what is tested on stays as it is."""
     down, up = Direction.DISASSEMBLY, Direction.ASSEMBLY
-    through = iter([False, False, True, True, False, True])
     directions = []
+    through = iter([0, 4, 1, 0])
 
-    def search(*arguments: Any, direction: Direction, **options: Any) -> Any:
-        directions.append(direction)
-        return search_states(*arguments, direction=direction, **options)[0], next(through)
+    def search(task: Task, oracle: Any, count: int, width: int, *, direction: Direction, **options: Any) -> Any:
+        directions.append((direction, count, width))
+        found = search_many(task, oracle, count, width, direction=direction, **options)
+        return replace(found, found=np.arange(count) < next(through))
 
-    monkeypatch.setattr("falsework.learn.target_data.search_states", search)
+    monkeypatch.setattr("falsework.learn.target_data.search_many", search)
     task, device = task_for(bottle), torch.device("cpu")
-    settings = TargetDataSettings(train_width=4, test_width=12, widths=(1, 1, 1, 1), pairs=100, test_pairs=20)
+    settings = TargetDataSettings(train_width=4, test_width=12, widths=(2,) * 12 + (3,), pairs=100, test_pairs=20)
     Searched.find(task, settings, oracle_on(Stability(bottle), device), device=device)
-    assert directions == [down, down, up, down, down, up]
+    assert directions == [(down, 4, 2), (up, 4, 2), (down, 4, 2), (down, 1, 3)]
 
 
 def test_no_search_begins_once_there_are_enough(bottle: Assembly) -> None:

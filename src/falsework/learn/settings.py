@@ -219,9 +219,9 @@ def default_target_widths(parts: int, device: str, minutes: float) -> tuple[int,
     """
     if parts <= 20:
         return default_widths(parts, device)
-    # A search of 37 parts takes 0.8 seconds on an H200 and two on one core; there it grows with more than their square.
+    # A search of 37 parts takes two seconds on one core, and that grows with more than the square of their number.
     if device == "cuda":
-        return (512,) * min(max(round(6 * minutes * (37 / parts) ** 1.5), 24), 100)
+        return (256,) * min(max(round(36 * minutes * (37 / parts) ** 1.5), 24), 400)
     return (128,) * min(max(round(6 * minutes * (37 / parts) ** 3), 12), 120)
 
 

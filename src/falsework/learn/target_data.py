@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from falsework.learn.data import Report, check_states, search_states
 from falsework.learn.pairs import Pairs, PairSource
 from falsework.search.archive import read_archive, write_archive
 from falsework.search.graph import StateGraph
+from falsework.search.many_beams import search_many
 from falsework.search.shards import Shards
 from falsework.search.task import Direction, Task
 from falsework.search.tensor_judge import TensorOracle, oracle_on, without_exact
@@ -27,6 +29,13 @@ if TYPE_CHECKING:
 FORMAT = "falsework.searched/1"
 
 _ARRAYS = frozenset({"train", "test", "more"})
+
+_TOGETHER, _FEW = 64, 4
+"""Further searches that run side by side, on a GPU and on a processor; the time is looked at between them."""
+_KEPT = 8
+"""States kept of each on a GPU, in widths, and those that lead to them: there are more than a graph can connect."""
+_THROUGH = 0.25
+"""Share of searches that must come through, or the next ones begin at the other end."""
 
 
 @dataclass(frozen=True)
@@ -113,21 +122,27 @@ class Searched:
             enough: asked before each further search, in all processes alike, whether it and those after it can be
                 left out.
         """
-        found, died = [], False
-        for number, width in enumerate((settings.train_width, settings.test_width, *settings.widths)):
-            further = number >= 2
-            if further and enough is not None and enough():
-                break
+        first = []
+        for number, width in enumerate((settings.train_width, settings.test_width)):
             if report is not None:
                 report(f"search {number + 1} of {2 + len(settings.widths)}, width {width}")
-            # States to test on are judged to the last one; of those to learn from a few may be missing. What lies
-            # behind the point where searches die out, as most of dome-72 do in the middle, is seen from the other end.
-            judge, seed = without_exact(oracle) if further else oracle, settings.seed + number
-            direction = Direction.ASSEMBLY if further and died else Direction.DISASSEMBLY
-            states, through = search_states(task, judge, width, seed, device=device, shards=shards, direction=direction)
-            found.append(states)
-            died = direction is Direction.DISASSEMBLY and not through
-        return cls(found[0], found[1], np.concatenate([found[0][:0], *found[2:]]))
+            seed, way = settings.seed + number, Direction.DISASSEMBLY
+            first.append(search_states(task, oracle, width, seed, device=device, shards=shards, direction=way)[0])
+        # States to test on are judged to the last one; of those to learn from a few may be missing.
+        judge, together = without_exact(oracle), _TOGETHER if device.type == "cuda" else _FEW
+        more, done, way = [first[0][:0]], 0, Direction.DISASSEMBLY
+        while done < len(settings.widths) and not (enough is not None and enough()):
+            width = settings.widths[done]
+            count = sum(1 for _ in takewhile(width.__eq__, settings.widths[done : done + together * shards.size]))
+            if report is not None:
+                report(f"searches {done + 3} to {done + count + 2} of {2 + len(settings.widths)}, width {width}")
+            states, through = _several(task, judge, count, width, way, settings.seed + 2 + done, device, shards)
+            more.append(states)
+            done += count
+            # What lies behind the point where most searches die out is seen from the other end.
+            died = way is Direction.DISASSEMBLY and through < _THROUGH * count
+            way = Direction.ASSEMBLY if died else Direction.DISASSEMBLY
+        return cls(first[0], first[1], np.concatenate(more))
 
     def save(self, path: Path | str, task: Task) -> None:
         """Write the states as a versioned `.npz`."""
@@ -145,6 +160,34 @@ class Searched:
             raise InputError(f"{path} has states of another structure; remove it")
         check_states(path, arrays, task.part_count, "remove it")
         return cls(**arrays)
+
+
+def _several(
+    task: Task,
+    oracle: TensorOracle,
+    count: int,
+    width: int,
+    direction: Direction,
+    seed: int,
+    device: torch.device,
+    shards: Shards,
+) -> tuple[States, float]:
+    """States of some searches, each process doing its share of them, and how many came through."""
+    import torch
+
+    from falsework.learn.distributed import gather_rows, summed
+
+    mine = len(range(shards.rank, count, shards.size))
+    states, through = np.empty((0, task.part_count), dtype=np.uint8), 0.0
+    if mine:
+        keep = _KEPT * width if device.type == "cuda" else None
+        own = seed * shards.size + shards.rank
+        searched = search_many(task, oracle, mine, width, direction=direction, seed=own, keep=keep, device=device)
+        states, through = searched.states, float(searched.found.sum())
+    if shards.size > 1:
+        states = gather_rows(torch.from_numpy(states).to(device), shards).cpu().numpy()
+        through = summed([through], shards, device)[0]
+    return states, through
 
 
 def target_dataset(

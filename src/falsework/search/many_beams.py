@@ -1,0 +1,182 @@
+"""Many narrow beam searches side by side: as many different ways through a structure as there are searches.
+
+All states that a beam ends with descend from the few that got through its narrowest place, however wide it is. Where
+ways are to differ, many beams therefore tell more than a wide one. Side by side they share every question to the
+oracle and every launch of a kernel, so that a beam more costs little beyond its verdicts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import States
+from falsework.errors import InputError
+from falsework.search.shards import Shards
+from falsework.search.task import Direction, Task
+from falsework.search.tensor_judge import TensorJudge, TensorOracle
+from falsework.search.tensor_rules import TensorRules
+from falsework.search.tensors import import_torch, mix, uniform
+
+if TYPE_CHECKING:
+    import torch
+
+_SPARE = 4
+"""Candidates looked at for each state that is kept, since some fall."""
+_NUMBERS = 1 << 23
+"""Parts of all states of a level of searches that run together, at most; there are fewer candidates than that, which
+take some 150 bytes each while they are sorted."""
+_OWNER_BITS = 20
+"""Of a key that orders candidates by search and then at random."""
+
+
+@dataclass(frozen=True, eq=False)
+class ManySearches:
+    """What some searches found."""
+
+    states: States
+    """Stable states, those of one search after those of another, shape (count, parts)."""
+    found: NDArray[np.bool_]
+    """Which searches came through to their goal, shape (searches,)."""
+
+
+@dataclass(eq=False)
+class _Level:
+    states: torch.Tensor
+    hashes: torch.Tensor
+    owner: torch.Tensor
+    parent: torch.Tensor
+
+    def take(self, rows: torch.Tensor) -> _Level:
+        return _Level(self.states[rows], self.hashes[rows], self.owner[rows], self.parent[rows])
+
+
+def search_many(
+    task: Task,
+    oracle: TensorOracle,
+    count: int,
+    width: int,
+    *,
+    direction: Direction = Direction.DISASSEMBLY,
+    seed: int = 0,
+    keep: int | None = None,
+    device: torch.device | str = "cpu",
+) -> ManySearches:
+    """Run beam searches that choose at random among the stable states of each level.
+
+    Args:
+        task: rules between start and target.
+        oracle: verdicts on tensors; a state that it leaves open is not kept.
+        count: searches.
+        width: states that each keeps a level.
+        direction: end to begin at.
+        seed: of the choices; each search makes its own.
+        keep: states to hand back of each search, drawn evenly, with all states on one way from the origin to each of
+            them; None for all.
+        device: where to search; the states are the same on each, as far as the verdicts are.
+
+    Raises:
+        DependencyError: torch is not installed.
+        InputError: fewer than one search, or a width below one.
+    """
+    if count < 1 or width < 1 or (keep is not None and keep < 1):
+        raise InputError("searches, their width and the states kept of each are counts; give at least 1")
+    torch = import_torch()
+    beams = _Beams(task, oracle, width, direction, seed, torch.device(device))
+    together = max(min(_NUMBERS // (width * task.part_count), 1 << _OWNER_BITS), 1)
+    pieces: list[States] = []
+    found = np.zeros(count, dtype=bool)
+    for first in range(0, count, together):
+        levels = beams.run(torch.arange(first, min(first + together, count), device=beams.device))
+        if len(levels) == task.steps + 1:
+            found[levels[-1].owner.cpu().numpy()] = True
+        kept = levels if keep is None else beams.some(levels, keep)
+        states = torch.cat([level.states for level in kept])
+        owner = torch.cat([level.owner for level in kept])
+        pieces.append(states[torch.argsort(owner, stable=True)].cpu().numpy())
+    return ManySearches(np.concatenate(pieces), found)
+
+
+class _Beams:
+    def __init__(
+        self, task: Task, oracle: TensorOracle, width: int, direction: Direction, seed: int, device: torch.device
+    ) -> None:
+        self.device = device
+        self._width, self._seed, self._steps = width, seed, task.steps
+        self._rules = TensorRules(task, direction, device)
+        self._judge = TensorJudge(oracle, Shards())
+        self._dead = not task.contains(task.origin(direction)[None])[0]
+
+    def run(self, owners: torch.Tensor) -> list[_Level]:
+        """All levels of some searches, as far as the last of them came."""
+        origin = self._rules.origin().expand(len(owners), -1).contiguous()
+        levels = [_Level(origin, self._rules.hashes(origin), owners, owners - owners[0])]
+        while len(levels) <= self._steps and not self._dead:
+            level = self._next(levels[-1], len(levels))
+            if len(level.states) == 0:
+                break
+            levels.append(level)
+        return levels
+
+    def some(self, levels: list[_Level], keep: int) -> list[_Level]:
+        """States of each search drawn evenly, `keep` on average, and those that they were come to by."""
+        torch = import_torch()
+        first = levels[0].owner[0]
+        sizes = torch.bincount(torch.cat([level.owner for level in levels]) - first)
+        share = keep / sizes
+        chosen = []
+        later = levels[-1].parent[:0]
+        for number, level in reversed(list(enumerate(levels))):
+            words = self._words(level.hashes, level.owner, 2 * number + 1)
+            drawn = (uniform(words) < share[level.owner - first]).nonzero()[:, 0]
+            rows = torch.unique(torch.cat([drawn, later]))
+            chosen.append(level.take(rows))
+            later = level.parent[rows]
+        return chosen[::-1]
+
+    def _next(self, level: _Level, number: int) -> _Level:
+        """The next level: of the candidates of each search, in random order, the first that stand."""
+        torch = import_torch()
+        rules = self._rules
+        mask = rules.moves(level.states)
+        index = mask.view(-1).nonzero()[:, 0]
+        parent, action = index // mask.shape[1], index % mask.shape[1]
+        hashes = rules.hashes_after(level.states, level.hashes, action, parent)
+        asks = rules.needs_verdict(action)
+        # Equal states get equal words. The lowest bit puts that one of them first that needs no verdict. Two others
+        # of one search agree in these 42 bits once in a million levels; then one of the candidates is left out.
+        owner = level.owner[parent]
+        words = self._words(hashes, owner, 2 * number)
+        local = owner - level.owner[0]
+        key = (local << (63 - _OWNER_BITS)) | ((words & ((1 << (62 - _OWNER_BITS)) - 1)) << 1) | asks.long()
+        key, order = torch.sort(key, stable=True)
+        first = torch.ones_like(key, dtype=torch.bool)
+        first[1:] = (key[1:] >> 1) != (key[:-1] >> 1)
+        order = order[first]
+        order = order[_rank(local[order]) < _SPARE * self._width]
+        rows = order[asks[order]]
+        stable = ~asks
+        if len(rows):
+            after = rules.follow(level.states[parent[rows]], action[rows])
+            stable[rows] = self._judge.verdicts(after, level.states[parent[rows]], len(rows)) == 1
+        order = order[stable[order]]
+        order = order[_rank(local[order]) < self._width]
+        after = rules.follow(level.states[parent[order]], action[order])
+        alive = ~rules.dead_ends(after)
+        return _Level(after, hashes[order], owner[order], parent[order]).take(alive.nonzero()[:, 0])
+
+    def _words(self, hashes: torch.Tensor, owner: torch.Tensor, salt: int) -> torch.Tensor:
+        """Random words of states, other ones in each search."""
+        return mix(hashes ^ mix(owner, self._seed), salt)
+
+
+def _rank(owner: torch.Tensor) -> torch.Tensor:
+    """Place of each entry among those of its owner; owners ascend."""
+    torch = import_torch()
+    place = torch.arange(len(owner), device=owner.device)
+    begins = torch.ones_like(owner, dtype=torch.bool)
+    begins[1:] = owner[1:] != owner[:-1]
+    return place - torch.cummax(torch.where(begins, place, 0), dim=0).values
