@@ -11,13 +11,15 @@ import numpy as np
 import torch
 
 from falsework.assembly.model import Assembly
+from falsework.assembly.symmetry import symmetries
 from falsework.learn.checkpoint import DATA, SEARCHED
 from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
 from falsework.learn.evaluate import Sets, sample
 from falsework.learn.pairs import Pairs
 from falsework.learn.settings import TrainSettings
 from falsework.learn.target_data import Searched, TargetDataset, TargetDataSettings, target_dataset
-from falsework.learn.ways import Ways
+from falsework.learn.turned import TurnedTasks
+from falsework.learn.ways import TaskSource, Ways
 from falsework.search.shards import Shards
 from falsework.search.tensor_judge import TensorOracle
 from falsework.search.tensors import put
@@ -31,7 +33,7 @@ class Material:
     """States to start from, shape (count, parts)."""
     targets: torch.Tensor | None
     """Target of each, shape (count, parts)."""
-    tasks: Ways | None
+    tasks: TaskSource | None
     """Draws more of both, with valid actions, where there are targets."""
     test: torch.Tensor
     """States that are not to be learned from, shape (count, parts)."""
@@ -83,7 +85,10 @@ def find_material(
             if shards.first:
                 _keep(path, lambda where: searched.save(where, task), note)
         pairs = find_pairs(assembly, settings, oracle, device=device, shards=shards, searched=searched)
-        tasks = Ways(pairs.wide, device=device, forbidden=pairs.test_states)
+        tasks: TaskSource = Ways(pairs.wide, device=device, forbidden=pairs.test_states)
+        images = symmetries(assembly)
+        if len(images) > 1:
+            tasks = TurnedTasks(tasks, images, device=device, forbidden=pairs.test_states)
         generator = torch.Generator(device).manual_seed(settings.data_seed)
         states, targets, _ = tasks.draw(settings.pairs, generator)
         return Material(

@@ -1,0 +1,113 @@
+"""Turns and reflections about the vertical under which a structure looks the same, as permutations of its parts.
+
+Gravity points down, so whatever holds for a state holds for its image under any of them: whether it stands, and which
+actions lead where. A dome of twelve equal sectors tells so the same story twenty-four times.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from falsework.assembly.model import Assembly
+
+_NEAR = 0.05
+"""How far from its image a centre of mass may be, in units of a typical part."""
+_ALIKE = 0.1
+"""Relative difference of masses, and difference of contacts in units of a typical contact area."""
+
+
+def symmetries(assembly: Assembly) -> NDArray[np.intp]:
+    """Permutations of the parts that some turn about a vertical axis, or reflection in a vertical plane, makes.
+
+    Centres of mass, masses and every contact's area times normal have to agree with those of the images. Parts that
+    are boundary may stay where they are: the ground is no smaller for being turned.
+
+    Args:
+        assembly: the structure.
+
+    Returns:
+        Shape (symmetries, parts): part `i` goes to where part `row[i]` is. The first leaves everything as it is.
+    """
+    parts, fixed = assembly.part_count, assembly.boundary
+    identity = np.arange(parts)
+    movable = np.flatnonzero(~fixed)
+    if len(movable) < 2:
+        return identity[None]
+    mass, centre = assembly.mass.mass, assembly.mass.center
+    bounds = np.array([mesh.bounds for mesh in assembly.meshes])[movable]
+    size = float(np.median(np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)))
+    axis = np.average(centre[movable, :2], axis=0, weights=mass[movable])
+    place = centre - [*axis, 0.0]
+    push = _pushes(assembly)
+    found = {tuple(identity): identity}
+    for turn in _motions(place[movable], mass[movable], size):
+        image = _image(place, place @ turn.T, mass, fixed, size)
+        if image is not None and _same_contacts(push, turn, image):
+            found.setdefault(tuple(image), image)
+    return np.array(list(found.values()), dtype=np.intp)
+
+
+def _motions(place: NDArray[np.float64], mass: NDArray[np.float64], size: float) -> list[NDArray[np.float64]]:
+    """Turns and reflections that put one part where another like it is: whatever is a symmetry is among them."""
+    radius = np.linalg.norm(place[:, :2], axis=1)
+    alike = (
+        (np.abs(radius[:, None] - radius) < _NEAR * size)
+        & (np.abs(place[:, None, 2] - place[:, 2]) < _NEAR * size)
+        & (np.abs(mass[:, None] - mass) <= _ALIKE * mass)
+    )
+    off = np.flatnonzero(radius > _NEAR * size)
+    if len(off) == 0:
+        return []
+    # The part with the fewest like it has the fewest places to go to; of those, one whose direction is sharp.
+    chosen = off[np.lexsort((-radius[off], alike[off].sum(axis=1)))[0]]
+    angle = np.arctan2(place[:, 1], place[:, 0])
+    motions = []
+    for other in np.flatnonzero(alike[chosen]):
+        for mirrored in (1.0, -1.0):
+            around = angle[other] - mirrored * angle[chosen]
+            cos, sin = np.cos(around), np.sin(around)
+            motions.append(np.array([[cos, -mirrored * sin, 0.0], [sin, mirrored * cos, 0.0], [0.0, 0.0, 1.0]]))
+    return motions
+
+
+def _image(
+    place: NDArray[np.float64],
+    moved: NDArray[np.float64],
+    mass: NDArray[np.float64],
+    fixed: NDArray[np.bool_],
+    size: float,
+) -> NDArray[np.intp] | None:
+    """Which part each one comes to lie on; None if some come to lie on none, or on one unlike them."""
+    image = np.arange(len(place))
+    for group in (np.flatnonzero(~fixed), np.flatnonzero(fixed)):
+        if len(group) == 0:
+            continue
+        distance, nearest = KDTree(place[group]).query(moved[group])
+        there = np.asarray(distance) <= _NEAR * size
+        image[group] = np.where(there | ~fixed[group], group[nearest], group)
+        if not (there | fixed[group]).all():
+            return None
+    if len(np.unique(image)) < len(image) or (np.abs(mass[image] - mass) > _ALIKE * mass)[~fixed].any():
+        return None
+    return image
+
+
+def _pushes(assembly: Assembly) -> NDArray[np.float64]:
+    """For each part and each other the area of their contacts times the normal into the first, (parts, parts, 3)."""
+    contacts = assembly.contacts
+    push = np.zeros((assembly.part_count, assembly.part_count, 3))
+    first, second = contacts.parts.T
+    weighted = contacts.areas[:, None] * contacts.normals
+    np.add.at(push, (first, second), -weighted)
+    np.add.at(push, (second, first), weighted)
+    return push
+
+
+def _same_contacts(push: NDArray[np.float64], turn: NDArray[np.float64], image: NDArray[np.intp]) -> bool:
+    areas = np.linalg.norm(push, axis=2)
+    if not areas.any():
+        return True
+    difference = np.linalg.norm(push[np.ix_(image, image)] - push @ turn.T, axis=2)
+    return bool(difference.max() <= _ALIKE * areas[areas > 0].mean())

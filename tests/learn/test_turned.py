@@ -1,0 +1,87 @@
+"""Tasks turned by the symmetries of their structure: tasks as good as those they come from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
+
+from falsework.assembly import Assembly, load_structure  # noqa: E402
+from falsework.assembly.symmetry import symmetries  # noqa: E402
+from falsework.learn.data import task_for  # noqa: E402
+from falsework.learn.environment import Environment  # noqa: E402
+from falsework.learn.turned import TurnedTasks  # noqa: E402
+from falsework.learn.ways import Ways  # noqa: E402
+from falsework.search import BeamSearch, BeamSettings, Direction, StateGraph  # noqa: E402
+from falsework.stability import Stability  # noqa: E402
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def dome() -> Assembly:
+    return load_structure("dome:rings=2,blocks=6,stagger=0")
+
+
+@pytest.fixture(scope="module")
+def graph(dome: Assembly) -> StateGraph:
+    task = task_for(dome)
+    search = BeamSearch(task, Stability(dome), BeamSettings(width=6, direction=Direction.DISASSEMBLY))
+    search.run()
+    return StateGraph.build(task, search.states())
+
+
+def drawn(tasks: Any, count: int, seed: int = 0) -> tuple[Any, Any, Any]:
+    return tasks.draw(count, torch.Generator().manual_seed(seed))
+
+
+def test_images_of_tasks_are_tasks(dome: Assembly, graph: StateGraph) -> None:
+    """Legal first actions towards targets that can be reached, through states that stand: most of them new ones."""
+    environment = Environment(dome, 2, device="cpu")
+    states, targets, valid = drawn(TurnedTasks(Ways(graph, device=CPU), symmetries(dome), device=CPU), 300)
+    assert (valid.sum(dim=1) == 1).all()
+    assert (environment.rules.mask(states, targets) | ~valid).all()
+    assert environment.rules.contains(states, targets).all()
+    after = environment.rules.apply(states, valid.long().argmax(dim=1))
+    oracle = Stability(dome)
+    for some in (states, targets, after):
+        assert (oracle.judge(some.numpy()).verdict == 1).all()
+    assert (graph.index.find(states.numpy()) < 0).mean() > 0.5
+
+
+def test_a_turned_task_is_turned_as_a_whole(dome: Assembly, graph: StateGraph) -> None:
+    images = symmetries(dome)
+    whole = drawn(TurnedTasks(Ways(graph, device=CPU), images, device=CPU), 50)
+    plain = drawn(Ways(graph, device=CPU), 50)
+    for row in range(50):
+        fits = []
+        for image in images:
+            both = np.concatenate([image, image + dome.part_count])
+            pieces = zip(whole, plain, (image, image, both), strict=True)
+            fits.append(all(np.array_equal(one[row].numpy()[index], two[row].numpy()) for one, two, index in pieces))
+        assert any(fits)
+
+
+def test_no_task_begins_or_ends_with_a_forbidden_state(dome: Assembly, graph: StateGraph) -> None:
+    """What would be turned into one stays as it was, which the source vouches for."""
+    images = symmetries(dome)
+    first = graph.states[graph.level == 1]
+    forbidden = np.unique(np.concatenate([first[:, np.argsort(image)] for image in images[1:]]), axis=0)
+    kept = {tuple(state) for state in forbidden.tolist()} - {tuple(state) for state in graph.states.tolist()}
+    assert kept
+    taboo = np.array(sorted(kept), dtype=np.uint8)
+    source = Ways(graph, device=CPU)
+    free = drawn(TurnedTasks(source, images, device=CPU), 2000)
+    careful = drawn(TurnedTasks(source, images, device=CPU, forbidden=taboo), 2000)
+    met = [{tuple(state) for state in np.concatenate([one, two]).tolist()} for one, two, _ in (free, careful)]
+    assert met[0] & kept
+    assert not met[1] & kept
+
+
+def test_same_seed_same_tasks(dome: Assembly, graph: StateGraph) -> None:
+    tasks = TurnedTasks(Ways(graph, device=CPU), symmetries(dome), device=CPU)
+    assert all(torch.equal(one, two) for one, two in zip(drawn(tasks, 40), drawn(tasks, 40), strict=True))
+    assert not torch.equal(drawn(tasks, 40)[0], drawn(tasks, 40, seed=1)[0])
