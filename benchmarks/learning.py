@@ -103,8 +103,8 @@ def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, *
     if options.imitation_steps is not None:
         given["refine"] = RefinePhase(imitation_steps=options.imitation_steps)
     given |= changes
-    sizes = replace(given.get("policy", PolicySettings()), layers=options.layers, channels=options.channels)
-    return TrainSettings(**{**given, "policy": sizes})
+    sizes = {name: getattr(options, name) for name in ("layers", "channels", "heads") if getattr(options, name)}
+    return TrainSettings(**{**given, "policy": replace(given.get("policy", PolicySettings()), **sizes)})
 
 
 def report(**values: Any) -> None:
@@ -303,8 +303,9 @@ def main() -> None:
     parser.add_argument("--method", choices=METHODS, default="")
     parser.add_argument("--imitation-steps", type=int, help="of imitation before the refinement; 0 for any number")
     parser.add_argument("--policy", choices=("residual", "parts", "graph", "mlp"), default="")
-    parser.add_argument("--layers", type=int, default=0, help="of the network; 0 for the default of its kind")
+    parser.add_argument("--layers", type=int, default=0, help="of the network; 0 for what is recommended")
     parser.add_argument("--channels", type=int, default=0, help="likewise")
+    parser.add_argument("--heads", type=int, default=0, help="of attention, likewise")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--states", type=int, default=0, help="states evaluated of each set; 0 for all")
     parser.add_argument("--told", choices=("both", "yes", "no"), default="both", help="which policies table4 trains")

@@ -295,6 +295,8 @@ def test_a_compiler_sees_one_piece(kind: str, arch: Assembly) -> None:
 
 def test_the_recommended_network_depends_on_what_there_is_to_learn() -> None:
     assert recommended(62) == PolicySettings("residual")
-    assert recommended(62, two_states=True) == PolicySettings("parts", two_states=True)
+    small = PolicySettings("parts", two_states=True, layers=3, channels=64, heads=4)
+    assert recommended(62, two_states=True) == recommended(62, two_states=True, kind="parts") == small
+    assert recommended(62, kind="parts") == PolicySettings("parts")
     assert recommended(12, two_states=True) == PolicySettings("residual", two_states=True)
     assert recommended(62, two_states=True, kind="mlp") == PolicySettings("mlp", two_states=True)

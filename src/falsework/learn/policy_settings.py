@@ -91,12 +91,15 @@ def recommended(parts: int, *, two_states: bool = False, kind: Kind | None = Non
 
     With one end for all states that is the quickest one, since rollouts count. States with targets of their own are too
     many for that where there are more than a few parts: a network that knows parts by their contacts is then right
-    about pairs that it has not seen for the same reason as about those that it has.
+    about pairs that it has not seen for the same reason as about those that it has. Rollouts still count, so it is a
+    small one.
 
     Args:
         parts: number of parts.
         two_states: whether the policy is told a target.
         kind: of the network, if that is chosen already.
     """
-    usual: Kind = "parts" if two_states and parts > _FEW else "residual"
-    return PolicySettings(kind or usual, two_states=two_states)
+    usual: Kind = kind or ("parts" if two_states and parts > _FEW else "residual")
+    if usual == "parts" and two_states:
+        return PolicySettings(usual, two_states=True, layers=3, channels=64, heads=4)
+    return PolicySettings(usual, two_states=two_states)
