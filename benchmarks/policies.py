@@ -55,9 +55,11 @@ class Options:
     turns: int = 8
     """For `transfer`: copies of the structure to learn from, all but one turned about the vertical."""
     layers: int = 0
-    """For `transfer`: layers of the network; 0 for the default of its kind."""
+    """For `speed` and `transfer`: layers of the network; 0 for the default of its kind."""
     channels: int = 0
-    """For `transfer`: its channels, likewise."""
+    """For `speed` and `transfer`: its channels, likewise."""
+    heads: int = 0
+    """For `speed` and `transfer`: its heads of attention, likewise."""
     device: str = "auto"
     """auto, cpu or cuda."""
     batch: int = 0
@@ -93,7 +95,8 @@ def speed(options: Options, device: torch.device) -> None:
     for name in options.structures or default_structures(("vault-62",), ("vault",)):
         assembly = load_structure(find(name))
         for kind in options.kinds:
-            policy = make_policy(assembly, PolicySettings(kind), device, options.seed)
+            sizes = PolicySettings(kind, layers=options.layers, channels=options.channels, heads=options.heads)
+            policy = make_policy(assembly, sizes, device, options.seed)
             call: Any = torch.compile(policy) if options.compile else policy
             generator = torch.Generator(device).manual_seed(options.seed)
             states = torch.randint(0, 3, (batch, assembly.part_count), generator=generator, device=device)
@@ -170,7 +173,7 @@ def main() -> None:
         for kind in options.kinds:
             if not PolicySettings(kind).transfers:
                 continue
-            sizes = PolicySettings(kind, layers=options.layers, channels=options.channels)
+            sizes = PolicySettings(kind, layers=options.layers, channels=options.channels, heads=options.heads)
             about = {"kind": kind, "widths": options.widths, "turns": options.turns, "seed": options.seed}
             for row in transfer_experiment(
                 source, others, sizes, budget=budget, robots=options.robots, device=device, batch=options.batch,
