@@ -79,6 +79,19 @@ def test_rows_without_a_valid_or_a_legal_action_are_left_out() -> None:
     assert imitation_loss(logits, mask, valid).item() == pytest.approx(alone.item())
 
 
+def test_an_action_that_is_not_legal_is_not_imitated() -> None:
+    """Alone it makes its row count for nothing; beside others it adds nothing."""
+    logits = torch.randn((3, 6), generator=torch.Generator().manual_seed(2))
+    mask = torch.ones((3, 6), dtype=torch.bool)
+    mask[:, 5] = False
+    valid = torch.zeros_like(mask)
+    valid[0, 1] = valid[1, 5] = valid[2, 2] = True
+    without = imitation_loss(logits[[0, 2]], mask[[0, 2]], valid[[0, 2]])
+    assert imitation_loss(logits, mask, valid).item() == pytest.approx(without.item())
+    valid[2, 5] = True
+    assert imitation_loss(logits, mask, valid).item() == pytest.approx(without.item())
+
+
 def test_it_learns_what_the_valid_actions_are(arch: Any, states: Any) -> None:
     environment = WatchedEnvironment(arch, 2, device="cpu")
     solved = SolvedStates(environment.rules, torch.from_numpy(states))

@@ -62,13 +62,15 @@ def imitation_loss(logits: torch.Tensor, mask: torch.Tensor, valid: torch.Tensor
     Args:
         logits: shape (batch, actions).
         mask: legal actions, bool, shape (batch, actions).
-        valid: some of the legal actions, shape (batch, actions).
+        valid: actions to imitate; those that are not legal are none, such as where the image of a part under a
+            symmetry has no free way out. Shape (batch, actions).
     """
     log_probability = masked_log_probabilities(logits, mask)
+    valid = valid & mask
     known = valid.any(dim=1)
     # Rows without a valid action count for nothing; let them look at all actions, so that they make no NaN either.
-    looked = torch.where(known[:, None], valid, torch.ones_like(valid))
-    inside = torch.logsumexp(torch.where(looked & mask, log_probability, _LOW), dim=1)
+    looked = torch.where(known[:, None], valid, mask)
+    inside = torch.logsumexp(torch.where(looked, log_probability, _LOW), dim=1)
     return -(inside * known).sum() / known.sum().clamp(min=1)
 
 
