@@ -77,7 +77,10 @@ def _digest(scene: Scene, robot: int) -> bytes:
     """Everything that a motion of one robot depends on in a scene."""
     others = [np.round(values, 6) + 0.0 for other, values in enumerate(scene.configurations) if other != robot]
     pieces = [bytes([robot]), np.packbits(scene.present).tobytes(), *(values.tobytes() for values in others)]
-    for carried in scene.attached:
+    for owner, carried in enumerate(scene.attached):
         if carried is not None:
-            pieces.append(bytes([carried.part % 256]) + np.round(carried.tool_from_part, 7).tobytes())
+            who = np.array([owner, carried.part], dtype=np.int32)
+            pieces.append(who.tobytes() + np.round(carried.tool_from_part, 7).tobytes())
+    for part, pose in scene.elsewhere:
+        pieces.append(np.array([part], dtype=np.int32).tobytes() + np.round(pose, 7).tobytes())
     return b"|".join(pieces)
