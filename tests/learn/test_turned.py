@@ -13,9 +13,14 @@ from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.assembly.symmetry import symmetries  # noqa: E402
 from falsework.learn.data import task_for  # noqa: E402
 from falsework.learn.environment import Environment  # noqa: E402
+from falsework.learn.material import find_material  # noqa: E402
+from falsework.learn.policy_settings import PolicySettings  # noqa: E402
+from falsework.learn.settings import TrainSettings  # noqa: E402
+from falsework.learn.target_data import TargetDataSettings, target_dataset  # noqa: E402
 from falsework.learn.turned import TurnedTasks  # noqa: E402
 from falsework.learn.ways import Ways  # noqa: E402
 from falsework.search import BeamSearch, BeamSettings, Direction, StateGraph  # noqa: E402
+from falsework.search.tensor_judge import HostOracle  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
 CPU = torch.device("cpu")
@@ -85,3 +90,18 @@ def test_same_seed_same_tasks(dome: Assembly, graph: StateGraph) -> None:
     tasks = TurnedTasks(Ways(graph, device=CPU), symmetries(dome), device=CPU)
     assert all(torch.equal(one, two) for one, two in zip(drawn(tasks, 40), drawn(tasks, 40), strict=True))
     assert not torch.equal(drawn(tasks, 40)[0], drawn(tasks, 40, seed=1)[0])
+
+
+def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly) -> None:
+    """Starts of a run, and tasks drawn later, are states that its searches did not see, and never test states."""
+    settings = TrainSettings(policy=PolicySettings("parts", two_states=True), widths=(8, 8), pairs=3000, steps=10)
+    material = find_material(dome, settings.resolved(dome.part_count, "cpu"), HostOracle(Stability(dome)), device=CPU)
+    assert isinstance(material.tasks, TurnedTasks)
+    assert material.targets is not None
+    test = {tuple(state) for state in material.test.tolist()}
+    searches = TargetDataSettings(widths=(8, 8), pairs=3000)
+    data = target_dataset(dome, task_for(dome), searches, device="cpu")
+    drawn_later = drawn(material.tasks, 3000, seed=3)
+    for states in (material.starts, material.targets, *drawn_later[:2]):
+        assert not test & {tuple(state) for state in states.tolist()}
+        assert (data.wide.index.find(states.numpy()) < 0).any()
