@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import torch
 
@@ -24,9 +26,19 @@ def bottle() -> Assembly:
 
 
 @pytest.fixture(scope="session")
-def bottle_graph(bottle: Assembly) -> StateGraph:
+def searched_graph() -> Callable[..., StateGraph]:
+    """Makes the graph of all states of a narrow search."""
+
+    def search(assembly: Assembly, width: int, direction: Direction = Direction.DISASSEMBLY) -> StateGraph:
+        task = task_for(assembly)
+        beam = BeamSearch(task, Stability(assembly), BeamSettings(width=width, direction=direction))
+        beam.run()
+        return StateGraph.build(task, beam.states())
+
+    return search
+
+
+@pytest.fixture(scope="session")
+def bottle_graph(bottle: Assembly, searched_graph: Callable[..., StateGraph]) -> StateGraph:
     """States of a narrow search that takes the bottle apart."""
-    task = task_for(bottle)
-    search = BeamSearch(task, Stability(bottle), BeamSettings(width=12, direction=Direction.DISASSEMBLY))
-    search.run()
-    return StateGraph.build(task, search.states())
+    return searched_graph(bottle, 12)

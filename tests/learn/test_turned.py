@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from falsework.learn.settings import TrainSettings  # noqa: E402
 from falsework.learn.target_data import TargetDataSettings, target_dataset  # noqa: E402
 from falsework.learn.turned import TurnedTasks  # noqa: E402
 from falsework.learn.ways import Ways  # noqa: E402
-from falsework.search import BeamSearch, BeamSettings, Direction, StateGraph  # noqa: E402
+from falsework.search import StateGraph  # noqa: E402
 from falsework.search.tensor_judge import HostOracle  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
@@ -32,11 +33,8 @@ def dome() -> Assembly:
 
 
 @pytest.fixture(scope="module")
-def graph(dome: Assembly) -> StateGraph:
-    task = task_for(dome)
-    search = BeamSearch(task, Stability(dome), BeamSettings(width=6, direction=Direction.DISASSEMBLY))
-    search.run()
-    return StateGraph.build(task, search.states())
+def graph(dome: Assembly, searched_graph: Callable[..., StateGraph]) -> StateGraph:
+    return searched_graph(dome, 6)
 
 
 def drawn(tasks: Any, count: int, seed: int = 0) -> tuple[Any, Any, Any]:

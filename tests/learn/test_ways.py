@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,11 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.data import task_for  # noqa: E402
 from falsework.learn.environment import Environment  # noqa: E402
 from falsework.learn.pairs import PairSource  # noqa: E402
 from falsework.learn.ways import Ways, _Reach  # noqa: E402
-from falsework.search import BeamSearch, BeamSettings, Direction, StateGraph  # noqa: E402
+from falsework.search import Direction, StateGraph  # noqa: E402
 from falsework.search.hashing import StateIndex  # noqa: E402
-from falsework.stability import Stability  # noqa: E402
 
 CPU = torch.device("cpu")
 
@@ -47,13 +46,6 @@ def test_actions_are_legal_for_their_task(bottle: Assembly, bottle_graph: StateG
     assert (environment.rules.steps_left(states, targets) > 0).all()
 
 
-def searched(assembly: Assembly, direction: Direction) -> StateGraph:
-    task = task_for(assembly)
-    search = BeamSearch(task, Stability(assembly), BeamSettings(width=12, direction=direction))
-    search.run()
-    return StateGraph.build(task, search.states())
-
-
 def steps_of(graph: StateGraph, count: int) -> tuple[Any, Any, Any]:
     """Rows of starts and of targets, and steps from one to the other, of some ways."""
     states, targets, _ = drawn(Ways(graph, device=CPU), count)
@@ -62,9 +54,11 @@ def steps_of(graph: StateGraph, count: int) -> tuple[Any, Any, Any]:
 
 
 @pytest.mark.parametrize("direction", [Direction.DISASSEMBLY, Direction.ASSEMBLY])
-def test_ways_are_long_whichever_way_was_searched(bottle: Assembly, direction: Direction) -> None:
+def test_ways_are_long_whichever_way_was_searched(
+    bottle: Assembly, searched_graph: Callable[..., StateGraph], direction: Direction
+) -> None:
     """Walks against the grain of a search end after a few steps, and most ways would have one or two."""
-    graph = searched(bottle, direction)
+    graph = searched_graph(bottle, 12, direction)
     _, _, steps = steps_of(graph, 20_000)
     even = np.arange(1, graph.task.steps)  # a way from a level drawn evenly to a level drawn evenly beyond it
     weights = 1.0 / even[:, None] * (even[None] <= even[:, None])

@@ -40,7 +40,7 @@ def symmetries(assembly: Assembly) -> NDArray[np.intp]:
     size = float(np.median(np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)))
     axis = np.average(centre[movable, :2], axis=0, weights=mass[movable])
     place = centre - [*axis, 0.0]
-    push = _pushes(assembly)
+    push = assembly.contacts.pushes(parts)
     found = {tuple(identity): identity}
     for turn in _motions(place[movable], mass[movable], size):
         image = _image(place, place @ turn.T, mass, fixed, size)
@@ -92,17 +92,6 @@ def _image(
     if len(np.unique(image)) < len(image) or (np.abs(mass[image] - mass) > _ALIKE * mass)[~fixed].any():
         return None
     return image
-
-
-def _pushes(assembly: Assembly) -> NDArray[np.float64]:
-    """For each part and each other the area of their contacts times the normal into the first, (parts, parts, 3)."""
-    contacts = assembly.contacts
-    push = np.zeros((assembly.part_count, assembly.part_count, 3))
-    first, second = contacts.parts.T
-    weighted = contacts.areas[:, None] * contacts.normals
-    np.add.at(push, (first, second), -weighted)
-    np.add.at(push, (second, first), weighted)
-    return push
 
 
 def _same_contacts(push: NDArray[np.float64], turn: NDArray[np.float64], image: NDArray[np.intp]) -> bool:

@@ -47,6 +47,15 @@ class Contacts:
         """Unit normals from part `a` to part `b`, shape (contacts, 3)."""
         return self.frames[:, 0]
 
+    def pushes(self, part_count: int) -> NDArray[np.float64]:
+        """Area times normal into part `i` of all its contacts with part `j`, m2, shape (parts, parts, 3)."""
+        push = np.zeros((part_count, part_count, 3))
+        first, second = self.parts.T
+        weighted = self.areas[:, None] * self.normals
+        np.add.at(push, (first, second), -weighted)
+        np.add.at(push, (second, first), weighted)
+        return push
+
 
 @dataclass(frozen=True)
 class ContactSettings:

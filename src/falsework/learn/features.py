@@ -49,8 +49,7 @@ class PartFeatures:
         contacts = assembly.contacts
         a, b = contacts.parts.T
         area = np.zeros((parts, parts))
-        push = np.zeros((parts, parts, 3))
-        """Area times normal, pointing into part i."""
+        push = contacts.pushes(parts)
         spot = np.zeros((parts, parts, 3))
         signed = np.zeros((parts, parts, 6))
         middle_of_contact = _contact_centres(assembly)
@@ -58,7 +57,6 @@ class PartFeatures:
             normals = sign * contacts.normals
             weighted = contacts.areas[:, None] * normals
             np.add.at(area, (one, other), contacts.areas)
-            np.add.at(push, (one, other), weighted)
             np.add.at(spot, (one, other), contacts.areas[:, None] * middle_of_contact)
             both = np.stack([np.maximum(weighted, 0), np.maximum(-weighted, 0)], axis=2).reshape(-1, 6)
             np.add.at(signed, (one, other), both)

@@ -9,6 +9,7 @@ import torch
 from falsework.learn.environment import Environment
 from falsework.learn.policy import masked_log_probabilities
 from falsework.learn.rollout import Policy, evaluate
+from falsework.search.tensors import place_in_group
 
 _SPARE = 2
 """Candidates judged for each state that is kept, since some fall."""
@@ -109,11 +110,11 @@ def _choose(
     row, action, value = row[order], action[order], value[order]
     after = rules.apply(states[row], action)
     first = _first_of_equals(rules.hashes(after), owner[row])
-    first = first[_rank(owner[row][first]) < _SPARE * width]
+    first = first[place_in_group(owner[row][first]) < _SPARE * width]
     row, action, value, after = row[first], action[first], value[first], after[first]
     stable = environment.stable(after, states[row], needed=rules.needs_verdict(action))
     kept = stable.nonzero()[:, 0]
-    kept = kept[_rank(owner[row][kept]) < width]
+    kept = kept[place_in_group(owner[row][kept]) < width]
     if len(kept) == 0:
         return None
     return _Level(after[kept], owner[row][kept], row[kept], value[kept])
@@ -126,14 +127,6 @@ def _first_of_equals(hashes: torch.Tensor, owner: torch.Tensor) -> torch.Tensor:
     first = torch.ones(len(order), dtype=torch.bool, device=order.device)
     first[1:] = (hashes[order][1:] != hashes[order][:-1]) | (owner[order][1:] != owner[order][:-1])
     return torch.sort(order[first]).values
-
-
-def _rank(owner: torch.Tensor) -> torch.Tensor:
-    """Place of each entry among those of its owner; owners ascend."""
-    place = torch.arange(len(owner), device=owner.device)
-    begins = torch.ones_like(owner, dtype=torch.bool)
-    begins[1:] = owner[1:] != owner[:-1]
-    return place - torch.cummax(torch.where(begins, place, 0), dim=0).values
 
 
 def _trace(levels: list[_Level], ends: list[torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:

@@ -7,7 +7,7 @@ import torch
 
 from falsework.learn.rules import Rules
 from falsework.search.hashing import StateHash
-from falsework.search.tensors import put
+from falsework.search.tensors import in_sorted, put
 
 _CHUNK = 1 << 16
 """States hashed at once."""
@@ -83,7 +83,7 @@ class SolvedStates:
         """
         states = states.to(self.device)
         hashes = self.hashes(states)
-        fresh = ~_contains(self._known, hashes)
+        fresh = ~in_sorted(self._known, hashes)
         states, hashes = states[fresh], hashes[fresh]
         if len(states) == 0:
             return 0
@@ -93,7 +93,7 @@ class SolvedStates:
         rows = torch.sort(order[first]).values  # in the order in which they came
         states, hashes = states[rows], hashes[rows]
         self._known = torch.sort(torch.cat([self._known, hashes])).values
-        storable = ~_contains(self._forbidden, hashes)
+        storable = ~in_sorted(self._forbidden, hashes)
         self._states = torch.cat([self._states, states[storable]])
         self._stored = torch.sort(torch.cat([self._stored, hashes[storable]])).values
         return int(storable.sum())
@@ -105,15 +105,15 @@ class SolvedStates:
             states: shape (count, parts).
         """
         hashes = torch.unique(self.hashes(states.to(self.device)))
-        hashes = hashes[~_contains(self._forbidden, hashes)]
+        hashes = hashes[~in_sorted(self._forbidden, hashes)]
         self._forbidden, order = torch.sort(torch.cat([self._forbidden, hashes]))
         self._met = torch.cat([self._met, torch.zeros_like(hashes, dtype=torch.bool)])[order]
-        self._states = self._states[~_contains(self._forbidden, self.hashes(self._states))]
-        self._stored = self._stored[~_contains(self._forbidden, self._stored)]
+        self._states = self._states[~in_sorted(self._forbidden, self.hashes(self._states))]
+        self._stored = self._stored[~in_sorted(self._forbidden, self._stored)]
 
     def is_forbidden(self, states: torch.Tensor) -> torch.Tensor:
         """Which states are kept for testing, bool, shape (batch,)."""
-        return _contains(self._forbidden, self.hashes(states))
+        return in_sorted(self._forbidden, self.hashes(states))
 
     def meet(self, states: torch.Tensor) -> None:
         """Note which test states a rollout has come across; they are counted, nothing else.
@@ -129,7 +129,7 @@ class SolvedStates:
 
     def contains(self, states: torch.Tensor) -> torch.Tensor:
         """Which states are stored, bool, shape (batch,)."""
-        return _contains(self._stored, self.hashes(states))
+        return in_sorted(self._stored, self.hashes(states))
 
     def valid_actions(self, states: torch.Tensor, mask: torch.Tensor | None = None) -> torch.Tensor:
         """Legal actions whose successors are known to be solvable.
@@ -144,10 +144,10 @@ class SolvedStates:
         mask = self.rules.mask(states) if mask is None else mask
         hashes = self.hashes(states)
         if self.device.type == "cuda":  # looking all of them up costs less than waiting for a list of the legal ones
-            return _contains(self._known, hashes[:, None] ^ self._change) & mask
+            return in_sorted(self._known, hashes[:, None] ^ self._change) & mask
         rows, actions = mask.nonzero(as_tuple=True)
         valid = torch.zeros_like(mask)
-        valid[rows, actions] = _contains(self._known, hashes[rows] ^ self._change[actions])
+        valid[rows, actions] = in_sorted(self._known, hashes[rows] ^ self._change[actions])
         return valid
 
     def tensors(self) -> dict[str, torch.Tensor]:
@@ -163,11 +163,11 @@ class SolvedStates:
 
     def test_words(self) -> torch.Tensor:
         """Words of test states that are known to be solvable, for other processes to know of. Shape (count,)."""
-        return self._known[_contains(self._forbidden, self._known)]
+        return self._known[in_sorted(self._forbidden, self._known)]
 
     def learn_test_words(self, words: torch.Tensor) -> None:
         """Take over from other processes which test states are solvable; words of other states are not for this."""
-        fresh = torch.unique(words[~_contains(self._known, words)])
+        fresh = torch.unique(words[~in_sorted(self._known, words)])
         self._known = torch.sort(torch.cat([self._known, fresh])).values
 
     def sort(self) -> None:
@@ -176,11 +176,3 @@ class SolvedStates:
 
     def _words_of_none(self) -> torch.Tensor:
         return torch.empty(0, dtype=torch.int64, device=self.device)
-
-
-def _contains(ordered: torch.Tensor, words: torch.Tensor) -> torch.Tensor:
-    """Which words are in an ascending list; no size leaves the device. Shape of `words`."""
-    if len(ordered) == 0:
-        return torch.zeros_like(words, dtype=torch.bool)
-    slot = torch.searchsorted(ordered, words).clamp_(max=len(ordered) - 1)
-    return ordered[slot] == words

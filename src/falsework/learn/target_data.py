@@ -119,8 +119,8 @@ class Searched:
             device: where to search.
             shards: processes that search together.
             report: told in words how far it is.
-            enough: asked before each further search, in all processes alike, whether it and those after it can be
-                left out.
+            enough: asked before each lot of further searches, in all processes alike, whether they and those after
+                them can be left out.
         """
         first = []
         for number, width in enumerate((settings.train_width, settings.test_width)):

@@ -10,7 +10,7 @@ from falsework.assembly.state import States
 from falsework.learn.ways import TaskSource
 from falsework.search.hashing import StateHash
 from falsework.search.tensor_rules import hash_states
-from falsework.search.tensors import put
+from falsework.search.tensors import in_sorted, put
 
 
 class TurnedTasks:
@@ -52,8 +52,4 @@ class TurnedTasks:
         return states, targets, valid
 
     def _is_forbidden(self, states: torch.Tensor) -> torch.Tensor:
-        hashes = hash_states(states, self._words)
-        if len(self._forbidden) == 0:
-            return torch.zeros_like(hashes, dtype=torch.bool)
-        slot = torch.searchsorted(self._forbidden, hashes).clamp_(max=len(self._forbidden) - 1)
-        return self._forbidden[slot] == hashes
+        return in_sorted(self._forbidden, hash_states(states, self._words))

@@ -27,7 +27,7 @@ from falsework.search.task import Direction, Task
 from falsework.search.tensor_clusters import find_centers
 from falsework.search.tensor_judge import TensorJudge, TensorOracle
 from falsework.search.tensor_rules import TensorRules
-from falsework.search.tensors import import_torch, mix
+from falsework.search.tensors import import_torch, mix, place_in_group
 
 if TYPE_CHECKING:
     import torch
@@ -273,9 +273,7 @@ class DeviceBeam:
         torch = import_torch()
         rules = self._rules
         mask = rules.moves(level.states)
-        index = mask.view(-1).nonzero()[:, 0]
-        parent, action = index // mask.shape[1], index % mask.shape[1]
-        hashes = rules.hashes_after(level.states, level.hashes, action, parent)
+        parent, action, hashes = rules.children(level.states, level.hashes, mask)
         first, group = self._merge(level, hashes, parent, action)
         free = torch.zeros(len(first), dtype=torch.int32, device=self.device)
         free.index_add_(0, group, (~rules.needs_verdict(action)).int())
@@ -286,7 +284,7 @@ class DeviceBeam:
                 raise InputError(
                     f"the guide returned scores of shape {tuple(scores.shape)}; expected {tuple(mask.shape)}"
                 )
-            score = score + scores.double().view(-1)[index[first]]
+            score = score + scores.double()[parent[first], action[first]]
         candidates = _Candidates(parent[first], action[first], hashes[first], score, free > 0)
         if self.task.clearance is None:
             return candidates
@@ -360,12 +358,7 @@ class DeviceBeam:
         torch = import_torch()
         by = self._best_first(torch.argsort(distance, stable=True), score[order])
         by = by[torch.argsort(labels[by], stable=True)]
-        ordered = labels[by]
-        place = torch.arange(len(by), device=self.device)
-        begins = torch.ones_like(ordered, dtype=torch.bool)
-        begins[1:] = ordered[1:] != ordered[:-1]
-        rank = place - torch.cummax(torch.where(begins, place, 0), dim=0).values
-        return order[by[torch.argsort(rank, stable=True)]]
+        return order[by[torch.argsort(place_in_group(labels[by]), stable=True)]]
 
     def _written(self, level: _TensorLevel, candidates: _Candidates) -> torch.Tensor:
         """Candidates written down as states, shape (candidates, parts)."""

@@ -19,7 +19,7 @@ from falsework.search.shards import Shards
 from falsework.search.task import Direction, Task
 from falsework.search.tensor_judge import TensorJudge, TensorOracle
 from falsework.search.tensor_rules import TensorRules
-from falsework.search.tensors import import_torch, mix, uniform
+from falsework.search.tensors import import_torch, mix, place_in_group, uniform
 
 if TYPE_CHECKING:
     import torch
@@ -141,10 +141,7 @@ class _Beams:
         """The next level: of the candidates of each search, in random order, the first that stand."""
         torch = import_torch()
         rules = self._rules
-        mask = rules.moves(level.states)
-        index = mask.view(-1).nonzero()[:, 0]
-        parent, action = index // mask.shape[1], index % mask.shape[1]
-        hashes = rules.hashes_after(level.states, level.hashes, action, parent)
+        parent, action, hashes = rules.children(level.states, level.hashes, rules.moves(level.states))
         asks = rules.needs_verdict(action)
         # Equal states get equal words. The lowest bit puts that one of them first that needs no verdict. Two others
         # of one search agree in these 42 bits once in a million levels; then one of the candidates is left out.
@@ -156,14 +153,14 @@ class _Beams:
         first = torch.ones_like(key, dtype=torch.bool)
         first[1:] = (key[1:] >> 1) != (key[:-1] >> 1)
         order = order[first]
-        order = order[_rank(local[order]) < _SPARE * self._width]
+        order = order[place_in_group(local[order]) < _SPARE * self._width]
         rows = order[asks[order]]
         stable = ~asks
         if len(rows):
             after = rules.follow(level.states[parent[rows]], action[rows])
             stable[rows] = self._judge.verdicts(after, level.states[parent[rows]], len(rows)) == 1
         order = order[stable[order]]
-        order = order[_rank(local[order]) < self._width]
+        order = order[place_in_group(local[order]) < self._width]
         after = rules.follow(level.states[parent[order]], action[order])
         alive = ~rules.dead_ends(after)
         return _Level(after, hashes[order], owner[order], parent[order]).take(alive.nonzero()[:, 0])
@@ -171,12 +168,3 @@ class _Beams:
     def _words(self, hashes: torch.Tensor, owner: torch.Tensor, salt: int) -> torch.Tensor:
         """Random words of states, other ones in each search."""
         return mix(hashes ^ mix(owner, self._seed), salt)
-
-
-def _rank(owner: torch.Tensor) -> torch.Tensor:
-    """Place of each entry among those of its owner; owners ascend."""
-    torch = import_torch()
-    place = torch.arange(len(owner), device=owner.device)
-    begins = torch.ones_like(owner, dtype=torch.bool)
-    begins[1:] = owner[1:] != owner[:-1]
-    return place - torch.cummax(torch.where(begins, place, 0), dim=0).values

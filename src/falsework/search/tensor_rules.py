@@ -121,6 +121,23 @@ class TensorRules:
         words = self._words.view(-1)
         return hashes[parent] ^ words[3 * part + old] ^ words[3 * part + self.moved_value(actions).long()]
 
+    def children(
+        self, states: torch.Tensor, hashes: torch.Tensor, moves: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Every state one move away from some others, not written down; some may be equal.
+
+        Args:
+            states: shape (level, parts).
+            hashes: theirs, shape (level,).
+            moves: as of `moves`, shape (level, 2 parts).
+
+        Returns:
+            Parent, action and hash of each, shape (batch,); parents ascend, and so do the actions of one.
+        """
+        index = moves.view(-1).nonzero()[:, 0]
+        parent, action = index // moves.shape[1], index % moves.shape[1]
+        return parent, action, self.hashes_after(states, hashes, action, parent)
+
     def _missing_allowed(self, states: torch.Tensor, offset: int) -> torch.Tensor:
         """How many missing parts may be present `offset` assembly steps after each state, shape (batch,)."""
         stage = 2 * (states == REMOVED).sum(dim=1) + (states == HELD).sum(dim=1)

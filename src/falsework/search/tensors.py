@@ -80,6 +80,24 @@ def uniform(words: torch.Tensor) -> torch.Tensor:
     return (_shifted(words, 12).double() + 0.5) * 2.0**-52
 
 
+def place_in_group(groups: torch.Tensor) -> torch.Tensor:
+    """Place of each entry among those of its group, from 0; entries of one group lie together. Shape of `groups`."""
+    torch = import_torch()
+    place = torch.arange(len(groups), device=groups.device)
+    begins = torch.ones_like(groups, dtype=torch.bool)
+    begins[1:] = groups[1:] != groups[:-1]
+    return place - torch.cummax(torch.where(begins, place, 0), dim=0).values
+
+
+def in_sorted(ordered: torch.Tensor, words: torch.Tensor) -> torch.Tensor:
+    """Which words are in an ascending list; no size leaves the device. Shape of `words`."""
+    torch = import_torch()
+    if len(ordered) == 0:
+        return torch.zeros_like(words, dtype=torch.bool)
+    slot = torch.searchsorted(ordered, words).clamp_(max=len(ordered) - 1)
+    return ordered[slot] == words
+
+
 def _mix_integer(salt: int) -> int:
     word = (salt + 0x9E3779B97F4A7C15) % 2**64
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
