@@ -95,7 +95,7 @@ class AdaptiveBeam:
             elif result.interrupted or result.found or self.hopeless:
                 return result
             elif not self._widen(widest):
-                if not result.undecided:
+                if not result.undecided and not result.sliding:
                     limit = (
                         f"beams of up to {self.search.settings.width} states a level died; wider ones may come through"
                     )

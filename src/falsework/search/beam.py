@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import States
+from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
 from falsework.search.archive import read_archive, write_archive
 from falsework.search.frontier import expand
@@ -88,6 +88,9 @@ class Level:
     """Shape (kept,)."""
     score: NDArray[np.float64]
     """Sum of the guide's scores on the way, shape (kept,)."""
+    grounded: NDArray[np.int8]
+    """1 where the state and all on the way to it are known to be stable, -1 where one is not, 0 where the verdict of
+    a fixed part waits; shape (kept,)."""
 
 
 class BeamSearch:
@@ -104,7 +107,7 @@ class BeamSearch:
             settings: width, direction and how states are chosen.
             guide: scores actions; without it only diversity decides.
         """
-        self.task = task
+        self.task = task = task.judged_by(oracle)
         self.settings = settings
         self.levels: list[Level] = []
         self._whole: list[bool] = []
@@ -119,11 +122,12 @@ class BeamSearch:
         self._dead = False
         self._retried = 0
         self._before = SearchCounters()
-        self._undecided = 0
+        self._undecided = self._sliding = 0
         self._seconds = 0.0
         origin = task.origin(settings.direction)[None]
         if task.contains(origin)[0]:
-            self.levels.append(Level(origin, np.zeros(1, np.int64), np.full(1, -1, np.int64), np.zeros(1)))
+            one = np.ones(1, np.int8)
+            self.levels.append(Level(origin, np.zeros(1, np.int64), np.full(1, -1, np.int64), np.zeros(1), one))
         else:
             self._dead = True
 
@@ -172,7 +176,9 @@ class BeamSearch:
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
         selector = Selector(frontier, score, settings.diversity == "k-means", settings.pool, rng)
         if settings.ahead > 0:
-            choice = selector.most_promising(self._judge, settings.width, settings.ahead, commit=settings.commit)
+            choice = selector.most_promising(
+                self._judge, settings.width, settings.ahead, self._ground, commit=settings.commit
+            )
         else:
             choice = selector.all_judged(self._judge, settings.width)
         self._candidates += len(frontier)
@@ -185,8 +191,36 @@ class BeamSearch:
         if self._dead:
             return False
         kept = choice.kept
-        self.levels.append(Level(frontier.states(kept), frontier.parent[kept], frontier.action[kept], score[kept]))
+        waits = frontier.fixing[kept] & ~frontier.free[kept] & (settings.ahead > 0)
+        columns = (frontier.states(kept), frontier.parent[kept], frontier.action[kept], score[kept])
+        self.levels.append(Level(*columns, np.where(waits, 0, 1).astype(np.int8)))
+        if self.found and not self._ground(np.arange(len(kept))).any():
+            self.levels.pop()
+            self._dead = True
+            return False
         return True
+
+    def _ground(self, rows: NDArray[np.int64], level: int = -1) -> Mask:
+        """Ask for the verdicts that waited on the way to states of a level; which of them are stable throughout.
+
+        Args:
+            rows: states of the level.
+            level: index of the level.
+
+        Returns:
+            Shape (rows,).
+        """
+        here = self.levels[level]
+        waiting = np.unique(rows[here.grounded[rows] == 0])
+        if len(waiting):
+            below = self._ground(here.parent[waiting], level - 1)
+            here.grounded[waiting[~below]] = -1
+            waiting = waiting[below]
+            if len(waiting):
+                parents = self.levels[level - 1].states[here.parent[waiting]]
+                stable = self._judge.stable(here.states[waiting], parents)
+                here.grounded[waiting] = np.where(stable, 1, -1)
+        return here.grounded[rows] > 0
 
     def rewind(self, level: int, settings: BeamSettings) -> None:
         """Forget all levels after `level` and go on from there with other settings.
@@ -260,7 +294,7 @@ class BeamSearch:
             InputError: no such file, a damaged one, or one of another task.
         """
         header, arrays = read_archive(path, FORMAT)
-        if header.get("task") != task.describe():
+        if header.get("task") != task.judged_by(oracle).describe():
             raise InputError(f"{path} belongs to another structure or task; begin a new search")
         try:
             return cls.unpack(header, arrays, task, oracle, guide=guide)
@@ -275,6 +309,7 @@ class BeamSearch:
             "counters": asdict(self.counters) | {"states": 0},
             "seconds": self._seconds,
             "undecided": self._judge.undecided + self._undecided,
+            "sliding": self._judge.sliding + self._sliding,
             "whole": self._whole,
             "dead": self._dead,
             "retried": self._retried,
@@ -286,7 +321,7 @@ class BeamSearch:
             "deepest": self._deepest,
             "rejected": self._rejected,
         }
-        for name in ("parent", "action", "score"):
+        for name in ("parent", "action", "score", "grounded"):
             arrays[name] = np.concatenate([getattr(level, name) for level in self.levels] or [np.empty(0)])
         return header, arrays
 
@@ -310,14 +345,15 @@ class BeamSearch:
         search = cls(task, oracle, BeamSettings(**settings), guide=guide)
         sizes = arrays["sizes"]
         if len(sizes) > task.steps + 1 or any(
-            len(arrays[name]) != sizes.sum() for name in ("states", "parent", "action", "score")
+            len(arrays[name]) != sizes.sum() for name in ("states", "parent", "action", "score", "grounded")
         ):
             raise ValueError("levels of different sizes")
         ends = np.cumsum(sizes)[:-1]
-        columns = [np.split(arrays[name], ends) for name in ("states", "parent", "action", "score")]
+        columns = [np.split(arrays[name], ends) for name in ("states", "parent", "action", "score", "grounded")]
         search.levels = [Level(*column) for column in zip(*columns, strict=True)] if len(sizes) else []
         search._before = SearchCounters(**header["counters"])
         search._seconds, search._undecided = float(header["seconds"]), int(header["undecided"])
+        search._sliding = int(header["sliding"])
         search._dead, search._whole = bool(header["dead"]), [bool(flag) for flag in header["whole"]]
         search._deepest, search._rejected = arrays["deepest"], arrays["rejected"]
         search._farthest, search._retried = int(header["farthest"]), int(header["retried"])
@@ -337,9 +373,10 @@ class BeamSearch:
     def result(self, *, interrupted: bool = False) -> SearchResult:
         """What the search found so far; `interrupted` if somebody stopped it."""
         undecided, limit = self._judge.undecided + self._undecided, ""
+        sliding = self._judge.sliding + self._sliding
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:
-            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided)
+            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided, sliding)
         # A beam that was taken back may be less far now than where it died before.
         farther_now = len(self.levels) > self._farthest
         return SearchResult(
@@ -355,4 +392,5 @@ class BeamSearch:
             interrupted=interrupted,
             limit=limit,
             undecided=undecided,
+            sliding=sliding,
         )

@@ -63,7 +63,7 @@ class DepthFirstSearch:
             settings: direction, seed, and when to give up.
             guide: scores actions; without it moves of a kind are tried in random order.
         """
-        self.task = task
+        self.task = task = task.judged_by(oracle)
         self.settings = settings
         self._judge = Judge(oracle)
         self._guide = guide
@@ -74,7 +74,7 @@ class DepthFirstSearch:
         self._candidates = 0
         self._before = SearchCounters()
         self._seconds = 0.0
-        self._undecided = 0
+        self._undecided = self._sliding = 0
         self._reached = 0
         self._deepest = np.empty((0, task.part_count), dtype=np.uint8)
         self._rejected = np.empty((0, task.part_count), dtype=np.uint8)
@@ -160,6 +160,7 @@ class DepthFirstSearch:
             "seconds": self._seconds,
             "reached": self._reached,
             "undecided": self._judge.undecided + self._undecided,
+            "sliding": self._judge.sliding + self._sliding,
         }
         write_archive(path, FORMAT, header, arrays)
 
@@ -172,7 +173,7 @@ class DepthFirstSearch:
         """
         names = frozenset({"path", "untried", "sizes", "entered", "deepest", "rejected"})
         header, arrays = read_archive(path, FORMAT, names)
-        if header.get("task") != task.describe():
+        if header.get("task") != task.judged_by(oracle).describe():
             raise InputError(f"{path} belongs to another structure or task; begin a new search")
         try:
             settings = dict(header["settings"])
@@ -187,6 +188,7 @@ class DepthFirstSearch:
             search._judge, search._candidates = Judge(oracle), 0
             search._before = SearchCounters(**header["counters"])
             search._seconds, search._undecided = float(header["seconds"]), int(header["undecided"])
+            search._sliding = int(header["sliding"])
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{path} is damaged ({error}); begin a new search") from None
         return search
@@ -216,7 +218,7 @@ class DepthFirstSearch:
         if self._guide is not None:
             mask = self.task.moves(level, self.settings.direction)
             return np.asarray(self._guide(level, mask, self.settings.direction), dtype=np.float64)[0, actions]
-        return self.task.needs_verdict(actions, self.settings.direction).astype(np.float64)
+        return (~self.task.fixes(actions, self.settings.direction)).astype(np.float64)
 
     def _report(self, seconds: float) -> SearchProgress:
         return SearchProgress(
@@ -230,10 +232,11 @@ class DepthFirstSearch:
         )
 
     def _result(self, interrupted: bool) -> SearchResult:
-        limit, routes, undecided = "", (), self._judge.undecided + self._undecided
+        limit, routes = "", ()
+        undecided, sliding = self._judge.undecided + self._undecided, self._judge.sliding + self._sliding
         if self.found:
             outcome, routes = Outcome.FOUND, (self._route(),)
-        elif self.done and not interrupted and undecided == 0:
+        elif self.done and not interrupted and undecided == 0 and sliding == 0:
             outcome = Outcome.PROVED_IMPOSSIBLE
         else:
             outcome = Outcome.NOT_FOUND
@@ -241,6 +244,8 @@ class DepthFirstSearch:
                 limit = f"gave up after {self.settings.state_limit} states; raise the limit or use a beam search"
             elif undecided:
                 limit = f"{undecided} states could be proved neither stable nor unstable"
+            elif sliding:
+                limit = f"no plan was found in which every state stands: {sliding} states slide"
         return SearchResult(
             outcome=outcome,
             routes=routes,
@@ -254,6 +259,7 @@ class DepthFirstSearch:
             interrupted=interrupted,
             limit=limit,
             undecided=undecided,
+            sliding=sliding,
         )
 
     def _route(self) -> Route:

@@ -28,11 +28,16 @@ class Frontier:
     """Shape (candidates,)."""
     hashes: Hashes
     """Shape (candidates,)."""
-    free: Mask
-    """Candidates that are stable because the level is, shape (candidates,)."""
+    fixing: Mask
+    """Candidates that a move which fixes a part leads to, shape (candidates,)."""
 
     def __len__(self) -> int:
         return len(self.parent)
+
+    @property
+    def free(self) -> Mask:
+        """Candidates that are stable because the level is, shape (candidates,)."""
+        return self.fixing & self.task.holds_keep_stable
 
     def states(self, rows: NDArray[np.integer] | slice = slice(None)) -> States:
         """Candidates written down, shape (rows, parts)."""
@@ -64,15 +69,14 @@ def expand(task: Task, direction: Direction, level: States, hashes: Hashes, stat
     old = level[parent, part]
     new = task.moved_value(action, direction)
     child = state_hash.after(hashes[parent], part, old, new)
-    needs = task.needs_verdict(action, direction)
 
     def rows(index: NDArray[np.intp]) -> States:
         return task.follow(level[parent[index]], action[index], direction)
 
     first, position = merge(child, rows)
-    free = np.zeros(len(first), dtype=bool)
-    free[position[~needs]] = True
-    frontier = Frontier(task, direction, level, parent[first], action[first], child[first], free)
+    fixing = np.zeros(len(first), dtype=bool)
+    fixing[position[task.fixes(action, direction)]] = True
+    frontier = Frontier(task, direction, level, parent[first], action[first], child[first], fixing)
     return frontier if task.clearance is None else _without_dead_ends(frontier)
 
 
@@ -87,5 +91,5 @@ def _without_dead_ends(frontier: Frontier) -> Frontier:
         parent=frontier.parent[~dead],
         action=frontier.action[~dead],
         hashes=frontier.hashes[~dead],
-        free=frontier.free[~dead],
+        fixing=frontier.fixing[~dead],
     )

@@ -33,11 +33,12 @@ class Judge:
         self.asked = 0
         self.rejected = 0
         self.undecided = 0
+        self.sliding = 0
         self.seconds = 0.0
         self._batch = batch
 
     def stable(self, states: States, parents: States) -> Mask:
-        """Which states are stable; undecided counts as not stable.
+        """Which states are stable; sliding and undecided count as not stable.
 
         Args:
             states: shape (batch, parts).
@@ -52,7 +53,8 @@ class Judge:
             rows = slice(begin, begin + self._batch)
             verdicts = self.oracle.judge(states[rows], parents=parents[rows])
             stable[rows] = verdicts.stable
-            self.undecided += int((~verdicts.stable & ~verdicts.unstable).sum())
+            self.sliding += int(verdicts.slides.sum())
+            self.undecided += int(verdicts.undecided.sum())
         self.asked += len(states)
         self.rejected += int((~stable).sum())
         self.seconds += time.perf_counter() - begun

@@ -95,7 +95,7 @@ class Planner:
             settings: how hard to look.
             guide: scores actions; `SupportGuide` is a good one.
         """
-        self.task = task
+        self.task = task.judged_by(oracle)
         self.settings = settings
         self.routes: list[Route] = []
         """Plans found so far; the first keeps missing parts out longest."""
@@ -207,7 +207,7 @@ class Planner:
             InputError: no such file, a damaged one, or one of another task or other settings.
         """
         header, arrays = read_archive(path, FORMAT)
-        if header.get("task") != task.describe() or header.get("settings") != _settings_header(settings):
+        if header.get("task") != task.judged_by(oracle).describe() or header.get("settings") != _settings_header(settings):
             raise InputError(f"{path} belongs to another structure, task or settings; remove it to begin a new search")
         planner = cls(task, oracle, settings, guide=guide)
         try:
@@ -330,7 +330,9 @@ class Planner:
             return None
         row = int(np.argmin(verdicts.stable))
         name = ("start", "target")[row]
-        proved = bool(verdicts.unstable[row])
+        proved, slides = bool(verdicts.unstable[row]), bool(verdicts.slides[row])
+        word = "unstable" if proved else "sliding" if slides else "undecided"
+        limit = f"the {name} state slides" if slides else f"the {name} state could be proved neither stable nor unstable"
         return SearchResult(
             outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
             routes=(),
@@ -341,9 +343,10 @@ class Planner:
             rejected=ends[row : row + 1],
             counters=SearchCounters(asked=2, rejected=int((~verdicts.stable).sum())),
             seconds=0.0,
-            limit="" if proved else f"the {name} state could be proved neither stable nor unstable",
-            undecided=int(not proved),
-            notes=(f"the {name} state is {'unstable' if proved else 'undecided'}",),
+            limit="" if proved else limit,
+            undecided=int(word == "undecided"),
+            sliding=int(slides),
+            notes=(f"the {name} state is {word}",),
         )
 
     def _all_counters(self) -> SearchCounters:

@@ -49,18 +49,21 @@ class Route:
         return rank
 
 
-def beam_failure(width: int, exhaustive: bool, undecided: int) -> tuple[Outcome, str]:
+def beam_failure(width: int, exhaustive: bool, undecided: int, sliding: int = 0) -> tuple[Outcome, str]:
     """What it means that a beam came to no end, and which limit it met, if any.
 
     Args:
         width: states that it keeps a level.
         exhaustive: it never had to leave one out.
         undecided: states that could be proved neither stable nor unstable.
+        sliding: states in equilibrium for which no displacement was found.
     """
     if not exhaustive:
         return Outcome.NOT_FOUND, f"the beam keeps {width} states a level; a wider one may find a plan"
     if undecided:
         return Outcome.NOT_FOUND, f"{undecided} states could be proved neither stable nor unstable"
+    if sliding:
+        return Outcome.NOT_FOUND, f"no plan was found in which every state stands: {sliding} states slide"
     return Outcome.PROVED_IMPOSSIBLE, ""
 
 
@@ -132,6 +135,9 @@ class SearchResult:
     """What kept a search that found nothing from being a proof, in words; empty otherwise."""
     undecided: int = 0
     """Rejected states for which neither verdict could be proved; above 0 they forbid a proof of impossibility."""
+    sliding: int = 0
+    """Rejected states that slide under the criterion `contact`: forces in equilibrium exist, and no displacement was
+    found that brings them about. Above 0 they forbid a proof of impossibility too."""
     notes: tuple[str, ...] = field(default=())
 
     @property

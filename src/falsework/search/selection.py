@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.state import Mask
 from falsework.search.clustering import k_means
 from falsework.search.frontier import Frontier
 from falsework.search.judge import Judge
 
 Rows = NDArray[np.int64]
+Grounded = Callable[[Rows], Mask]
 
 _BATCH = 4
 """Candidates asked for at once at least, when verdicts are asked one after the other: enough to share two cores."""
@@ -73,37 +76,46 @@ class Selector:
         kept = self.order(np.flatnonzero(stable), self.score, width)[:width]
         return self._choice(kept, asked[~stable[asked]])
 
-    def most_promising(self, judge: Judge, width: int, ahead: int, *, commit: bool) -> Choice:
-        """Ask only until `width` states are found stable; keep `ahead` more for which no verdict is needed.
+    def most_promising(self, judge: Judge, width: int, ahead: int, grounded: Grounded, *, commit: bool) -> Choice:
+        """Ask only until `width` states are found stable; keep `ahead` more that a fixed part leads to.
 
         States that leave more robots free come first, then the better scored.
 
         Args:
             judge: asked in the order of promise.
-            width: states to keep among those that need a verdict.
-            ahead: states to keep among those that need none.
+            width: states to keep among those that a removal, or in assembly a release, leads to.
+            ahead: states to keep among those that fixing a part leads to; their verdicts wait until a descendant is
+                kept.
+            grounded: asks for the verdicts that waited of states of the level, and returns which of them, with all
+                states on the way to them, are stable.
             commit: once `width` are found, drop states that keep more robots busy than these.
         """
         frontier = self.frontier
         held = frontier.held()
         # The gap between numbers of held parts is wider than all scores, so that it decides first.
         promise = self.score - held * (np.ptp(self.score) + 1.0 if len(held) else 1.0)
-        free = self.order(np.flatnonzero(frontier.free), promise, ahead)[:ahead]
-        waiting = self.order(np.flatnonzero(~frontier.free), promise, width)
-        kept: list[Rows] = [free[:0]]
-        rejected: list[Rows] = [free[:0]]
-        position, wanted = 0, width
+        loose = self.order(np.flatnonzero(~frontier.fixing), promise, width)
+        proven, rejected = self._stable_ones(judge, loose, width, grounded)
+        fixed = self.order(np.flatnonzero(frontier.fixing), promise, ahead)
+        if commit and len(proven) >= width:
+            fixed = fixed[held[fixed] <= held[proven].max()]
+        return self._choice(np.concatenate([proven, fixed[:ahead]]), rejected)
+
+    def _stable_ones(self, judge: Judge, waiting: Rows, wanted: int, grounded: Grounded) -> tuple[Rows, Rows]:
+        """The first stable candidates of a list, about `wanted` of them, and those found not stable on the way."""
+        frontier = self.frontier
+        kept: list[Rows] = [waiting[:0]]
+        rejected: list[Rows] = [waiting[:0]]
+        position = 0
         while wanted > 0 and position < len(waiting):
             batch = waiting[position : position + max(wanted, _BATCH)]
             stable = judge.stable(frontier.states(batch), frontier.parents(batch))
+            stable[stable] = grounded(frontier.parent[batch[stable]])
             kept.append(batch[stable])
             rejected.append(batch[~stable])
             position += len(batch)
             wanted -= int(stable.sum())
-        proven = np.concatenate(kept)
-        if commit and wanted <= 0:
-            free = free[held[free] <= held[proven].max()]
-        return self._choice(np.concatenate([proven, free]), np.concatenate(rejected))
+        return np.concatenate(kept), np.concatenate(rejected)
 
     def _choice(self, kept: Rows, rejected: Rows) -> Choice:
         best_first = kept[np.argsort(-self.score[kept], kind="stable")]

@@ -74,6 +74,9 @@ class Task:
     """Where given, a part is removed only if it can leave."""
     identity: str = ""
     """Hash of the structure, so that saved searches are not mixed up."""
+    holds_keep_stable: bool = False
+    """Whether a stable state stays stable when a part of it is held: a theorem under the criterion `equilibrium`,
+    wrong under `contact`. Where it does, holds need no verdict; see `judged_by`."""
 
     @classmethod
     def create(
@@ -145,6 +148,10 @@ class Task:
         """Number of steps of every plan."""
         return int(STAGE[self.target].sum() - STAGE[self.start].sum())
 
+    def judged_by(self, oracle: object) -> Task:
+        """The same task with the moves that need no verdict under the criterion of an oracle."""
+        return replace(self, holds_keep_stable=bool(getattr(oracle, "holds_keep_stable", False)))
+
     def postpone(self, postponed: Sequence[int]) -> Task:
         """The same task with other lower bounds on when missing parts go in."""
         return replace(self, postponed=tuple(int(steps) for steps in postponed))
@@ -195,14 +202,19 @@ class Task:
         to_come = (states == REMOVED) & (self.start != REMOVED)
         return (to_come & ~self.clearance.can_leave(states)).any(axis=1)
 
-    def needs_verdict(self, actions: NDArray[np.integer], direction: Direction) -> Mask:
-        """Which moves can make a stable state unstable. Shape (batch,).
-
-        Fixing a part by holding it leaves every force that balanced the structure admissible, so a hold, and in
-        assembly an insertion with hold, never does; a removal, and in assembly a release, may.
-        """
+    def fixes(self, actions: NDArray[np.integer], direction: Direction) -> Mask:
+        """Which moves fix a part: a hold, and in assembly an insertion with hold. Shape (batch,)."""
         holds = np.asarray(actions) < self.part_count
-        return ~holds if direction is Direction.DISASSEMBLY else holds
+        return holds if direction is Direction.DISASSEMBLY else ~holds
+
+    def needs_verdict(self, actions: NDArray[np.integer], direction: Direction) -> Mask:
+        """Which moves can make a stable state one that is not. Shape (batch,).
+
+        A removal, and in assembly a release, may. Fixing a part leaves every force that balanced the structure
+        admissible, so under the criterion `equilibrium` it never does; under `contact` it may, because a part that is
+        held no longer presses on its neighbours.
+        """
+        return ~(self.fixes(actions, direction) & self.holds_keep_stable)
 
     def moved_value(self, actions: NDArray[np.integer], direction: Direction) -> NDArray[np.uint8]:
         """Value that each move gives its part, shape (batch,)."""
@@ -228,6 +240,7 @@ class Task:
             "missing": list(self.missing),
             "postponed": list(self.postponed),
             "removable_only_if_clear": self.clearance is not None,
+            "holds_keep_stable": self.holds_keep_stable,
         }
 
     def _forward(self, states: States) -> Mask:

@@ -1,8 +1,11 @@
 """Verdicts that are known already, and those that follow from them by two rules.
 
-Among states with the same parts present, holding more keeps a stable state stable, and holding less keeps
-an unstable one unstable. The proofs carry over too: forces that balance a part balance it whoever is held
-besides, and a velocity that nothing can stop stays one when a held part, which it leaves still, is let go.
+Among states with the same parts present, holding more keeps a state in equilibrium in equilibrium, and holding less
+keeps an unstable one unstable. The proofs carry over too: forces that balance a part balance it whichever others are
+held, and a velocity that nothing can stop stays one when a held part, which it leaves still, is let go.
+
+Under the criterion `contact` only the second rule holds: a part that is held no longer presses on its neighbours, and
+one that leant on it may slide.
 """
 
 from __future__ import annotations
@@ -17,8 +20,15 @@ from falsework.stability.verdict import Verdict
 class VerdictCache:
     """Remembers verdicts by the set of parts present and the set of parts held, as bit sets."""
 
-    def __init__(self, limit: int = 2_000_000) -> None:
-        self._known: dict[bytes, tuple[dict[int, float], dict[int, float]]] = {}
+    def __init__(self, limit: int = 2_000_000, *, holds_keep_stable: bool = True) -> None:
+        """Begin with nothing.
+
+        Args:
+            limit: verdicts kept.
+            holds_keep_stable: whether a stable state stays stable when more parts are held.
+        """
+        self._holds_keep_stable = holds_keep_stable
+        self._known: dict[bytes, dict[Verdict, dict[int, float]]] = {}
         self._size = 0
         self._limit = limit
 
@@ -38,19 +48,18 @@ class VerdictCache:
             entry = self._known.get(present)
             if entry is None:
                 continue
-            stable, unstable = entry
-            for known, value in ((stable, Verdict.STABLE), (unstable, Verdict.UNSTABLE)):
-                if held in known:
-                    verdict[row], residual[row] = value, known[held]
-                    break
-            else:
-                found = next((r for h, r in stable.items() if h & held == h), None)
-                if found is not None:
-                    verdict[row], residual[row], by_rule[row] = Verdict.STABLE, found, True
-                    continue
-                found = next((r for h, r in unstable.items() if h & held == held), None)
-                if found is not None:
-                    verdict[row], residual[row], by_rule[row] = Verdict.UNSTABLE, found, True
+            exact = next((value for value, known in entry.items() if held in known), None)
+            if exact is not None:
+                verdict[row], residual[row] = exact, entry[exact][held]
+                continue
+            found, value = None, Verdict.STABLE
+            if self._holds_keep_stable:
+                found = next((r for h, r in entry.get(value, {}).items() if h & held == h), None)
+            if found is None:
+                value = Verdict.UNSTABLE
+                found = next((r for h, r in entry.get(value, {}).items() if h & held == held), None)
+            if found is not None:
+                verdict[row], residual[row], by_rule[row] = value, found, True
         return verdict, residual, by_rule
 
     def store(self, states: States, verdict: NDArray[np.int8], residual: NDArray[np.float64]) -> None:
@@ -61,8 +70,7 @@ class VerdictCache:
         for (present, held), value, left in zip(_keys(states), verdict.tolist(), residual.tolist(), strict=True):
             if value == Verdict.UNDECIDED:
                 continue
-            stable, unstable = self._known.setdefault(present, ({}, {}))
-            known = stable if value == Verdict.STABLE else unstable
+            known = self._known.setdefault(present, {}).setdefault(Verdict(value), {})
             self._size += held not in known
             known[held] = left
 

@@ -1,6 +1,9 @@
 """Checks a proof in float64 from the assembly alone; it trusts no solver and shares no code with them.
 
-Both checks bound the same number, the smallest that the largest acceleration of a part can be made by
+A displacement proves that a state is stable under the criterion `contact`: the check evaluates the contact law, which
+keeps forces inside the friction cones, and asks what they leave. It also proves equilibrium.
+
+Forces and virtual velocities bound the same number, the smallest that the largest acceleration of a part can be made by
 admissible contact forces: forces in the friction cones whose normal components sum to at most the force
 bound. Forces bound it from above, a virtual velocity from below, so a state cannot pass both.
 """
@@ -15,7 +18,8 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.stability.verdict import Verdict, Verdicts
+from falsework.stability.contact.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
+from falsework.stability.verdict import Criterion, Verdict, Verdicts
 
 Array = NDArray[np.float64]
 
@@ -37,6 +41,10 @@ class Claim:
     """Largest acceleration of a stable state, m/s2 and rad/s2."""
     force_bound: float = 1e3
     """Bound on the sum of all normal forces, in weights of the structure."""
+    criterion: Criterion = "equilibrium"
+    """What stable means."""
+    stiffness_ratio: float = TANGENTIAL_RATIO
+    """Tangential over normal stiffness of a contact, under the criterion `contact`."""
 
 
 def accept(assembly: Assembly, states: States, verdicts: Verdicts, claim: Claim = Claim()) -> NDArray[np.bool_]:
@@ -45,11 +53,12 @@ def accept(assembly: Assembly, states: States, verdicts: Verdicts, claim: Claim 
     Args:
         assembly: the structure.
         states: shape (batch, parts).
-        verdicts: with forces and velocity.
-        claim: cone, gravity, tolerance and force bound.
+        verdicts: with forces and velocity, under `contact` with displacement.
+        claim: criterion, cone, gravity, tolerance and force bound.
 
     Returns:
-        Shape (batch,); an undecided verdict is never accepted.
+        Shape (batch,); an undecided verdict is never accepted. Of a state that slides, what is accepted is the proof
+        that forces in equilibrium exist.
 
     Raises:
         InputError: verdicts without certificates, or whose shapes do not fit the states.
@@ -57,22 +66,70 @@ def accept(assembly: Assembly, states: States, verdicts: Verdicts, claim: Claim 
     if verdicts.forces is None or verdicts.velocity is None:
         raise InputError("these verdicts carry no certificates; get verdicts from Stability.check, which returns them")
     batch, parts = states.shape
-    for name, given, expected in (
+    shapes = [
         ("states", states.shape, (len(verdicts), len(assembly.meshes))),
         ("forces", verdicts.forces.shape, (batch, len(assembly.contacts.points), 3)),
         ("velocity", verdicts.velocity.shape, (batch, parts, 6)),
-    ):
+    ]
+    if claim.criterion == "contact":
+        if verdicts.displacement is None:
+            raise InputError("these verdicts carry no displacements; get verdicts from Stability.check, under `contact`")
+        shapes.append(("displacement", verdicts.displacement.shape, (batch, parts, 6)))
+    for name, given, expected in shapes:
         if given != expected:
             raise InputError(f"{name} have shape {given}; expected {expected} for this assembly")
     accepted = np.zeros(len(states), dtype=bool)
     stable, unstable = np.flatnonzero(verdicts.stable), np.flatnonzero(verdicts.verdict == Verdict.UNSTABLE)
-    for rows in _chunks(stable):
+    balanced = stable
+    if claim.criterion == "contact":
+        balanced = np.flatnonzero(verdicts.slides)
+        for rows in _chunks(stable):
+            residual = residual_of_displacement(assembly, states[rows], verdicts.displacement[rows], claim)
+            accepted[rows] = residual <= claim.tolerance
+    for rows in _chunks(balanced):
         residual = residual_of_forces(assembly, states[rows], verdicts.forces[rows], claim)
         accepted[rows] = residual <= claim.tolerance
     for rows in _chunks(unstable):
         bound = residual_bound_of_velocity(assembly, states[rows], verdicts.velocity[rows], claim)
         accepted[rows] = bound > claim.tolerance
     return accepted
+
+
+def residual_of_displacement(assembly: Assembly, states: States, displacement: Array, claim: Claim) -> Array:
+    """Largest acceleration that the contact forces of a displacement leave, or infinity where it is too large.
+
+    The law is that of `contact/law.py`, written anew: normal springs without tension, tangential springs cut back to
+    the friction limit, no force at zero displacement.
+
+    Args:
+        assembly: the structure.
+        states: shape (batch, parts).
+        displacement: `(translation, rotation)` about the centres of mass in m and rad, shape (batch, parts, 6); parts
+            that do not move in a state are taken as still.
+        claim: cone, gravity, force bound and stiffness ratio.
+
+    Returns:
+        As `residual_of_forces`, shape (batch,).
+    """
+    displacement = np.where((states == 1)[:, :, None], displacement, 0.0)
+    finite = np.isfinite(displacement).all(axis=(1, 2))
+    displacement = np.where(finite[:, None, None], displacement, 0.0)
+    moved = np.linalg.norm(displacement[:, :, :3], axis=2).max(axis=1, initial=0.0)
+    forces = forces_of_displacement(assembly, states, displacement, claim)
+    residual = residual_of_forces(assembly, states, forces, claim)
+    return np.where(finite & (moved <= np.sqrt(3.0) * MOVEMENT * structure_size(assembly)), residual, np.inf)
+
+
+def forces_of_displacement(assembly: Assembly, states: States, displacement: Array, claim: Claim) -> Array:
+    """Contact forces `(n, t1, t2)` in N that the law gives at a displacement, shape (batch, points, 3)."""
+    relative = _relative(assembly, displacement)
+    stiffness = normal_stiffness(assembly, claim.gravity)
+    normal = np.maximum(-stiffness * relative[..., 0], 0.0)
+    tangent = -(claim.stiffness_ratio * stiffness)[:, None] * relative[..., 1:]
+    forces, _ = _into_cone(np.concatenate([normal[..., None], tangent], axis=2), assembly.friction, claim.cone)
+    owner = assembly.contacts.contact_of_point
+    acts = _acts(states, assembly.contacts.parts[owner, 0], assembly.contacts.parts[owner, 1])
+    return np.where(acts[:, :, None], forces, 0.0)
 
 
 def residual_of_forces(assembly: Assembly, states: States, forces: Array, claim: Claim = Claim()) -> Array:
@@ -140,12 +197,7 @@ def residual_bound_of_velocity(assembly: Assembly, states: States, velocity: Arr
     a, b = contacts.parts[owner, 0], contacts.parts[owner, 1]
     velocity = np.where((states == 1)[:, :, None], velocity, 0.0)
     linear, angular = velocity[:, :, :3], velocity[:, :, 3:]
-
-    relative = np.zeros((len(states), len(owner), 3))
-    for part, sign in ((a, -1.0), (b, 1.0)):
-        relative += sign * (linear[:, part] + np.cross(angular[:, part], contacts.points - mass.center[part]))
-    relative = np.einsum("bcj,cij->bci", relative, contacts.frames[owner])
-    taken = _most_power_taken(relative, assembly.friction, claim.cone)
+    taken = _most_power_taken(_relative(assembly, velocity), assembly.friction, claim.cone)
     taken = np.where(_acts(states, a, b), taken, 0.0).max(axis=1, initial=0.0)
 
     power = -claim.gravity * (mass.mass * linear[:, :, 2]).sum(axis=1)
@@ -155,6 +207,17 @@ def residual_bound_of_velocity(assembly: Assembly, states: States, velocity: Arr
     proven = power - claim.force_bound * weight * taken
     bound = np.divide(proven, momentum, out=np.zeros_like(proven), where=momentum > 0)
     return np.where(np.isfinite(bound), bound, 0.0)
+
+
+def _relative(assembly: Assembly, motion: Array) -> Array:
+    """Motion of part `b` against part `a` at every contact point in its frame, shape (batch, points, 3)."""
+    contacts, mass = assembly.contacts, assembly.mass
+    owner = contacts.contact_of_point
+    relative = np.zeros((len(motion), len(owner), 3))
+    for part, sign in ((contacts.parts[owner, 0], -1.0), (contacts.parts[owner, 1], 1.0)):
+        arms = contacts.points - mass.center[part]
+        relative += sign * (motion[:, part, :3] + np.cross(motion[:, part, 3:], arms))
+    return np.einsum("bcj,cij->bci", relative, contacts.frames[owner])
 
 
 def _acts(states: States, a: NDArray, b: NDArray) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""The solver on the processor: batches of states, one state a thread, no BLAS."""
+"""The solver of the equilibrium problem on the processor: batches of states, one state a thread, no BLAS."""
 
 from __future__ import annotations
 
@@ -17,8 +17,22 @@ from falsework.stability.settings import StabilitySettings
 from falsework.stability.structure import build_structure
 from falsework.stability.verdict import Solver, Verdicts, proof_of
 
-_TASK = 16
+TASK = 16
 """States a thread takes at a time: few enough to share hard states out, enough to hide the cost of a call."""
+
+
+def kernel_options(settings: StabilitySettings) -> Options:
+    """The settings as the kernel takes them."""
+    cpu = settings.cpu
+    return Options(
+        rho=cpu.rho,
+        relaxation=cpu.relaxation,
+        iterations=cpu.iterations,
+        check_every=cpu.check_every,
+        interior_steps=cpu.interior_steps,
+        tolerance=settings.tolerance,
+        force_bound=settings.force_bound,
+    )
 
 
 class CpuSolver:
@@ -32,17 +46,8 @@ class CpuSolver:
         self.problem = problem
         self.settings = settings
         self.structure = build_structure(problem)
-        cpu = settings.cpu
-        self._options = Options(
-            rho=cpu.rho,
-            relaxation=cpu.relaxation,
-            iterations=cpu.iterations,
-            check_every=cpu.check_every,
-            interior_steps=cpu.interior_steps,
-            tolerance=settings.tolerance,
-            force_bound=settings.force_bound,
-        )
-        self._threads = cpu.threads or os.cpu_count() or 1
+        self._options = kernel_options(settings)
+        self._threads = settings.cpu.threads or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
 
     def check(
@@ -93,7 +98,7 @@ class CpuSolver:
             else:
                 solve_range_near(self.structure, states[rows], parents[rows], RINGS, *rest)
 
-        task = batch if self._pool is None else min(_TASK, -(-batch // self._threads))
+        task = batch if self._pool is None else min(TASK, -(-batch // self._threads))
         starts = range(0, batch, max(task, 1))
         if self._pool is None or len(starts) < 2:
             for first in starts:

@@ -48,7 +48,7 @@ class ExactSolver:
     ) -> None:
         self.assembly = assembly
         self.settings = settings
-        self.problem = problem or build_problem(assembly, cone=settings.cone, gravity=settings.gravity)
+        self.problem = problem or build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
 
     def check(self, states: ArrayLike) -> Verdicts:
         """Judge states; forces and velocity are always returned.

@@ -76,7 +76,7 @@ class GpuSolver:
         self.settings = settings
         self.layout = build_layout(problem)
         # Without friction both cones are the same ray, and only the octagon's multipliers stay positive.
-        quadratic = CONES[settings.cone] if problem.friction > 1e-9 else 0
+        quadratic = CONES[settings.friction_cone] if problem.friction > 1e-9 else 0
         constants = {"QUADRATIC": quadratic, "GROUP": self.layout.group_size}
         self.driver = CudaDriver(device, constants) if make_driver is None else make_driver(constants)
         self._arrays = {name: self.driver.put(array) for name, array in self.layout.arrays.items()}

@@ -14,7 +14,7 @@ from falsework.stability.cones import support
 from falsework.stability.structure import FAST, add_wrenches, pair_strain, point_strain, set_gravity
 
 STABLE, UNSTABLE, UNDECIDED = 1, -1, 0
-_MARGIN = 1e-3
+MARGIN = 1e-3
 """Both tests ask for this much more than the tolerance, so that rounding cannot overturn them."""
 
 
@@ -99,9 +99,9 @@ def judge_velocity(structure, work, pairs, velocity, options):
 def judge(structure, work, pairs, velocity, options):
     """Verdict on the current forces `work.z` and a velocity, with the residual that it rests on."""
     worst = judge_forces(structure, work, pairs, work.z, options, work.residual)
-    if worst < (1.0 - _MARGIN) * options.tolerance:
+    if worst < (1.0 - MARGIN) * options.tolerance:
         return STABLE, worst
     least = judge_velocity(structure, work, pairs, velocity, options)
-    if least > (1.0 + _MARGIN) * options.tolerance:
+    if least > (1.0 + MARGIN) * options.tolerance:
         return UNSTABLE, least
     return UNDECIDED, worst

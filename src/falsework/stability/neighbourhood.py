@@ -13,7 +13,7 @@ import numba as nb
 import numpy as np
 
 from falsework.stability.cpu_kernel import solve_state
-from falsework.stability.judge import UNSTABLE
+from falsework.stability.judge import UNDECIDED, UNSTABLE
 from falsework.stability.structure import make_work
 
 RINGS = (1, 3)
@@ -57,10 +57,13 @@ def hold_far_parts(structure, state, parent, rings, near):
 
 
 @nb.njit(cache=True)
-def solve_near(structure, state, parent, rings, options, work, forces, velocity, warm):
-    """Judge a state, first near where it differs from `parent`; the rest as in `solve_state`."""
+def fall_near(structure, state, parent, rings, options, work, no_forces, velocity):
+    """Look for parts that fall near where a state differs from its parent.
+
+    Returns:
+        `UNSTABLE` with its proof in `velocity`, else `UNDECIDED`; residual, ADMM iterations, interior-point steps.
+    """
     near = np.empty_like(state)
-    no_forces = np.zeros((0, 3))
     cold = len(no_forces) > 0  # not a literal, for which numba would compile the solver anew
     spent, taken = 0, 0
     for ring in rings:
@@ -74,6 +77,17 @@ def solve_near(structure, state, parent, rings, options, work, forces, velocity,
         taken += steps
         if verdict == UNSTABLE:
             return verdict, residual, spent, taken
+    return UNDECIDED, np.nan, spent, taken
+
+
+@nb.njit(cache=True)
+def solve_near(structure, state, parent, rings, options, work, forces, velocity, warm):
+    """Judge a state, first near where it differs from `parent`; the rest as in `solve_state`."""
+    verdict, residual, spent, taken = fall_near(
+        structure, state, parent, rings, options, work, np.zeros((0, 3)), velocity
+    )
+    if verdict == UNSTABLE:
+        return verdict, residual, spent, taken
     verdict, residual, iterations, steps = solve_state(structure, state, options, work, forces, velocity, warm)
     return verdict, residual, spent + iterations, taken + steps
 

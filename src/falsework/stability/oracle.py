@@ -13,6 +13,7 @@ from falsework.assembly.state import States, as_states
 from falsework.errors import InputError
 from falsework.stability.cache import VerdictCache
 from falsework.stability.certificate import accept
+from falsework.stability.contact.cpu import ContactSolver
 from falsework.stability.cpu import CpuSolver
 from falsework.stability.exact import ExactSolver
 from falsework.stability.gpu import GpuSolver
@@ -22,9 +23,9 @@ from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 _GUESSES = 128 * 1024 * 1024
-"""Bytes kept of contact forces to start children from."""
+"""Bytes kept of contact forces or displacements to start children from."""
 _BATCH = 32 * 1024 * 1024
-"""Bytes of contact forces in work at once."""
+"""Bytes of contact forces or displacements in work at once."""
 _WORTH_A_GPU = 8
 """States from which `auto` takes the GPU: a launch costs what the processor needs for a few states."""
 
@@ -50,7 +51,7 @@ class Counters:
     rejected: int = 0
     """Proofs of the fast solver that the checker did not accept; the exact solver then decided."""
     warm: int = 0
-    """Solved from the forces of a parent."""
+    """Solved from the forces or the displacement of a parent."""
 
     def as_dict(self) -> dict[str, int]:
         """Plain numbers for reports."""
@@ -67,15 +68,22 @@ class Stability:
     def __init__(self, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> None:
         self.assembly = assembly
         self.settings = settings
-        self.problem = build_problem(assembly, cone=settings.cone, gravity=settings.gravity)
+        self.problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
         exact = GurobiSolver if settings.solver == "gurobi" else ExactSolver
         self.exact = exact(assembly, settings, self.problem)
         self.counters = Counters()
-        self._cpu = CpuSolver(self.problem, settings) if settings.solver in ("auto", "cpu") else None
+        self._cpu = self._make_cpu()
         self._gpu = self._make_gpu()
-        self._cache = VerdictCache()
-        self._forces: OrderedDict[bytes, NDArray[np.float32]] = OrderedDict()
-        self._forces_limit = _GUESSES // max(self.problem.points * 12, 1)
+        contact = settings.criterion == "contact"
+        self._cache = VerdictCache(holds_keep_stable=not contact)
+        self._guess_shape = (self.problem.parts, 6) if contact else (self.problem.points, 3)
+        self._guesses: OrderedDict[bytes, NDArray[np.float32]] = OrderedDict()
+        self._guesses_limit = _GUESSES // max(self._guess_bytes // 2, 1)
+
+    @property
+    def holds_keep_stable(self) -> bool:
+        """Whether a stable state stays stable when a part of it is held: so under `equilibrium`, not under `contact`."""
+        return self.settings.criterion == "equilibrium"
 
     def check(self, states: ArrayLike) -> Verdicts:
         """Judge states and return the proofs, each accepted by the certificate checker.
@@ -84,7 +92,7 @@ class Stability:
             states: one state `(parts,)` or a batch `(batch, parts)`; 0 removed, 1 installed, 2 held.
 
         Returns:
-            Verdicts with forces and velocity; a batch of one for one state.
+            Verdicts with forces, velocity and, under `contact`, displacement; a batch of one for one state.
 
         Raises:
             StateError: states of the wrong length or with other values.
@@ -101,7 +109,7 @@ class Stability:
             self.counters.rejected += int((~accepted & (verdicts.verdict != Verdict.UNDECIDED)).sum())
             rest = np.flatnonzero(~accepted)
             if len(rest):
-                verdicts.put(rest, self.exact.check(unique[rest]))
+                verdicts.put(rest, self._decide_exactly(unique[rest], verdicts[rest]))
         self._count(verdicts)
         self._cache.store(unique, verdicts.verdict, verdicts.residual)
         self.counters.cached += len(batch) - len(unique)
@@ -144,12 +152,34 @@ class Stability:
             self._cache.store(batch[rows], solved.verdict, solved.residual)
             self.counters.cached += len(rest) - len(rows)
             verdicts.put(rest, solved[back])
-        verdicts.proof[:] = proof_of(verdicts.verdict)
+        verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
         return verdicts
 
     def stable(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> NDArray[np.bool_]:
         """Which states are proven stable; arguments as for `judge`. Shape (batch,)."""
         return self.judge(states, parents=parents).stable
+
+    def _make_cpu(self) -> CpuSolver | ContactSolver | None:
+        """The solver on the processor if the settings ask for it."""
+        if self.settings.criterion == "contact":
+            return ContactSolver(self.assembly, self.problem, self.settings)
+        return CpuSolver(self.problem, self.settings) if self.settings.solver in ("auto", "cpu") else None
+
+    def _decide_exactly(self, states: States, verdicts: Verdicts) -> Verdicts:
+        """Verdicts of the exact solver; under `contact` it only tells what is unstable from what is in equilibrium.
+
+        Args:
+            states: shape (batch, parts).
+            verdicts: of the solver that left them open.
+        """
+        decided = self.exact.check(states)
+        if self.settings.criterion == "contact":
+            # Equilibrium alone does not say that the state stands: what the contact solver left open stays open.
+            slides = decided.stable & verdicts.slides
+            decided.verdict[decided.stable & ~slides] = Verdict.UNDECIDED
+            decided.verdict[slides] = Verdict.SLIDES
+            decided.proof[:] = proof_of(decided.verdict, self.settings.criterion)
+        return decided
 
     def _make_gpu(self) -> GpuSolver | None:
         """The solver on the GPU if the settings ask for it; with `auto`, only where there is one."""
@@ -162,7 +192,12 @@ class Stability:
                 raise
             return None
 
-    def _choose(self, count: int) -> CpuSolver | GpuSolver | None:
+    @property
+    def _guess_bytes(self) -> int:
+        """Bytes of the guess for one state in float64."""
+        return 8 * self._guess_shape[0] * self._guess_shape[1]
+
+    def _choose(self, count: int) -> CpuSolver | ContactSolver | GpuSolver | None:
         """Who judges a batch of this size; None for the exact solver."""
         if self._gpu is not None and (self._cpu is None or count >= _WORTH_A_GPU):
             return self._gpu
@@ -174,42 +209,42 @@ class Stability:
             return self.exact.check(states).without_certificates()
         verdicts = Verdicts.blank(len(states))
         # Look the parents up first: what the children leave behind may push them out.
-        known = [None] * len(states) if parents is None else [self._forces.get(p.tobytes()) for p in parents]
-        size = max(_BATCH // max(self.problem.points * 24, 1), 16)
+        known = [None] * len(states) if parents is None else [self._guesses.get(p.tobytes()) for p in parents]
+        size = max(_BATCH // max(self._guess_bytes, 1), 16)
         for first in range(0, len(states), size):
             rows = np.arange(first, min(first + size, len(states)))
             guess = None
             if parents is not None:
-                guess = np.zeros((len(rows), self.problem.points, 3))
-                for row, forces in zip(range(len(rows)), known[first : first + size], strict=True):
-                    if forces is not None:
-                        guess[row] = forces
+                guess = np.full((len(rows), *self._guess_shape), np.nan if isinstance(solver, ContactSolver) else 0.0)
+                for row, start in zip(range(len(rows)), known[first : first + size], strict=True):
+                    if start is not None:
+                        guess[row] = start
                         self.counters.warm += 1
-            if isinstance(solver, CpuSolver):
+            if isinstance(solver, GpuSolver):
+                solved = solver.check(states[rows], certificates=False, guess=guess)
+            else:
                 near = None if parents is None else parents[rows]
                 solved = solver.check(states[rows], certificates=False, parents=near, guess=guess)
-            else:
-                solved = solver.check(states[rows], certificates=False, guess=guess)
             if guess is not None:
                 self._remember(states[rows][solved.stable], guess[solved.stable])
             verdicts.put(rows, solved)
         rest = np.flatnonzero(verdicts.verdict == Verdict.UNDECIDED)
         if len(rest):
-            verdicts.put(rest, self.exact.check(states[rest]))
+            verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
         return verdicts
 
     def _pass_on(self, states: States, origins: States) -> None:
-        """Let states that the cache knew to stand share the forces of the states they come from."""
+        """Let states that the cache knew to stand share the guess of the states they come from."""
         for state, origin in zip(states, origins, strict=True):
-            known = self._forces.get(origin.tobytes())
+            known = self._guesses.get(origin.tobytes())
             if known is not None:
-                self._forces.setdefault(state.tobytes(), known)
+                self._guesses.setdefault(state.tobytes(), known)
 
-    def _remember(self, states: States, forces: NDArray[np.float64]) -> None:
-        for state, force in zip(states, forces.astype(np.float32), strict=True):
-            self._forces[state.tobytes()] = force
-        while len(self._forces) > self._forces_limit:
-            self._forces.popitem(last=False)
+    def _remember(self, states: States, found: NDArray[np.float64]) -> None:
+        for state, guess in zip(states, found.astype(np.float32), strict=True):
+            self._guesses[state.tobytes()] = guess
+        while len(self._guesses) > self._guesses_limit:
+            self._guesses.popitem(last=False)
 
     def _count(self, verdicts: Verdicts) -> None:
         self.counters.cpu += int((verdicts.decided_by == Solver.CPU).sum())

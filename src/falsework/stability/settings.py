@@ -9,7 +9,9 @@ import numpy as np
 
 from falsework.errors import InputError
 from falsework.stability.certificate import Claim
+from falsework.stability.contact.stiffness import TANGENTIAL_RATIO
 from falsework.stability.problem import FORCE_BOUND, TOLERANCE, Cone
+from falsework.stability.verdict import Criterion
 
 SolverName = Literal["auto", "cpu", "gpu", "exact", "gurobi"]
 
@@ -28,6 +30,8 @@ class CpuSettings:
     """Iterations between two tests for a proof."""
     interior_steps: int = 50
     """Steps of the interior point method before a state is left to the exact solver."""
+    contact_steps: int = 150
+    """Newton iterations under the criterion `contact` before a state is left undecided."""
     threads: int | None = None
     """Worker threads; all cores by default."""
 
@@ -36,7 +40,7 @@ class CpuSettings:
             raise InputError(f"rho is {self.rho}; give a positive number")
         if not 0 < self.relaxation < 2:
             raise InputError(f"relaxation is {self.relaxation}; give a number between 0 and 2")
-        for name, least in (("iterations", 0), ("check_every", 1), ("interior_steps", 0), ("threads", 1)):
+        for name, least in (("iterations", 0), ("check_every", 1), ("interior_steps", 0), ("contact_steps", 1), ("threads", 1)):
             value = getattr(self, name)
             if value is not None and value < least:
                 raise InputError(f"{name} is {value}; give a whole number from {least} up")
@@ -67,14 +71,20 @@ class GpuSettings:
 class StabilitySettings:
     """What stable means, and who decides."""
 
-    cone: Cone = "octagon"
-    """Friction cone: the paper's octagon, or Coulomb's quadratic cone."""
+    criterion: Criterion = "contact"
+    """`contact`: compliant contacts without prestress bring a part to rest. `equilibrium`: forces in balance exist,
+    the criterion of the paper."""
+    cone: Cone | None = None
+    """Friction cone: the paper's octagon, or Coulomb's quadratic cone. None: quadratic under `contact`, where the
+    octagon would make verdicts depend on how contact frames are turned, and octagon under `equilibrium`."""
     gravity: float = 9.81
     """m/s2 along -z."""
     tolerance: float = TOLERANCE
     """Largest acceleration of a stable state, m/s2 and rad/s2 (paper, section 4)."""
     force_bound: float = FORCE_BOUND
     """Bound on the sum of all normal forces, in weights of the structure."""
+    stiffness_ratio: float = TANGENTIAL_RATIO
+    """Tangential over normal stiffness of a contact, under the criterion `contact`."""
     solver: SolverName = "cpu"
     """Who is asked first; what it leaves undecided goes to the exact solver. `auto` takes the GPU, where there is
     one, for batches that it judges faster than the processor."""
@@ -82,16 +92,25 @@ class StabilitySettings:
     gpu: GpuSettings = GpuSettings()
 
     def __post_init__(self) -> None:
-        for name in ("gravity", "tolerance", "force_bound"):
+        if self.criterion not in get_args(Criterion):
+            raise InputError(f"unknown criterion {self.criterion!r}; choose {' or '.join(get_args(Criterion))}")
+        for name in ("gravity", "tolerance", "force_bound", "stiffness_ratio"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"{name} is {value}; give a positive number")
-        if self.cone not in get_args(Cone):
+        if self.cone is not None and self.cone not in get_args(Cone):
             raise InputError(f"unknown friction cone {self.cone!r}; choose {' or '.join(get_args(Cone))}")
         if self.solver not in get_args(SolverName):
             raise InputError(f"unknown solver {self.solver!r}; choose {', '.join(get_args(SolverName))}")
 
     @property
+    def friction_cone(self) -> Cone:
+        """The friction cone in force."""
+        return self.cone or ("quadratic" if self.criterion == "contact" else "octagon")
+
+    @property
     def claim(self) -> Claim:
         """What the certificate checker needs to know."""
-        return Claim(self.cone, self.gravity, self.tolerance, self.force_bound)
+        return Claim(
+            self.friction_cone, self.gravity, self.tolerance, self.force_bound, self.criterion, self.stiffness_ratio
+        )

@@ -95,7 +95,7 @@ class SharedInverse:
             DependencyError: torch is not installed.
             InputError: the quadratic cone, for which the paper has no variables, or no such device.
         """
-        if settings.cone != "octagon":
+        if settings.friction_cone != "octagon":
             raise InputError("the shared inverse knows only the octagon cone; choose cone octagon or another solver")
         try:
             self._torch: Any = import_module("torch")

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+Criterion = Literal["contact", "equilibrium"]
+"""`equilibrium`: some admissible contact forces balance gravity (the paper's). `contact`: compliant contacts without
+prestress bring such forces about."""
 
 
 class Verdict(IntEnum):
     """Does a partial structure stand?"""
 
+    SLIDES = -2
+    """Forces in equilibrium exist, but no displacement was found that brings them about: the iterations follow parts
+    that move away. Only under the criterion `contact`; it counts as not standing."""
     UNSTABLE = -1
     UNDECIDED = 0
     STABLE = 1
@@ -25,6 +33,8 @@ class Proof(IntEnum):
     """Contact forces inside the friction cones that hold every part (stable)."""
     VELOCITY = 2
     """A virtual velocity that no admissible forces can stop (unstable)."""
+    DISPLACEMENT = 3
+    """A displacement whose contact forces hold every part (stable under the criterion `contact`)."""
 
 
 class Solver(IntEnum):
@@ -57,14 +67,26 @@ class Verdicts:
     decided_by: NDArray[np.int8]
     """`Solver` of each state, shape (batch,)."""
     forces: NDArray[np.float64] | None = None
-    """Contact forces `(n, t1, t2)` in N, shape (batch, points, 3); only meaningful where stable."""
+    """Contact forces `(n, t1, t2)` in N, shape (batch, points, 3); only meaningful where stable or sliding."""
     velocity: NDArray[np.float64] | None = None
     """Virtual velocity `(linear, angular)` about the centres of mass, shape (batch, parts, 6); only meaningful
     where unstable."""
+    displacement: NDArray[np.float64] | None = None
+    """Displacement `(translation, rotation)` of the parts about their centres of mass in m and rad, shape
+    (batch, parts, 6); only meaningful where stable under the criterion `contact`."""
 
     @classmethod
-    def blank(cls, batch: int, *, points: int | None = None, parts: int | None = None) -> Verdicts:
-        """Undecided verdicts to be filled in; with room for certificates where `points` and `parts` are given."""
+    def blank(
+        cls, batch: int, *, points: int | None = None, parts: int | None = None, displaced: bool = False
+    ) -> Verdicts:
+        """Undecided verdicts to be filled in.
+
+        Args:
+            batch: number of states.
+            points: number of contact points, where there is to be room for forces.
+            parts: number of parts, where there is to be room for velocities.
+            displaced: whether there is to be room for displacements too.
+        """
         return cls(
             verdict=np.zeros(batch, np.int8),
             proof=np.zeros(batch, np.int8),
@@ -73,6 +95,7 @@ class Verdicts:
             decided_by=np.zeros(batch, np.int8),
             forces=None if points is None else np.zeros((batch, points, 3)),
             velocity=None if parts is None else np.zeros((batch, parts, 6)),
+            displacement=np.zeros((batch, parts, 6)) if displaced and parts is not None else None,
         )
 
     @property
@@ -84,6 +107,11 @@ class Verdicts:
     def unstable(self) -> NDArray[np.bool_]:
         """Shape (batch,)."""
         return self.verdict == Verdict.UNSTABLE
+
+    @property
+    def slides(self) -> NDArray[np.bool_]:
+        """Shape (batch,)."""
+        return self.verdict == Verdict.SLIDES
 
     @property
     def undecided(self) -> NDArray[np.bool_]:
@@ -105,6 +133,7 @@ class Verdicts:
             self.decided_by[index],
             None if self.forces is None else self.forces[index],
             None if self.velocity is None else self.velocity[index],
+            None if self.displacement is None else self.displacement[index],
         )
 
     def put(self, rows: NDArray, other: Verdicts) -> None:
@@ -114,8 +143,8 @@ class Verdicts:
                 mine[rows] = theirs
 
     def without_certificates(self) -> Verdicts:
-        """The same verdicts without forces and velocity."""
-        return replace(self, forces=None, velocity=None)
+        """The same verdicts without forces, velocity and displacement."""
+        return replace(self, forces=None, velocity=None, displacement=None)
 
     def _fields(self) -> tuple[NDArray | None, ...]:
         return (
@@ -126,11 +155,15 @@ class Verdicts:
             self.decided_by,
             self.forces,
             self.velocity,
+            self.displacement,
         )
 
 
-def proof_of(verdict: NDArray[np.int8]) -> NDArray[np.int8]:
-    """The kind of proof that belongs to each verdict."""
+def proof_of(verdict: NDArray[np.int8], criterion: Criterion = "equilibrium") -> NDArray[np.int8]:
+    """The kind of proof that belongs to each verdict; for `SLIDES` the forces that prove equilibrium."""
+    stable = Proof.DISPLACEMENT if criterion == "contact" else Proof.FORCES
     return np.select(
-        [verdict == Verdict.STABLE, verdict == Verdict.UNSTABLE], [Proof.FORCES, Proof.VELOCITY], Proof.NONE
+        [verdict == Verdict.STABLE, verdict == Verdict.UNSTABLE, verdict == Verdict.SLIDES],
+        [stable, Proof.VELOCITY, Proof.FORCES],
+        Proof.NONE,
     ).astype(np.int8)

@@ -1,0 +1,179 @@
+"""The solver of the criterion `contact` on the processor: batches of states, one state a thread."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import INSTALLED, States
+from falsework.stability.contact.kernel import build_contact_structure, solve_contact_state
+from falsework.stability.contact.newton import MOVES_AWAY, RESTS, make_contact_work
+from falsework.stability.cpu import TASK, kernel_options
+from falsework.stability.cpu_kernel import solve_state
+from falsework.stability.judge import STABLE, UNDECIDED, UNSTABLE
+from falsework.stability.neighbourhood import RINGS, fall_near
+from falsework.stability.problem import Problem
+from falsework.stability.settings import StabilitySettings
+from falsework.stability.structure import build_structure, make_work
+from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
+
+_WARM_STEPS = 8
+"""Iterations from the displacement of the parent before a state is loaded from rest instead."""
+_SLIDES = int(Verdict.SLIDES)
+
+
+class ContactOptions(NamedTuple):
+    """Numbers that steer the kernel."""
+
+    tolerance: float
+    steps: int
+    warm_steps: int
+
+
+class ContactSolver:
+    """Judges batches of states of one structure under the criterion `contact`.
+
+    A state that differs from its parent is first searched for parts that fall near the difference, with a proof
+    (`neighbourhood.py`). Then a displacement is looked for (`newton.py`); where there is one the state is stable. Where
+    there is none, the solver of the equilibrium problem says whether the state is unstable, with its proof, or slides.
+    """
+
+    def __init__(self, assembly: Assembly, problem: Problem, settings: StabilitySettings) -> None:
+        self.problem = problem
+        self.settings = settings
+        self.structure = build_structure(problem)
+        self.contact_structure = build_contact_structure(assembly, problem, settings.gravity, settings.stiffness_ratio)
+        self._options = kernel_options(settings)
+        self._contact_options = ContactOptions(settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS)
+        self._threads = settings.cpu.threads or os.cpu_count() or 1
+        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
+
+    def check(
+        self,
+        states: States,
+        *,
+        certificates: bool = True,
+        parents: States | None = None,
+        guess: NDArray[np.float64] | None = None,
+    ) -> Verdicts:
+        """Judge a batch.
+
+        Args:
+            states: checked states, shape (batch, parts).
+            certificates: return displacement, forces and velocity too.
+            parents: for each state a stable one that differs in few parts, shape (batch, parts); what falls is looked
+                for near the difference first.
+            guess: displacements of the parents in m and rad, NaN where they are not known, shape (batch, parts, 6);
+                overwritten with the displacements that were found. Iterations start from them where no part of a state
+                is free that was not free in its parent; elsewhere a start from rest takes fewer.
+
+        Returns:
+            Verdicts; `UNDECIDED` where nothing was found within the limits of the settings.
+        """
+        batch, problem = len(states), self.problem
+        verdicts = Verdicts.blank(
+            batch,
+            points=problem.points if certificates else None,
+            parts=problem.parts if certificates else None,
+            displaced=certificates,
+        )
+        forces = verdicts.forces if verdicts.forces is not None else np.zeros((0, problem.points, 3))
+        velocity = verdicts.velocity if verdicts.velocity is not None else np.zeros((0, problem.parts, 6))
+        displacement = verdicts.displacement if guess is None else guess
+        if displacement is None:
+            displacement = np.zeros((batch, problem.parts, 6))
+        warm = np.zeros(batch, dtype=bool)
+        if guess is not None and parents is not None:
+            known = np.isfinite(guess).all(axis=(1, 2))
+            warm = known & ~((states == INSTALLED) & (parents != INSTALLED)).any(axis=1)
+        origins = states[:0] if parents is None else parents
+        steps = np.zeros(batch, np.int32)
+
+        def work(first: int) -> None:
+            rows = slice(first, first + task)
+            _judge_range(
+                self.structure,
+                self.contact_structure,
+                states[rows],
+                origins[rows],
+                RINGS,
+                self._options,
+                self._contact_options,
+                displacement[rows],
+                forces[rows],
+                velocity[rows],
+                warm[rows],
+                verdicts.verdict[rows],
+                verdicts.residual[rows],
+                verdicts.iterations[rows],
+                steps[rows],
+            )
+
+        task = batch if self._pool is None else min(TASK, -(-batch // self._threads))
+        starts = range(0, batch, max(task, 1))
+        if self._pool is None or len(starts) < 2:
+            for first in starts:
+                work(first)
+        else:
+            list(self._pool.map(work, starts))
+        if verdicts.displacement is not None and displacement is not verdicts.displacement:
+            verdicts.displacement[:] = displacement
+        verdicts.iterations[:] += steps
+        verdicts.proof[:] = proof_of(verdicts.verdict, "contact")
+        verdicts.decided_by[:] = np.where(verdicts.verdict != Verdict.UNDECIDED, Solver.CPU, Solver.NONE)
+        return verdicts
+
+
+@nb.njit(nogil=True, cache=True)
+def _judge_range(
+    structure,
+    contact_structure,
+    states,
+    parents,
+    rings,
+    options,
+    contact_options,
+    displacement,
+    forces,
+    velocity,
+    warm,
+    verdict,
+    residual,
+    iterations,
+    steps,
+):
+    """Judge states one after another; arrays as in `ContactSolver.check`, certificates empty where not wanted."""
+    work, contact = make_work(structure), make_contact_work(structure)
+    no_forces, no_velocity = np.zeros((0, 3)), np.zeros((0, 6))
+    cold = len(no_forces) > 0  # not a literal, for which numba would compile the solver anew
+    for i in range(len(states)):
+        force = forces[i] if len(forces) else no_forces
+        motion = velocity[i] if len(velocity) else no_velocity
+        iterations[i], steps[i] = 0, 0
+        if len(parents):
+            v, r, k, s = fall_near(structure, states[i], parents[i], rings, options, work, no_forces, motion)
+            iterations[i], steps[i] = k, s
+            if v == UNSTABLE:
+                verdict[i], residual[i] = v, r
+                displacement[i] = np.nan
+                continue
+        found, left, taken = solve_contact_state(
+            structure, contact_structure, states[i], contact_options, work, contact, displacement[i], force, warm[i]
+        )
+        steps[i] += taken
+        if found == RESTS:
+            verdict[i], residual[i] = STABLE, left
+            continue
+        displacement[i] = np.nan
+        v, r, k, s = solve_state(structure, states[i], options, work, force, motion, cold)
+        iterations[i] += k
+        steps[i] += s
+        if v == STABLE:
+            v = _SLIDES if found == MOVES_AWAY else UNDECIDED
+        verdict[i], residual[i] = v, r

@@ -1,0 +1,160 @@
+"""The compiled verdict of one state from rest, and of a run of states without the interpreter's lock."""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.stability.contact.law import contact_force
+from falsework.stability.contact.newton import (
+    MOVES_AWAY,
+    OPEN,
+    RESTS,
+    ContactStructure,
+    find_rest,
+)
+from falsework.stability.contact.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
+from falsework.stability.problem import Problem
+from falsework.stability.judge import MARGIN
+from falsework.stability.structure import restrict, set_gravity
+
+
+def build_contact_structure(
+    assembly: Assembly, problem: Problem, gravity: float, ratio: float = TANGENTIAL_RATIO
+) -> ContactStructure:
+    """Lay the stiffness of a structure out for the kernel.
+
+    Args:
+        assembly: the structure.
+        problem: the same, scaled.
+        gravity: m/s2.
+        ratio: tangential over normal stiffness.
+    """
+    stiffness = normal_stiffness(assembly, gravity) / problem.force_scale**2
+    scale = 1.0 / float(np.median(stiffness)) if len(stiffness) else 1.0
+    inertia = np.linalg.eigvalsh(assembly.mass.inertia)[:, -1]
+    return ContactStructure(
+        normal=stiffness * scale,
+        tangential=ratio * stiffness * scale,
+        whitening=problem.whitening,
+        mass_factor=np.linalg.inv(problem.whitening),
+        scale=scale,
+        reach=np.sqrt(inertia / assembly.mass.mass),
+        limit=MOVEMENT * structure_size(assembly),
+    )
+
+
+@nb.njit(cache=True)
+def place_contacts(structure, contact_structure, work, contact, pairs):
+    """Bring stiffness and gravity into the compact order of a state, without history."""
+    normal, tangential = contact_structure.normal, contact_structure.tangential
+    for p in range(pairs):
+        shift = structure.pair_start[work.pair[p]] - work.start[p]
+        for j in range(work.start[p], work.start[p + 1]):
+            contact.normal[j] = normal[j + shift]
+            contact.tangential[j] = tangential[j + shift]
+            for k in range(3):
+                contact.offset[j, k] = 0.0
+    set_gravity(structure, work, contact.load)
+
+
+@nb.njit(cache=True)
+def read_displacement(structure, contact_structure, work, displacement, out):
+    """Whiten a displacement in m and rad of shape (parts, 6); zero for parts that cannot move."""
+    order, factor = structure.elimination.order, contact_structure.mass_factor
+    for j in range(len(work.free)):
+        for r in range(6):
+            out[j, r] = 0.0
+        if work.free[j]:
+            part = order[j]
+            for r in range(6):
+                for c in range(6):
+                    out[j, r] += factor[part, c, r] * displacement[part, c]
+                out[j, r] /= contact_structure.scale
+
+
+@nb.njit(cache=True)
+def write_displacement(structure, contact_structure, work, whitened, out):
+    """Displacement in m and rad of shape (parts, 6) from a whitened one; zero for parts that cannot move."""
+    order, whitening = structure.elimination.order, contact_structure.whitening
+    out[:] = 0.0
+    for j in range(len(work.free)):
+        if work.free[j]:
+            part = order[j]
+            for r in range(6):
+                for c in range(6):
+                    out[part, r] += whitening[part, c, r] * whitened[j, c]
+                out[part, r] *= contact_structure.scale
+
+
+@nb.njit(cache=True)
+def write_forces(structure, work, contact, pairs, out):
+    """Contact forces in N, shape (points, 3), from the spring forces of a state."""
+    out[:] = 0.0
+    for p in range(pairs):
+        shift = structure.pair_start[work.pair[p]] - work.start[p]
+        for j in range(work.start[p], work.start[p + 1]):
+            n, x, y = contact.trial[j, 0], contact.trial[j, 1], contact.trial[j, 2]
+            f0, f1, f2 = contact_force(structure.cone, structure.friction, n, x, y)
+            scale = work.force_scale[j]
+            out[j + shift, 0], out[j + shift, 1], out[j + shift, 2] = f0 * scale, f1 * scale, f2 * scale
+
+
+@nb.njit(cache=True)
+def lacks_contact(work, pairs):
+    """Whether a part that can move touches nothing that is present."""
+    touched = np.zeros(len(work.free), dtype=np.bool_)
+    for p in range(pairs):
+        if work.slot_a[p] >= 0:
+            touched[work.slot_a[p]] = True
+        if work.slot_b[p] >= 0:
+            touched[work.slot_b[p]] = True
+    for j in range(len(work.free)):
+        if work.free[j] and not touched[j]:
+            return True
+    return False
+
+
+@nb.njit(cache=True)
+def solve_contact_state(structure, contact_structure, state, options, work, contact, displacement, forces, warm):
+    """Look for a displacement at which a state, loaded from rest, is in equilibrium.
+
+    Args:
+        structure, contact_structure, options, work, contact: see there.
+        state: shape (parts,).
+        displacement: in: a guess in m and rad where `warm`; out: the displacement. Shape (parts, 6).
+        forces: out: contact forces in N, shape (points, 3) or (0, 3).
+        warm: whether `displacement` holds a guess.
+
+    Returns:
+        `RESTS`, `MOVES_AWAY` or `OPEN`; the residual; iterations.
+    """
+    pairs, count = restrict(structure, state, work)
+    if count == 0:
+        displacement[:] = 0.0
+        forces[:] = 0.0
+        return RESTS, 0.0, 0
+    if lacks_contact(work, pairs):
+        displacement[:] = 0.0
+        forces[:] = 0.0
+        return MOVES_AWAY, np.inf, 0
+    place_contacts(structure, contact_structure, work, contact, pairs)
+    tolerance, spent = (1.0 - MARGIN) * options.tolerance, 0
+    result, residual = OPEN, np.inf
+    if warm:
+        read_displacement(structure, contact_structure, work, displacement, contact.displacement)
+        result, residual, spent = find_rest(
+            structure, contact_structure, work, contact, pairs, options.warm_steps, tolerance, False
+        )
+    if result != RESTS:
+        contact.displacement[:] = 0.0
+        result, residual, taken = find_rest(
+            structure, contact_structure, work, contact, pairs, options.steps, tolerance, True
+        )
+        spent += taken
+    write_displacement(structure, contact_structure, work, contact.displacement, displacement)
+    if len(forces):
+        write_forces(structure, work, contact, pairs, forces)
+    return result, residual, spent

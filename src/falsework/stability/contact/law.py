@@ -1,0 +1,53 @@
+"""Contact law: unilateral normal springs without prestress, and non-associated Coulomb friction.
+
+At a contact point with relative displacement `d = (d_n, d_t)` of part `b` against part `a` in the contact's frame,
+
+    f_n = max(0, o_n - k_n d_n),    t = o_t - k_t d_t,    f_t = t min(1, mu f_n / gauge(t)).
+
+The offset `o` is zero for a structure that is loaded from rest; a replay carries the history of the point in it.
+`gauge` is the Euclidean norm (quadratic cone) or the norm whose unit ball is the octagon, so the force lies in the
+friction cone of the settings by construction. Sliding does not open the contact: the law is not associated.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba as nb
+
+from falsework.stability.cones import QUADRATIC
+
+_C = math.cos(math.pi / 8)
+_S = math.sin(math.pi / 8)
+_FACET = math.tan(math.pi / 8)
+
+
+@nb.njit(inline="always", fastmath=True)
+def gauge(cone, x, y):
+    """Size of a tangential force: at most `mu f_n` inside the cone."""
+    if cone == QUADRATIC:
+        return math.sqrt(x * x + y * y)
+    u, v = max(abs(x), abs(y)), min(abs(x), abs(y))
+    return u + v * _FACET
+
+
+@nb.njit(inline="always", fastmath=True)
+def gauge_gradient(cone, x, y):
+    """Gradient of `gauge` where it is not zero."""
+    if cone == QUADRATIC:
+        size = math.sqrt(x * x + y * y)
+        return x / size, y / size
+    u, v = (1.0, _FACET) if abs(x) >= abs(y) else (_FACET, 1.0)
+    return math.copysign(u, x), math.copysign(v, y)
+
+
+@nb.njit(inline="always", fastmath=True)
+def contact_force(cone, mu, n, x, y):
+    """Force of a contact point whose springs alone would give `(n, x, y)`."""
+    if n <= 0.0:
+        return 0.0, 0.0, 0.0
+    size, limit = gauge(cone, x, y), mu * n
+    if size <= limit:
+        return n, x, y
+    share = limit / size
+    return n, share * x, share * y

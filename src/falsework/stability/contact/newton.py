@@ -1,0 +1,268 @@
+"""Displacement at which contact forces balance the load, by pseudo-transient Newton iterations (Kelley and Keyes 1998).
+
+Each iteration is a linearly implicit Euler step of `du/dt = r(u)`, the motion of the structure in a viscous medium, with
+`r` the wrenches that contacts and load leave. The time step grows as the residual falls, so iterations end as Newton's
+method where there is an equilibrium, and follow the parts that move where there is none. Velocities, displacements
+and wrenches are whitened by the masses as in `Problem`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.stability.contact.law import contact_force, gauge, gauge_gradient
+from falsework.stability.contact.lu import add_pair, factor_lu, solve_lu
+from falsework.stability.structure import FAST, clear_matrix, pair_strain, pair_stress, point_strain
+
+RESTS, MOVES_AWAY, OPEN = 1, -1, 0
+
+_FIRST_STEP = 1e3
+"""First time step, in units in which the median contact stiffness is 1."""
+_GROWTH = 4.0
+"""Growth of the time step after a full step, at least; by the fall of the residual where that is more."""
+_SHORTEST = 0.1
+"""Shortest share of a step that is taken before the time step is cut instead ..."""
+_CUT = 0.1
+"""... to this share."""
+_LONGEST_STEP = 1e14
+
+
+class ContactStructure(NamedTuple):
+    """What the criterion adds to a `Structure`: stiffness in scaled variables, and units of displacement."""
+
+    normal: NDArray[np.float64]
+    """Normal stiffness of each contact point in scaled variables, median 1, shape (points,)."""
+    tangential: NDArray[np.float64]
+    whitening: NDArray[np.float64]
+    """`L^-1` of each part, shape (parts, 6, 6); its transpose makes a displacement of a whitened one."""
+    mass_factor: NDArray[np.float64]
+    """`L` of each part, shape (parts, 6, 6)."""
+    scale: float
+    """Metres (or radians) of displacement per scaled unit."""
+    reach: NDArray[np.float64]
+    """Radius of gyration of each part, m: turns rotations into movements, shape (parts,)."""
+    limit: float
+    """Movement of a part beyond which the structure counts as falling, m."""
+
+
+class ContactWork(NamedTuple):
+    """Scratch of one thread, beside `Work`; points in the compact order of the state at hand."""
+
+    normal: NDArray[np.float64]
+    """Scaled stiffness of the acting points, shape (points,)."""
+    tangential: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    """Spring forces at zero displacement: what a replay remembers, shape (points, 3)."""
+    trial: NDArray[np.float64]
+    """Spring forces before they are cut to the law, shape (points, 3)."""
+    next_trial: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    """Transposed blocks above the diagonal, shape (blocks, 6, 6)."""
+    load: NDArray[np.float64]
+    """Whitened wrenches on the parts beside contact forces, shape (n, 6)."""
+    displacement: NDArray[np.float64]
+    """Shape (n, 6), whitened and scaled."""
+    next_displacement: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    next_residual: NDArray[np.float64]
+    step: NDArray[np.float64]
+
+
+@nb.njit(cache=True)
+def make_contact_work(structure):
+    """Scratch large enough for every state of a structure."""
+    n, blocks = len(structure.elimination.order), len(structure.elimination.row)
+    points = len(structure.basis)
+    return ContactWork(
+        np.zeros(points),
+        np.zeros(points),
+        np.zeros((points, 3)),
+        np.zeros((points, 3)),
+        np.zeros((points, 3)),
+        np.zeros((blocks, 6, 6)),
+        np.zeros((n, 6)),
+        np.zeros((n, 6)),
+        np.zeros((n, 6)),
+        np.zeros((n, 6)),
+        np.zeros((n, 6)),
+        np.zeros((n, 6)),
+    )
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def evaluate(structure, work, contact, pairs, displacement, trial, out):
+    """Write the residual `load + G f(displacement)`, and the spring forces; return the residual's norm."""
+    basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
+    ta, tb, cone, mu = structure.transfer_a, structure.transfer_b, structure.cone, structure.friction
+    kn, kt, offset, load, free = contact.normal, contact.tangential, contact.offset, contact.load, work.free
+    for j in range(len(free)):
+        if free[j]:
+            for r in range(6):
+                out[j, r] = load[j, r]
+    for p in range(pairs):
+        q, a, b = pair[p], slot_a[p], slot_b[p]
+        s0, s1, s2, s3, s4, s5 = pair_strain(ta, tb, q, a, b, displacement)
+        a0, a1, a2, a3, a4, a5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(start[p], start[p + 1]):
+            d0, d1, d2 = point_strain(basis, j, s0, s1, s2, s3, s4, s5)
+            t0, t1, t2 = offset[j, 0] - kn[j] * d0, offset[j, 1] - kt[j] * d1, offset[j, 2] - kt[j] * d2
+            trial[j, 0], trial[j, 1], trial[j, 2] = t0, t1, t2
+            f0, f1, f2 = contact_force(cone, mu, t0, t1, t2)
+            a0 += basis[j, 0, 0] * f0 + basis[j, 0, 1] * f1 + basis[j, 0, 2] * f2
+            a1 += basis[j, 1, 0] * f0 + basis[j, 1, 1] * f1 + basis[j, 1, 2] * f2
+            a2 += basis[j, 2, 0] * f0 + basis[j, 2, 1] * f1 + basis[j, 2, 2] * f2
+            a3 += basis[j, 3, 0] * f0 + basis[j, 3, 1] * f1 + basis[j, 3, 2] * f2
+            a4 += basis[j, 4, 0] * f0 + basis[j, 4, 1] * f1 + basis[j, 4, 2] * f2
+            a5 += basis[j, 5, 0] * f0 + basis[j, 5, 1] * f1 + basis[j, 5, 2] * f2
+        pair_stress(ta, tb, q, a, b, a0, a1, a2, a3, a4, a5, out)
+    total = 0.0
+    for j in range(len(free)):
+        if free[j]:
+            for r in range(6):
+                total += out[j, r] * out[j, r]
+    return np.sqrt(total)
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def assemble_tangent(structure, work, contact, pairs, shift, bonded):
+    """Write the tangent stiffness at the spring forces `contact.trial`, plus `shift` times the identity.
+
+    `bonded` takes every contact as closed and rough: the state of affairs before anything moved.
+    """
+    basis, start, cone, mu = work.basis, work.start, structure.cone, structure.friction
+    kn, kt, trial = contact.normal, contact.tangential, contact.trial
+    clear_matrix(work, shift)
+    contact.upper[:] = 0.0
+    local = np.empty((6, 6))
+    for p in range(pairs):
+        local[:] = 0.0
+        closed = False
+        for j in range(start[p], start[p + 1]):
+            n, x, y = trial[j, 0], trial[j, 1], trial[j, 2]
+            if n <= 0.0 and not bonded:
+                continue
+            closed = True
+            k00, k10, k20, k11, k12, k21, k22 = kn[j], 0.0, 0.0, kt[j], 0.0, 0.0, kt[j]
+            size = gauge(cone, x, y)
+            if size > mu * n and not bonded:
+                ex, ey = x / size, y / size
+                gx, gy = gauge_gradient(cone, x, y)
+                k10, k20 = mu * kn[j] * ex, mu * kn[j] * ey
+                share = kt[j] * mu * n / size
+                k11, k12 = share * (1.0 - ex * gx), -share * ex * gy
+                k21, k22 = -share * ey * gx, share * (1.0 - ey * gy)
+            for i in range(6):
+                h0 = basis[j, i, 0] * k00 + basis[j, i, 1] * k10 + basis[j, i, 2] * k20
+                h1 = basis[j, i, 1] * k11 + basis[j, i, 2] * k21
+                h2 = basis[j, i, 1] * k12 + basis[j, i, 2] * k22
+                for k in range(6):
+                    local[i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
+        if closed:
+            add_pair(structure, work, p, local, contact.upper)
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def largest_residual(structure, work, wrench):
+    """Largest acceleration that whitened wrenches cause, in the units of the tolerance."""
+    free, order, turn = work.free, structure.elimination.order, structure.acceleration
+    worst = 0.0
+    for j in range(len(free)):
+        if free[j]:
+            part = order[j]
+            for r in range(6):
+                total = 0.0
+                for c in range(6):
+                    total += turn[part, r, c] * wrench[j, c]
+                worst = max(worst, abs(total))
+    return worst
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def largest_movement(structure, contact_structure, work, displacement):
+    """Largest movement of a part in m: of its centre, or of a point one radius of gyration away by its rotation."""
+    free, order, whitening = work.free, structure.elimination.order, contact_structure.whitening
+    worst = 0.0
+    for j in range(len(free)):
+        if free[j]:
+            part = order[j]
+            for r in range(6):
+                total = 0.0
+                for c in range(6):
+                    total += whitening[part, c, r] * displacement[j, c]
+                worst = max(worst, abs(total) * (1.0 if r < 3 else contact_structure.reach[part]))
+    return worst * contact_structure.scale
+
+
+@nb.njit(fastmath=FAST, cache=True)
+def find_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, bonded):
+    """Iterate from `contact.displacement` until the parts rest, move away, or the steps are used up.
+
+    Args:
+        structure, contact_structure, work, contact, pairs: a state laid out by `restrict` and `place_contacts`.
+        steps: limit on iterations.
+        tolerance: largest residual of a state at rest, as `largest_residual`.
+        bonded: take the first step with all contacts closed and rough; for a start from zero.
+
+    Returns:
+        `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations. Displacement and spring forces are in `contact`.
+    """
+    free, elimination = work.free, structure.elimination
+    now, ahead, step = contact.displacement, contact.next_displacement, contact.step
+    residual, next_residual = contact.residual, contact.next_residual
+    size = evaluate(structure, work, contact, pairs, now, contact.trial, residual)
+    worst = largest_residual(structure, work, residual)
+    time, first = _FIRST_STEP, bonded
+    for iteration in range(steps):
+        if worst <= tolerance:
+            return RESTS, worst, iteration
+        assemble_tangent(structure, work, contact, pairs, 1.0 / time, first)
+        if not factor_lu(elimination, free, work.diagonal, work.lower, contact.upper, work.filled):
+            time *= _CUT
+            continue
+        for j in range(len(free)):
+            if free[j]:
+                for r in range(6):
+                    step[j, r] = residual[j, r]
+        solve_lu(elimination, free, work.diagonal, work.lower, contact.upper, work.filled, step)
+        length = 1.0
+        while True:
+            for j in range(len(free)):
+                if free[j]:
+                    for r in range(6):
+                        ahead[j, r] = now[j, r] + length * step[j, r]
+            next_size = evaluate(structure, work, contact, pairs, ahead, contact.next_trial, next_residual)
+            implicit = 0.0  # residual of the implicit Euler step
+            for j in range(len(free)):
+                if free[j]:
+                    for r in range(6):
+                        defect = next_residual[j, r] - length * step[j, r] / time
+                        implicit += defect * defect
+            if first or min(np.sqrt(implicit), next_size) <= size:
+                break
+            length *= 0.5
+            if length < _SHORTEST:
+                break
+        if length < _SHORTEST or not next_size < np.inf:
+            time *= _CUT
+            continue
+        first = False
+        if length == 1.0:
+            time = min(time * max(_GROWTH, size / max(next_size, 1e-300)), _LONGEST_STEP)
+        else:
+            time *= 2.0 * length
+        size = next_size
+        for j in range(len(free)):
+            if free[j]:
+                for r in range(6):
+                    now[j, r], residual[j, r] = ahead[j, r], next_residual[j, r]
+        for j in range(work.start[pairs]):
+            for k in range(3):
+                contact.trial[j, k] = contact.next_trial[j, k]
+        worst = largest_residual(structure, work, residual)
+        if largest_movement(structure, contact_structure, work, now) > contact_structure.limit:
+            return MOVES_AWAY, worst, iteration + 1
+    return (RESTS if worst <= tolerance else OPEN), worst, steps
