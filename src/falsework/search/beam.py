@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
 from falsework.search.archive import read_archive, write_archive
-from falsework.search.frontier import expand
+from falsework.search.frontier import Frontier, expand
 from falsework.search.guide import Guide
 from falsework.search.hashing import StateHash
+from falsework.search.histories import Histories
 from falsework.search.judge import Judge, Oracle
 from falsework.search.result import (
     Outcome,
@@ -113,6 +114,8 @@ class BeamSearch:
         self._whole: list[bool] = []
         """For each level after the first, and for the attempt at the next if dead: no stable state was left out."""
         self._judge = Judge(oracle)
+        replayer = getattr(oracle, "replayer", None) if settings.direction is Direction.ASSEMBLY else None
+        self._histories = None if replayer is None else Histories(replayer, self.levels)
         self._guide = guide
         self._hash = StateHash.for_parts(task.part_count)
         self._candidates = 0
@@ -175,9 +178,17 @@ class BeamSearch:
             score = score + scores[frontier.parent, frontier.action]
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
         selector = Selector(frontier, score, settings.diversity == "k-means", settings.pool, rng)
+        doubt = False
         if settings.ahead > 0:
+
+            def confirmed(rows: NDArray[np.int64]) -> Mask:
+                nonlocal doubt
+                good = self._confirmed(frontier, rows)
+                doubt = doubt or not good.all()
+                return good
+
             choice = selector.most_promising(
-                self._judge, settings.width, settings.ahead, self._ground, commit=settings.commit
+                self._judge, settings.width, settings.ahead, confirmed, commit=settings.commit
             )
         else:
             choice = selector.all_judged(self._judge, settings.width)
@@ -187,7 +198,8 @@ class BeamSearch:
             self._farthest = len(self.levels)
             self._deepest = level.states[:_REPORTED]
             self._rejected = frontier.states(choice.rejected[:_REPORTED])
-        self._whole = [*self._whole[: len(self.levels) - 1], choice.exhaustive]
+        # A state refused because of the way to it may be reached by another, which was merged with this one.
+        self._whole = [*self._whole[: len(self.levels) - 1], choice.exhaustive and not doubt]
         if self._dead:
             return False
         kept = choice.kept
@@ -198,7 +210,19 @@ class BeamSearch:
             self.levels.pop()
             self._dead = True
             return False
+        if self._histories is not None:
+            self._histories.keep(kept)
         return True
+
+    def _confirmed(self, frontier: Frontier, rows: NDArray[np.int64]) -> Mask:
+        """Which candidates with a stable verdict also have a way to them on which every state stands. Shape (rows,)."""
+        good = self._ground(frontier.parent[rows])
+        if self._histories is not None and good.any():
+            rows = rows[good]
+            stands = self._histories.standing(rows, frontier.parent[rows], frontier.states(rows))
+            self._judge.sliding += int((~stands).sum())
+            good[good] = stands
+        return good
 
     def _ground(self, rows: NDArray[np.int64], level: int = -1) -> Mask:
         """Ask for the verdicts that waited on the way to states of a level; which of them are stable throughout.
@@ -231,6 +255,8 @@ class BeamSearch:
         if settings.direction is not self.settings.direction or not 0 <= level < len(self.levels):
             raise InputError(f"cannot rewind a beam search of {len(self.levels)} levels to level {level}")
         del self.levels[level + 1 :]
+        if self._histories is not None:
+            self._histories.rewind(level)
         self.settings = settings
         del self._whole[level:]
         self._dead = False
@@ -260,6 +286,20 @@ class BeamSearch:
             interrupted = True
         self._seconds += time.perf_counter() - begun
         return self.result(interrupted=interrupted)
+
+    def forbid(self, states: States) -> None:
+        """Rule states out from now on, and take the search back to where none of them is on the way.
+
+        Args:
+            states: shape (count, parts).
+        """
+        keys = {state.tobytes() for state in states}
+        self._judge.forbidden |= keys
+        for number, level in enumerate(self.levels):
+            if any(state.tobytes() in keys for state in level.states):
+                self._whole = [*self._whole[:number], *([False] * (len(self.levels) - number))]
+                self.rewind(max(number - 1, 0), self.settings)
+                return
 
     def _retry(self) -> None:
         """Go back and choose again, unless nothing was left out or it was tried often enough."""
@@ -350,7 +390,7 @@ class BeamSearch:
             raise ValueError("levels of different sizes")
         ends = np.cumsum(sizes)[:-1]
         columns = [np.split(arrays[name], ends) for name in ("states", "parent", "action", "score", "grounded")]
-        search.levels = [Level(*column) for column in zip(*columns, strict=True)] if len(sizes) else []
+        search.levels[:] = [Level(*column) for column in zip(*columns, strict=True)] if len(sizes) else []
         search._before = SearchCounters(**header["counters"])
         search._seconds, search._undecided = float(header["seconds"]), int(header["undecided"])
         search._sliding = int(header["sliding"])

@@ -34,6 +34,8 @@ class Judge:
         self.rejected = 0
         self.undecided = 0
         self.sliding = 0
+        self.forbidden: set[bytes] = set()
+        """States that a replay of a plan fell in: counted as sliding without being asked about."""
         self.seconds = 0.0
         self._batch = batch
 
@@ -54,6 +56,10 @@ class Judge:
             verdicts = self.oracle.judge(states[rows], parents=parents[rows])
             stable[rows] = verdicts.stable
             self.sliding += int(verdicts.slides.sum())
+            if self.forbidden:
+                fallen = np.array([state.tobytes() in self.forbidden for state in states[rows]], dtype=bool)
+                self.sliding += int((stable[rows] & fallen).sum())
+                stable[rows] &= ~fallen
             self.undecided += int(verdicts.undecided.sum())
         self.asked += len(states)
         self.rejected += int((~stable).sum())

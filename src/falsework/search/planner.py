@@ -101,7 +101,11 @@ class Planner:
         """Plans found so far; the first keeps missing parts out longest."""
         self.states = np.empty((0, task.part_count), dtype=np.uint8)
         """States found on the way to alternative plans, shape (count, parts)."""
+        self.fallen: tuple[Route, int] | None = None
+        """Of the routes whose replay falls the one that comes farthest, and the step of assembly at which it falls."""
         self._oracle = oracle
+        self._replayer = getattr(oracle, "replayer", None)
+        self._forbidden = self.states[:0]
         self._guide = guide
         self._stage = "plan"
         self._attempt = 0
@@ -207,7 +211,9 @@ class Planner:
             InputError: no such file, a damaged one, or one of another task or other settings.
         """
         header, arrays = read_archive(path, FORMAT)
-        if header.get("task") != task.judged_by(oracle).describe() or header.get("settings") != _settings_header(settings):
+        if header.get("task") != task.judged_by(oracle).describe() or header.get("settings") != _settings_header(
+            settings
+        ):
             raise InputError(f"{path} belongs to another structure, task or settings; remove it to begin a new search")
         planner = cls(task, oracle, settings, guide=guide)
         try:
@@ -246,12 +252,28 @@ class Planner:
             return True
         if self._stage == "alternatives":
             self._gather(beam, result)
+        elif result.found and not self._stands(result.routes[0], beam):
+            return False  # the beam went back to before the state that falls, and goes on from there
         elif result.found:
             begin = not self.routes
             self.routes = [result.routes[0]]
             self._next_trial(begin=begin)
         else:
             self._failed(result)
+        return False
+
+    def _stands(self, route: Route, beam: AdaptiveBeam) -> bool:
+        """Whether a replay of a route in the order of assembly stands; if not, its falling state is ruled out."""
+        if self._replayer is None:
+            return True
+        replay = self._replayer.replay(route.states[::-1])
+        if replay.good:
+            return True
+        row = replay.falls_at or 0
+        if self.fallen is None or row > self.fallen[1]:
+            self.fallen = route, row
+        self._forbidden = np.concatenate([self._forbidden, route.states[::-1][row : row + 1]])
+        beam.search.forbid(self._forbidden)
         return False
 
     def _drop_beams(self) -> None:
@@ -332,7 +354,9 @@ class Planner:
         name = ("start", "target")[row]
         proved, slides = bool(verdicts.unstable[row]), bool(verdicts.slides[row])
         word = "unstable" if proved else "sliding" if slides else "undecided"
-        limit = f"the {name} state slides" if slides else f"the {name} state could be proved neither stable nor unstable"
+        limit = (
+            f"the {name} state slides" if slides else f"the {name} state could be proved neither stable nor unstable"
+        )
         return SearchResult(
             outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
             routes=(),

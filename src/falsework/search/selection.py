@@ -14,7 +14,7 @@ from falsework.search.frontier import Frontier
 from falsework.search.judge import Judge
 
 Rows = NDArray[np.int64]
-Grounded = Callable[[Rows], Mask]
+Confirmed = Callable[[Rows], Mask]
 
 _BATCH = 4
 """Candidates asked for at once at least, when verdicts are asked one after the other: enough to share two cores."""
@@ -76,7 +76,7 @@ class Selector:
         kept = self.order(np.flatnonzero(stable), self.score, width)[:width]
         return self._choice(kept, asked[~stable[asked]])
 
-    def most_promising(self, judge: Judge, width: int, ahead: int, grounded: Grounded, *, commit: bool) -> Choice:
+    def most_promising(self, judge: Judge, width: int, ahead: int, confirmed: Confirmed, *, commit: bool) -> Choice:
         """Ask only until `width` states are found stable; keep `ahead` more that a fixed part leads to.
 
         States that leave more robots free come first, then the better scored.
@@ -86,8 +86,8 @@ class Selector:
             width: states to keep among those that a removal, or in assembly a release, leads to.
             ahead: states to keep among those that fixing a part leads to; their verdicts wait until a descendant is
                 kept.
-            grounded: asks for the verdicts that waited of states of the level, and returns which of them, with all
-                states on the way to them, are stable.
+            confirmed: which candidates with a stable verdict are reached by states that are stable too, and come to
+                rest with the contact history of that way.
             commit: once `width` are found, drop states that keep more robots busy than these.
         """
         frontier = self.frontier
@@ -95,13 +95,13 @@ class Selector:
         # The gap between numbers of held parts is wider than all scores, so that it decides first.
         promise = self.score - held * (np.ptp(self.score) + 1.0 if len(held) else 1.0)
         loose = self.order(np.flatnonzero(~frontier.fixing), promise, width)
-        proven, rejected = self._stable_ones(judge, loose, width, grounded)
+        proven, rejected = self._stable_ones(judge, loose, width, confirmed)
         fixed = self.order(np.flatnonzero(frontier.fixing), promise, ahead)
         if commit and len(proven) >= width:
             fixed = fixed[held[fixed] <= held[proven].max()]
         return self._choice(np.concatenate([proven, fixed[:ahead]]), rejected)
 
-    def _stable_ones(self, judge: Judge, waiting: Rows, wanted: int, grounded: Grounded) -> tuple[Rows, Rows]:
+    def _stable_ones(self, judge: Judge, waiting: Rows, wanted: int, confirmed: Confirmed) -> tuple[Rows, Rows]:
         """The first stable candidates of a list, about `wanted` of them, and those found not stable on the way."""
         frontier = self.frontier
         kept: list[Rows] = [waiting[:0]]
@@ -110,7 +110,8 @@ class Selector:
         while wanted > 0 and position < len(waiting):
             batch = waiting[position : position + max(wanted, _BATCH)]
             stable = judge.stable(frontier.states(batch), frontier.parents(batch))
-            stable[stable] = grounded(frontier.parent[batch[stable]])
+            if stable.any():
+                stable[stable] = confirmed(batch[stable])
             kept.append(batch[stable])
             rejected.append(batch[~stable])
             position += len(batch)

@@ -73,7 +73,9 @@ def accept(assembly: Assembly, states: States, verdicts: Verdicts, claim: Claim 
     ]
     if claim.criterion == "contact":
         if verdicts.displacement is None:
-            raise InputError("these verdicts carry no displacements; get verdicts from Stability.check, under `contact`")
+            raise InputError(
+                "these verdicts carry no displacements; get verdicts from Stability.check, under `contact`"
+            )
         shapes.append(("displacement", verdicts.displacement.shape, (batch, parts, 6)))
     for name, given, expected in shapes:
         if given != expected:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import asdict, dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,7 @@ from falsework.errors import InputError
 from falsework.stability.cache import VerdictCache
 from falsework.stability.certificate import accept
 from falsework.stability.contact.cpu import ContactSolver
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.cpu import CpuSolver
 from falsework.stability.exact import ExactSolver
 from falsework.stability.gpu import GpuSolver
@@ -84,6 +86,13 @@ class Stability:
     def holds_keep_stable(self) -> bool:
         """Whether a stable state stays stable when a part of it is held: so under `equilibrium`, not under `contact`."""
         return self.settings.criterion == "equilibrium"
+
+    @cached_property
+    def replayer(self) -> Replayer | None:
+        """Replays sequences of states of the structure; None under `equilibrium`, which knows no history."""
+        if self.settings.criterion == "equilibrium":
+            return None
+        return Replayer(self.assembly, self.settings, problem=self.problem)
 
     def check(self, states: ArrayLike) -> Verdicts:
         """Judge states and return the proofs, each accepted by the certificate checker.

@@ -40,7 +40,13 @@ class CpuSettings:
             raise InputError(f"rho is {self.rho}; give a positive number")
         if not 0 < self.relaxation < 2:
             raise InputError(f"relaxation is {self.relaxation}; give a number between 0 and 2")
-        for name, least in (("iterations", 0), ("check_every", 1), ("interior_steps", 0), ("contact_steps", 1), ("threads", 1)):
+        for name, least in (
+            ("iterations", 0),
+            ("check_every", 1),
+            ("interior_steps", 0),
+            ("contact_steps", 1),
+            ("threads", 1),
+        ):
             value = getattr(self, name)
             if value is not None and value < least:
                 raise InputError(f"{name} is {value}; give a whole number from {least} up")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
 
 import numba as nb
 import numpy as np
@@ -12,8 +11,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, States
-from falsework.stability.contact.kernel import build_contact_structure, solve_contact_state
-from falsework.stability.contact.newton import MOVES_AWAY, RESTS, make_contact_work
+from falsework.stability.contact.kernel import ContactOptions, build_contact_structure, solve_contact_state
+from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, RESTS, make_contact_work
 from falsework.stability.cpu import TASK, kernel_options
 from falsework.stability.cpu_kernel import solve_state
 from falsework.stability.judge import STABLE, UNDECIDED, UNSTABLE
@@ -26,14 +25,6 @@ from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 _WARM_STEPS = 8
 """Iterations from the displacement of the parent before a state is loaded from rest instead."""
 _SLIDES = int(Verdict.SLIDES)
-
-
-class ContactOptions(NamedTuple):
-    """Numbers that steer the kernel."""
-
-    tolerance: float
-    steps: int
-    warm_steps: int
 
 
 class ContactSolver:
@@ -50,7 +41,7 @@ class ContactSolver:
         self.structure = build_structure(problem)
         self.contact_structure = build_contact_structure(assembly, problem, settings.gravity, settings.stiffness_ratio)
         self._options = kernel_options(settings)
-        self._contact_options = ContactOptions(settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS)
+        self._contact_options = ContactOptions(settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS, FIRST_STEP)
         self._threads = settings.cpu.threads or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
 

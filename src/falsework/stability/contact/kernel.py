@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,19 @@ from falsework.stability.contact.stiffness import MOVEMENT, TANGENTIAL_RATIO, no
 from falsework.stability.problem import Problem
 from falsework.stability.judge import MARGIN
 from falsework.stability.structure import restrict, set_gravity
+
+
+class ContactOptions(NamedTuple):
+    """Numbers that steer the kernel."""
+
+    tolerance: float
+    """Largest residual of a state at rest."""
+    steps: int
+    """Limit on Newton iterations from rest."""
+    warm_steps: int
+    """The same from the displacement of a parent."""
+    first_step: float
+    """First time step."""
 
 
 def build_contact_structure(
@@ -146,12 +161,12 @@ def solve_contact_state(structure, contact_structure, state, options, work, cont
     if warm:
         read_displacement(structure, contact_structure, work, displacement, contact.displacement)
         result, residual, spent = find_rest(
-            structure, contact_structure, work, contact, pairs, options.warm_steps, tolerance, False
+            structure, contact_structure, work, contact, pairs, options.warm_steps, tolerance, options.first_step, False
         )
     if result != RESTS:
         contact.displacement[:] = 0.0
         result, residual, taken = find_rest(
-            structure, contact_structure, work, contact, pairs, options.steps, tolerance, True
+            structure, contact_structure, work, contact, pairs, options.steps, tolerance, options.first_step, True
         )
         spent += taken
     write_displacement(structure, contact_structure, work, contact.displacement, displacement)

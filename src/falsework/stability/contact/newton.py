@@ -20,8 +20,8 @@ from falsework.stability.structure import FAST, clear_matrix, pair_strain, pair_
 
 RESTS, MOVES_AWAY, OPEN = 1, -1, 0
 
-_FIRST_STEP = 1e3
-"""First time step, in units in which the median contact stiffness is 1."""
+FIRST_STEP = 1e3
+"""First time step, in units in which the median contact stiffness is 1: longer in a thinner medium."""
 _GROWTH = 4.0
 """Growth of the time step after a full step, at least; by the fall of the residual where that is more."""
 _SHORTEST = 0.1
@@ -128,10 +128,10 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
 
 
 @nb.njit(fastmath=FAST, cache=True)
-def assemble_tangent(structure, work, contact, pairs, shift, bonded):
+def assemble_tangent(structure, work, contact, pairs, shift):
     """Write the tangent stiffness at the spring forces `contact.trial`, plus `shift` times the identity.
 
-    `bonded` takes every contact as closed and rough: the state of affairs before anything moved.
+    A contact that just touches counts as closed and rough, so the first step from rest is that of a bonded structure.
     """
     basis, start, cone, mu = work.basis, work.start, structure.cone, structure.friction
     kn, kt, trial = contact.normal, contact.tangential, contact.trial
@@ -143,12 +143,12 @@ def assemble_tangent(structure, work, contact, pairs, shift, bonded):
         closed = False
         for j in range(start[p], start[p + 1]):
             n, x, y = trial[j, 0], trial[j, 1], trial[j, 2]
-            if n <= 0.0 and not bonded:
+            if n < 0.0:
                 continue
             closed = True
             k00, k10, k20, k11, k12, k21, k22 = kn[j], 0.0, 0.0, kt[j], 0.0, 0.0, kt[j]
             size = gauge(cone, x, y)
-            if size > mu * n and not bonded:
+            if size > mu * n:
                 ex, ey = x / size, y / size
                 gx, gy = gauge_gradient(cone, x, y)
                 k10, k20 = mu * kn[j] * ex, mu * kn[j] * ey
@@ -198,14 +198,16 @@ def largest_movement(structure, contact_structure, work, displacement):
 
 
 @nb.njit(fastmath=FAST, cache=True)
-def find_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, bonded):
+def find_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, leap):
     """Iterate from `contact.displacement` until the parts rest, move away, or the steps are used up.
 
     Args:
         structure, contact_structure, work, contact, pairs: a state laid out by `restrict` and `place_contacts`.
         steps: limit on iterations.
         tolerance: largest residual of a state at rest, as `largest_residual`.
-        bonded: take the first step with all contacts closed and rough; for a start from zero.
+        first_step: first time step.
+        leap: take the first step at full length whatever the residual after it; right for a start from rest, where
+            that step is the one of the bonded structure.
 
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations. Displacement and spring forces are in `contact`.
@@ -215,11 +217,11 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
     residual, next_residual = contact.residual, contact.next_residual
     size = evaluate(structure, work, contact, pairs, now, contact.trial, residual)
     worst = largest_residual(structure, work, residual)
-    time, first = _FIRST_STEP, bonded
+    time, first = first_step, leap
     for iteration in range(steps):
         if worst <= tolerance:
             return RESTS, worst, iteration
-        assemble_tangent(structure, work, contact, pairs, 1.0 / time, first)
+        assemble_tangent(structure, work, contact, pairs, 1.0 / time)
         if not factor_lu(elimination, free, work.diagonal, work.lower, contact.upper, work.filled):
             time *= _CUT
             continue

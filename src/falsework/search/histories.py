@@ -1,0 +1,102 @@
+"""Contact histories of the states of a beam that builds in the order of assembly."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import Mask, States
+
+if TYPE_CHECKING:
+    from falsework.search.beam import Level
+    from falsework.stability.contact.replay import History, Replayer
+
+_BYTES = 256 << 20
+"""Memory for histories; those of the earliest levels are computed anew where they are needed again."""
+
+
+class Histories:
+    """What the structure remembers in each state of a beam, given the way to it; computed when first asked for."""
+
+    def __init__(self, replayer: Replayer, levels: list[Level]) -> None:
+        """Begin with nothing.
+
+        Args:
+            replayer: of the structure.
+            levels: of the beam; the list that the beam itself changes.
+        """
+        self._replayer = replayer
+        self._levels = levels
+        self._known: list[dict[int, History | None]] = []
+        self._next: dict[int, History] = {}
+
+    def standing(self, rows: NDArray[np.int64], parent: NDArray[np.int64], states: States) -> Mask:
+        """Which candidates come to rest when they are reached from their parents in the last level.
+
+        Args:
+            rows: numbers of the candidates, by which `keep` names them, shape (rows,).
+            parent: row of the last level that each comes from, shape (rows,).
+            states: shape (rows, parts).
+
+        Returns:
+            Shape (rows,).
+        """
+        level = len(self._levels) - 1
+        stands = np.zeros(len(rows), dtype=bool)
+        for i, (row, origin) in enumerate(zip(rows.tolist(), parent.tolist(), strict=True)):
+            history = self._history(level, origin)
+            if history is not None:
+                stands[i], after = self._replayer.step(history, self._levels[level].states[origin], states[i])
+                if stands[i]:
+                    self._next[row] = after
+        return stands
+
+    def keep(self, rows: NDArray[np.int64]) -> None:
+        """Take over the histories of the candidates that became the last level, shape (kept,)."""
+        self._fit(len(self._levels) - 1)
+        self._known.append({i: self._next[row] for i, row in enumerate(rows.tolist()) if row in self._next})
+        self._next = {}
+        self._drop_oldest()
+
+    def rewind(self, level: int) -> None:
+        """Forget all levels after `level`."""
+        del self._known[level + 1 :]
+        self._next = {}
+
+    def _history(self, level: int, row: int) -> History | None:
+        """History of a state of a level; None where the way to it does not stand."""
+        self._fit(len(self._levels))
+        way = [row]
+        while way[-1] not in self._known[level + 1 - len(way)] and len(way) <= level:
+            way.append(int(self._levels[level + 1 - len(way)].parent[way[-1]]))
+        first = level + 1 - len(way)
+        history = self._known[first].get(way[-1])
+        if history is None and first == 0 and way[-1] not in self._known[0]:
+            start = self._replayer.replay(self._levels[0].states[way[-1]][None])
+            history = start.histories[0] if start.histories else None
+            self._known[0][way[-1]] = history
+        for at in range(first + 1, level + 1):
+            before, after = way[level + 1 - at], way[level - at]
+            if history is not None:
+                states = self._levels[at - 1].states[before], self._levels[at].states[after]
+                stands, history = self._replayer.step(history, *states)
+                history = history if stands else None
+            self._known[at][after] = history
+        return history
+
+    def _fit(self, count: int) -> None:
+        """Make room for the histories of `count` levels."""
+        self._known.extend({} for _ in range(count - len(self._known)))
+
+    def _drop_oldest(self) -> None:
+        """Forget the histories of the earliest levels where they take too much memory."""
+        assembly = self._replayer.problem
+        each = 8 * (6 * assembly.parts + 3 * assembly.points)
+        count = sum(map(len, self._known))
+        for known in self._known[1:-1]:
+            if count * each <= _BYTES:
+                return
+            count -= len(known)
+            known.clear()

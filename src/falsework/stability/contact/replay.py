@@ -1,0 +1,258 @@
+"""Replay of a sequence of states in the order of assembly, with contact history.
+
+A state that stands when gravity comes at once may not stand when it is reached as on site: friction remembers which way
+parts have slid, and what a robot carried before it let go. A replay carries displacements and spring forces from state
+to state. Parts come in unstressed, robots let go slowly, and inertia is left out: each step is a quasi-static one.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import States, as_states
+from falsework.errors import InputError
+from falsework.stability.contact.kernel import ContactOptions, build_contact_structure
+from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, OPEN, RESTS
+from falsework.stability.contact.replay_kernel import replay_range
+from falsework.stability.contact.stiffness import structure_size
+from falsework.stability.problem import Problem, build_problem
+from falsework.stability.settings import StabilitySettings
+from falsework.stability.structure import build_structure
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """How a replay goes about a step; a plan that stands must not hang on these numbers."""
+
+    increments: int = 4
+    """Parts in which the load of a robot is taken up when it lets go."""
+    first_step: float = FIRST_STEP
+    """First time step of the Newton iterations; the shorter, the thicker the medium in which parts move."""
+    friction_noise: float = 0.0
+    """Largest tangential force in new contact points before they carry anything, as a share of what the friction limit
+    of a typical point is under its share of a part's weight."""
+    seed: int = 0
+    """Of the noise."""
+    steps: int = 100
+    """Newton iterations an increment before it is left open."""
+
+    def __post_init__(self) -> None:
+        if self.increments < 1 or self.steps < 1:
+            raise InputError("a replay needs at least one increment and one iteration a step")
+        if not (np.isfinite(self.first_step) and self.first_step > 0):
+            raise InputError(f"first_step is {self.first_step}; give a positive number")
+        if not (np.isfinite(self.friction_noise) and self.friction_noise >= 0):
+            raise InputError(f"friction_noise is {self.friction_noise}; give a number from 0 up")
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """What a structure remembers of how it was built."""
+
+    displacement: Array
+    """Displacement of each part since it was placed, m and rad, shape (parts, 6)."""
+    springs: Array
+    """Spring forces of the contact points in scaled variables, shape (points, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """How a sequence of states went in the order of assembly, up to the first that does not come to rest."""
+
+    stands: NDArray[np.int8]
+    """For each state: 1 it comes to rest, -1 parts move away, 0 not decided or not reached; shape (states,)."""
+    moved: Array
+    """Largest movement of a part since it was placed, m, shape (states,)."""
+    part: NDArray[np.int32]
+    """The part that moved most, -1 where none moved, shape (states,)."""
+    residual: Array
+    """Residual at rest, in the units of the tolerance, shape (states,)."""
+    size: float
+    """Diagonal of the structure, m."""
+    histories: tuple[History, ...] = ()
+    """After each state that was reached."""
+
+    @property
+    def good(self) -> bool:
+        """Whether every state comes to rest."""
+        return bool((self.stands == RESTS).all())
+
+    @property
+    def falls_at(self) -> int | None:
+        """First state that does not come to rest; None if all do."""
+        bad = np.flatnonzero(self.stands != RESTS)
+        return int(bad[0]) if len(bad) else None
+
+    @property
+    def largest(self) -> float:
+        """Largest movement of a part in the states that come to rest, m."""
+        return float(self.moved[self.stands == RESTS].max(initial=0.0))
+
+
+class Replayer:
+    """Replays sequences of states of one structure."""
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        settings: StabilitySettings = StabilitySettings(),
+        replay: ReplaySettings = ReplaySettings(),
+        problem: Problem | None = None,
+    ) -> None:
+        """Lay the structure out.
+
+        Args:
+            assembly: the structure.
+            settings: cone, gravity, tolerance and stiffness ratio.
+            replay: how steps are taken.
+            problem: the equilibrium problem of the assembly under these settings, if it is at hand.
+        """
+        self.assembly = assembly
+        self.settings = settings
+        self.replay_settings = replay
+        self.problem = problem or build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
+        self._structure = build_structure(self.problem)
+        self._contact = build_contact_structure(assembly, self.problem, settings.gravity, settings.stiffness_ratio)
+        self._options = ContactOptions(settings.tolerance, replay.steps, 0, replay.first_step)
+        self._noise = self._draw_noise(replay)
+        self._size = structure_size(assembly)
+
+    def vary(self, settings: StabilitySettings | None = None, replay: ReplaySettings | None = None) -> Replayer:
+        """A replayer of the same structure under other settings."""
+        return Replayer(self.assembly, settings or self.settings, replay or self.replay_settings)
+
+    def replay(self, states: ArrayLike, history: History | None = None, *, increments: int | None = None) -> Replay:
+        """Replay consecutive states up to the first that does not come to rest.
+
+        Args:
+            states: in the order of assembly, shape (states, parts).
+            history: of the first state; without it, gravity comes at once on the first state at rest.
+            increments: instead of those of the settings.
+
+        Raises:
+            StateError: states of the wrong length or with other values.
+        """
+        batch = as_states(states, self.assembly.boundary)
+        count, problem = len(batch), self.problem
+        displacement, springs = np.zeros((count, problem.parts, 6)), np.zeros((count, problem.points, 3))
+        if history is not None:
+            displacement[0], springs[0] = history.displacement, history.springs
+        result, residual, moved = np.full(count, OPEN, np.int8), np.full(count, np.nan), np.zeros(count)
+        iterations, part = np.zeros(count, np.int32), np.full(count, -1, np.int32)
+        reached = replay_range(
+            self._structure,
+            self._contact,
+            batch,
+            history is None,
+            self._options,
+            increments or self.replay_settings.increments,
+            self._noise,
+            displacement,
+            springs,
+            result,
+            residual,
+            iterations,
+            part,
+            moved,
+        )
+        histories = tuple(History(displacement[row], springs[row]) for row in range(reached))
+        return Replay(result, moved, part, residual, self._size, histories)
+
+    def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
+        """One step in a single increment, for a search: whether the structure comes to rest, and what it then remembers.
+
+        Args:
+            history: of the state before.
+            before, after: consecutive states in the order of assembly, shape (parts,).
+        """
+        replay = self.replay(np.stack([before, after]), history, increments=1)
+        return bool(replay.stands[1] == RESTS), replay.histories[-1]
+
+    def _draw_noise(self, replay: ReplaySettings) -> Array:
+        noise = np.zeros((self.problem.points, 2))
+        if replay.friction_noise:
+            rng = np.random.default_rng(replay.seed)
+            mass = self.assembly.mass.mass[~self.assembly.boundary]
+            typical = self.problem.friction * self.settings.gravity * (mass.mean() if len(mass) else 0.0) / 8
+            angle = rng.uniform(0, 2 * np.pi, self.problem.points)
+            size = replay.friction_noise * typical * rng.uniform(0, 1, self.problem.points)
+            noise = np.stack([np.cos(angle), np.sin(angle)], axis=1) * (size / self.problem.force_scale)[:, None]
+        return noise
+
+
+@dataclass(frozen=True)
+class Variation:
+    """A replay under other numbers, and how far it came."""
+
+    name: str
+    good: bool
+    falls_at: int | None
+
+
+def variations(settings: StabilitySettings, draws: int) -> list[tuple[str, StabilitySettings, ReplaySettings]]:
+    """Settings of replay on which the answer must not hang, with names.
+
+    Args:
+        settings: of the verdicts.
+        draws: how many random states of friction.
+    """
+    plain = ReplaySettings()
+    varied = [
+        ("stiffness ratio 0.4", replace(settings, stiffness_ratio=0.4), plain),
+        ("stiffness ratio 1", replace(settings, stiffness_ratio=1.0), plain),
+        ("release in 1 increment", settings, replace(plain, increments=1)),
+        ("release in 16 increments", settings, replace(plain, increments=16)),
+        ("thicker medium", settings, replace(plain, first_step=FIRST_STEP / 30)),
+        ("thinner medium", settings, replace(plain, first_step=FIRST_STEP * 30)),
+    ]
+    varied += [
+        (f"friction at the start, draw {seed + 1}", settings, replace(plain, friction_noise=1.0, seed=seed))
+        for seed in range(draws)
+    ]
+    return varied
+
+
+def replay_varied(replayer: Replayer, states: States, *, draws: int = 4, threads: int | None = None) -> list[Variation]:
+    """Replay a plan under other settings: a plan that falls in one of them is marginal.
+
+    Args:
+        replayer: with the settings of the plan.
+        states: in the order of assembly, shape (states, parts).
+        draws: how many random states of friction.
+        threads: all cores by default.
+    """
+
+    def run(case: tuple[str, StabilitySettings, ReplaySettings]) -> Variation:
+        name, settings, replay = case
+        result = replayer.vary(settings, replay).replay(states)
+        return Variation(name, result.good, result.falls_at)
+
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        return list(pool.map(run, variations(replayer.settings, draws)))
+
+
+def replay_plans(replayer: Replayer, plans: Sequence[States]) -> list[Replay]:
+    """Replay several sequences of states, one a thread."""
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        return list(pool.map(replayer.replay, plans))
+
+
+__all__ = [
+    "MOVES_AWAY",
+    "History",
+    "Replay",
+    "ReplaySettings",
+    "Replayer",
+    "Variation",
+    "replay_plans",
+    "replay_varied",
+]

@@ -1,0 +1,198 @@
+"""One step of a replay: contacts with history, and robots that let go slowly.
+
+Between two steps the structure remembers where its parts are and the spring forces of its contact points. A part comes
+in unstressed. When a robot lets go, or a part is taken away, the wrenches that are missing then are taken up by the
+contacts in equal increments; after each, points that slid keep the friction that they have.
+"""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+
+from falsework.stability.contact.kernel import lacks_contact
+from falsework.stability.contact.law import contact_force
+from falsework.stability.contact.newton import MOVES_AWAY, RESTS, evaluate, find_rest, make_contact_work
+from falsework.stability.structure import make_work, restrict, set_gravity
+
+
+@nb.njit(cache=True)
+def _load_history(structure, contact_structure, work, contact, pairs, springs):
+    """Bring stiffness, spring forces and gravity into the compact order of a state."""
+    for p in range(pairs):
+        shift = structure.pair_start[work.pair[p]] - work.start[p]
+        for j in range(work.start[p], work.start[p + 1]):
+            contact.normal[j] = contact_structure.normal[j + shift]
+            contact.tangential[j] = contact_structure.tangential[j + shift]
+            for k in range(3):
+                contact.offset[j, k] = springs[j + shift, k]
+    set_gravity(structure, work, contact.load)
+
+
+@nb.njit(cache=True)
+def _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs):
+    """Add the increment to the displacement, and remember the spring forces with friction cut back to the law."""
+    order, whitening = structure.elimination.order, contact_structure.whitening
+    for j in range(len(work.free)):
+        if work.free[j]:
+            part = order[j]
+            for r in range(6):
+                total = 0.0
+                for c in range(6):
+                    total += whitening[part, c, r] * contact.displacement[j, c]
+                displacement[part, r] += total * contact_structure.scale
+    for p in range(pairs):
+        shift = structure.pair_start[work.pair[p]] - work.start[p]
+        for j in range(work.start[p], work.start[p + 1]):
+            n = contact.trial[j, 0]
+            _, x, y = contact_force(structure.cone, structure.friction, n, contact.trial[j, 1], contact.trial[j, 2])
+            springs[j + shift, 0], springs[j + shift, 1], springs[j + shift, 2] = n, x, y
+            contact.offset[j, 0], contact.offset[j, 1], contact.offset[j, 2] = n, x, y
+    contact.displacement[:] = 0.0
+
+
+@nb.njit(cache=True)
+def _movement(contact_structure, displacement, part):
+    """Movement of a part in m, as `largest_movement`."""
+    worst = 0.0
+    for r in range(6):
+        worst = max(worst, abs(displacement[part, r]) * (1.0 if r < 3 else contact_structure.reach[part]))
+    return worst
+
+
+@nb.njit(cache=True)
+def place_new(structure, before, state, noise, displacement, springs):
+    """Reset what a step brings in: parts where they were planned, contact points without force.
+
+    Args:
+        structure: see there.
+        before, state: shape (parts,).
+        noise: tangential spring forces of new contact points, shape (points, 2).
+        displacement, springs: the history, changed in place.
+    """
+    for part in range(len(state)):
+        if before[part] == 0 or state[part] == 0:
+            for r in range(6):
+                displacement[part, r] = 0.0
+    for q in range(len(structure.pair_parts)):
+        a, b = structure.pair_parts[q, 0], structure.pair_parts[q, 1]
+        if before[a] == 0 or before[b] == 0 or state[a] == 0 or state[b] == 0:
+            for j in range(structure.pair_start[q], structure.pair_start[q + 1]):
+                springs[j, 0], springs[j, 1], springs[j, 2] = 0.0, noise[j, 0], noise[j, 1]
+
+
+@nb.njit(cache=True)
+def settle_step(structure, contact_structure, state, options, increments, rest, work, contact, displacement, springs):
+    """Let a structure with history come to rest in a state.
+
+    Args:
+        structure, contact_structure, options, work, contact: see there.
+        state: shape (parts,).
+        increments: in how many the missing wrenches are taken up.
+        rest: whether the history is empty, so that gravity comes at once.
+        displacement: of the parts since they were placed, m and rad, shape (parts, 6); changed in place.
+        springs: scaled spring forces of all contact points, shape (points, 3); changed in place.
+
+    Returns:
+        `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations; the part that moved most, and its movement in m.
+    """
+    pairs, count = restrict(structure, state, work)
+    if count == 0:
+        return RESTS, 0.0, 0, -1, 0.0
+    _load_history(structure, contact_structure, work, contact, pairs, springs)
+    contact.displacement[:] = 0.0
+    spent, result, residual = 0, RESTS, 0.0
+    evaluate(structure, work, contact, pairs, contact.displacement, contact.trial, contact.residual)
+    missing = contact.residual.copy()
+    load = contact.load.copy()
+    count = 1 if rest else increments
+    if lacks_contact(work, pairs):
+        result, count = MOVES_AWAY, 0
+    for k in range(1, count + 1):
+        share = 1.0 - k / count
+        for j in range(len(work.free)):
+            if work.free[j]:
+                for r in range(6):
+                    contact.load[j, r] = load[j, r] - share * missing[j, r]
+        result, residual, taken = find_rest(
+            structure,
+            contact_structure,
+            work,
+            contact,
+            pairs,
+            options.steps,
+            options.tolerance,
+            options.first_step,
+            rest,
+        )
+        spent += taken
+        _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs)
+        if result != RESTS:
+            break
+    part, movement = -1, 0.0
+    for i in range(len(state)):
+        if state[i] != 0:
+            moved = _movement(contact_structure, displacement, i)
+            if moved > movement:
+                part, movement = i, moved
+    if result == RESTS and movement > contact_structure.limit:
+        result = MOVES_AWAY
+    return result, residual, spent, part, movement
+
+
+@nb.njit(nogil=True, cache=True)
+def replay_range(
+    structure,
+    contact_structure,
+    states,
+    fresh,
+    options,
+    increments,
+    noise,
+    displacement,
+    springs,
+    result,
+    residual,
+    iterations,
+    part,
+    movement,
+):
+    """Replay consecutive states until one does not rest; return how many did.
+
+    Args:
+        states: shape (steps + 1, parts); the history belongs to the first, unless `fresh`.
+        fresh: whether the first state has no history.
+        options, increments, noise: as in `settle_step` and `place_new`.
+        displacement, springs: the history before and after each state, shapes (steps + 1, parts, 6) and
+            (steps + 1, points, 3); the first entry is given, the others are written.
+        result, residual, iterations, part, movement: out, one entry a state.
+    """
+    work, contact = make_work(structure), make_contact_work(structure)
+    for i in range(len(states)):
+        settles = fresh
+        if i > 0:
+            displacement[i], springs[i] = displacement[i - 1], springs[i - 1]
+            place_new(structure, states[i - 1], states[i], noise, displacement[i], springs[i])
+            settles = False
+            for p in range(states.shape[1]):
+                # Holding a part changes nothing; letting go of one or taking one away does.
+                settles = settles or (states[i, p] != states[i - 1, p] and states[i, p] != 2)
+        result[i], residual[i], iterations[i] = RESTS, 0.0, 0
+        if settles:
+            result[i], residual[i], iterations[i], part[i], movement[i] = settle_step(
+                structure,
+                contact_structure,
+                states[i],
+                options,
+                increments,
+                fresh and i == 0,
+                work,
+                contact,
+                displacement[i],
+                springs[i],
+            )
+            if result[i] != RESTS:
+                return i
+        elif i > 0:
+            part[i], movement[i] = part[i - 1], movement[i - 1]
+    return len(states)
