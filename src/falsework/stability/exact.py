@@ -33,8 +33,8 @@ class ExactSolver:
 
     First the least-squares problem of DESIGN section 4; its forces prove nearly every stable state, its
     residual nearly every unstable one. What lies between (the least-squares residual is above the tolerance,
-    yet other forces might stay below it) is settled by the linear program that minimises the largest
-    acceleration itself, whose dual is the best virtual velocity there is.
+    yet other forces might stay below it) is settled by the linear program that minimises the residual of
+    `certificate.py` itself, whose dual is the best virtual velocity there is.
     """
 
     _programs: ClassVar[tuple[ProgramOf, ...]] = (least_squares, least_acceleration)

@@ -57,7 +57,7 @@ def block_diagonal(blocks: Array) -> sp.csc_matrix:
 
 
 def least_squares(problem: Problem, free: Mask, active: Mask, claim: Claim) -> Program:
-    """`min 1/2 |y|^2` with `y = L^-1 (G f + g)`, `f` in the cones (DESIGN, section 4; paper, equation 6).
+    """`min 1/2 |y|^2` with `y = L^-1 (G f + g)` up to a factor, `f` in the cones (paper, equation 6).
 
     Args:
         problem: the structure.
@@ -65,9 +65,10 @@ def least_squares(problem: Problem, free: Mask, active: Mask, claim: Claim) -> P
         active: contact points that act, shape (points,).
         claim: cone and force bound.
     """
-    # Forces in shares of the weight keep the numbers near one.
+    # Forces in shares of the weight and accelerations in shares of gravity keep the numbers near one, and make them
+    # the same whatever the size of the structure.
     unit = problem.weight
-    whiten = block_diagonal(problem.whitening[free])
+    whiten = block_diagonal(problem.whitening[free] / np.abs(problem.scaled_gravity[free, 2]).min())
     wrenches = whiten @ wrench_matrix(problem, free, active) * unit
     gravity = whiten @ problem.gravity_wrench[free].ravel()
     rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
@@ -90,16 +91,16 @@ def least_squares(problem: Problem, free: Mask, active: Mask, claim: Claim) -> P
 
 
 def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: Claim) -> Program:
-    """`min t` with `|M^-1 (G f + g)| <= t`, `f` in the cones, sum of normals below the bound.
+    """`min t` with `|D M^-1 (G f + g)| <= t`, `f` in the cones, sum of normals below the bound; `D` is `measure`.
 
-    Its multipliers are the best virtual velocity there is: by duality they prove the very acceleration that
-    its solution reaches. Arguments as for `least_squares`.
+    Its multipliers are the best virtual velocity there is: by duality they prove the very residual that its
+    solution reaches. Arguments as for `least_squares`.
     """
     unit = problem.weight
     whiten = block_diagonal(problem.whitening[free])
-    inverse_mass = whiten.T @ whiten
-    accelerations = inverse_mass @ wrench_matrix(problem, free, active) * unit
-    gravity = inverse_mass @ problem.gravity_wrench[free].ravel()
+    measured = sp.csc_matrix(sp.diags(np.repeat(problem.measure[free], 3)) @ (whiten.T @ whiten))  # D M^-1
+    accelerations = measured @ wrench_matrix(problem, free, active) * unit
+    gravity = measured @ problem.gravity_wrench[free].ravel()
     rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
     cone = _cone_rows(problem, columns // 3, claim.cone)
     cone_rows = cone.shape[0]  # type: ignore[index]
@@ -108,7 +109,7 @@ def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: Claim)
     one = sp.csc_matrix(np.ones((rows, 1)))
 
     def read(x: Array, multipliers: Array) -> tuple[Array, Array]:
-        velocity = inverse_mass @ (multipliers[:rows] - multipliers[rows : 2 * rows])
+        velocity = measured.T @ (multipliers[:rows] - multipliers[rows : 2 * rows])
         return unit * x[:columns].reshape(-1, 3), _normalised(velocity)
 
     return Program(
