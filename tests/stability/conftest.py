@@ -1,9 +1,17 @@
-"""Small scenes with known answers, random states, and a formulation that shares nothing with the solvers."""
+"""Small scenes with known answers, random states, a formulation that shares nothing with the solvers, and the GPU's
+kernel as plain C++."""
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
+import shutil
+import subprocess
+import tempfile
 from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +21,11 @@ from scipy.optimize import linprog
 
 from falsework.assembly.model import Assembly
 from falsework.geometry import TriangleMesh
+from falsework.stability import StabilitySettings, build_problem
+from falsework.stability.gpu import GpuSolver
+from falsework.stability.gpu_driver import kernel_source
+
+COMPILER = shutil.which("g++") or shutil.which("clang++")
 
 BOX_FACES = np.array(
     [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
@@ -97,7 +110,7 @@ class Scenes:
         return states
 
 
-def least_acceleration(
+def least_residual(
     assembly: Assembly,
     state: NDArray[np.uint8],
     *,
@@ -106,16 +119,18 @@ def least_acceleration(
     force_bound: float = 1e3,
     gravity: float = 9.81,
 ) -> float:
-    """Smallest largest acceleration that admissible forces reach, by the simplex method on rays of the cones.
+    """Smallest residual that admissible forces reach, by the simplex method on rays of the cones.
 
     Everything is taken from the geometry: each contact point pushes along `directions` rays
-    `n + widen * mu * (cos a t1 + sin a t2)`, and the parts' Newton and Euler equations are written out.
+    `n + widen * mu * (cos a t1 + sin a t2)`, and the parts' Newton and Euler equations are written out. The
+    residual is the largest acceleration by gravity, angular ones times the largest radius of gyration of their part.
     """
     contacts, mass = assembly.contacts, assembly.mass
     free = [part for part in range(assembly.part_count) if state[part] == 1]
     if not free:
         return 0.0
     row_of = {part: 6 * k for k, part in enumerate(free)}
+    gyration = {part: np.sqrt(np.linalg.norm(mass.inertia[part], 2) / mass.mass[part]) for part in free}
     inverse_inertia = {part: np.linalg.inv(mass.inertia[part]) for part in free}
     angles = 2 * np.pi * np.arange(directions) / directions
     columns: list[NDArray] = []
@@ -131,13 +146,14 @@ def least_acceleration(
                 for part, sign in ((a, -1), (b, 1)):
                     if part in row_of:
                         moment = np.cross(point - mass.center[part], sign * force)
-                        column[row_of[part] : row_of[part] + 3] = sign * force / mass.mass[part]
-                        column[row_of[part] + 3 : row_of[part] + 6] = inverse_inertia[part] @ moment
+                        column[row_of[part] : row_of[part] + 3] = sign * force / (mass.mass[part] * gravity)
+                        turn = inverse_inertia[part] @ moment
+                        column[row_of[part] + 3 : row_of[part] + 6] = turn * gyration[part] / gravity
                 columns.append(column)
     weight = gravity * mass.mass[~assembly.boundary].sum()
-    fall = np.tile([0, 0, -gravity, 0, 0, 0], len(free))
+    fall = np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], len(free))
     if not columns:
-        return gravity
+        return 1.0
     moved = sp.csc_matrix(np.array(columns).T * weight)
     one = np.ones((6 * len(free), 1))
     press = sp.csc_matrix(np.append(np.ones(len(columns)), 0.0)[None])
@@ -151,6 +167,66 @@ def least_acceleration(
     return float(answer.fun)
 
 
+@lru_cache
+def library_of(defines: tuple[tuple[str, int], ...]) -> ctypes.CDLL:
+    """The kernel as a shared library."""
+    assert COMPILER is not None
+    with tempfile.TemporaryDirectory() as folder:
+        source, out = Path(folder) / "kernel.cpp", Path(folder) / "kernel.so"
+        source.write_text(kernel_source(), encoding="utf-8")
+        constants = [f"-D{name}={value}" for name, value in defines]
+        command = [COMPILER, "-std=c++17", "-O1", "-shared", "-fPIC", *constants, "-o", str(out), str(source)]
+        subprocess.run(command, check=True, capture_output=True)
+        return ctypes.CDLL(str(out))
+
+
+class HostDriver:
+    """A device whose blocks have one thread: the processor."""
+
+    multiprocessors = 1
+    most_threads = 1
+
+    def __init__(self, defines: dict[str, int], shared_limit: int = 227 * 1024, memory: int | None = None) -> None:
+        self.shared_limit = shared_limit
+        self.memory = memory
+        self.launched: list[str] = []
+        self._library = library_of(tuple(sorted(defines.items())))
+
+    def put(self, array: Any) -> Any:
+        return np.array(array, order="C")
+
+    def empty(self, shape: tuple[int, ...], dtype: Any) -> Any:
+        if self.memory is not None and np.prod(shape) * np.dtype(dtype).itemsize > self.memory:
+            raise RuntimeError("CUDA out of memory")
+        return np.full(shape, 77, dtype=dtype)  # what is read before it is written will not look right
+
+    def zeros(self, shape: tuple[int, ...], dtype: Any) -> Any:
+        return np.zeros(shape, dtype=dtype)
+
+    def get(self, array: Any) -> Any:
+        return array
+
+    def address(self, array: Any) -> int:
+        return array.ctypes.data
+
+    def blocks(self, kernel: str, threads: int, shared: int) -> int:
+        return 1
+
+    def launch(self, kernel: str, blocks: int, threads: int, shared: int, arguments: Any) -> None:
+        assert blocks == threads == 1
+        self.launched.append(kernel)
+        function = getattr(self._library, kernel)
+        function.argtypes = [type(argument) for argument in arguments]
+        function.restype = None
+        function(*arguments)
+
+
+def solver_on_host(assembly: Assembly, settings: StabilitySettings = StabilitySettings(), **limits: Any) -> GpuSolver:
+    """The solver for a GPU, on the processor."""
+    problem = build_problem(assembly, cone=settings.cone, gravity=settings.gravity)
+    return GpuSolver(problem, settings, make_driver=lambda defines: HostDriver(defines, **limits))
+
+
 @pytest.fixture(scope="session")
 def scenes() -> type[Scenes]:
     return Scenes
@@ -158,4 +234,18 @@ def scenes() -> type[Scenes]:
 
 @pytest.fixture(scope="session")
 def simplex() -> Callable[..., float]:
-    return least_acceleration
+    return least_residual
+
+
+@pytest.fixture(scope="session")
+def host_driver() -> type[HostDriver]:
+    """A device for `GpuSolver` that is the processor."""
+    if COMPILER is None:
+        pytest.skip("no C++ compiler for the kernel")
+    return HostDriver
+
+
+@pytest.fixture(scope="session")
+def on_host(host_driver: type[HostDriver]) -> Callable[..., GpuSolver]:
+    """Makes the solver for a GPU on the processor, given an assembly, settings and limits of the device."""
+    return solver_on_host

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Callable
-from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -21,72 +16,11 @@ from falsework.errors import DependencyError, InputError
 from falsework.stability import Solver, Stability, StabilitySettings, Verdict, accept, build_problem, oracle
 from falsework.stability.cpu import CpuSolver
 from falsework.stability.gpu import GpuSolver, MemoryWarning
-from falsework.stability.gpu_driver import KERNELS, CudaDriver, compile_kernel, kernel_source
+from falsework.stability.gpu_driver import KERNELS, CudaDriver, compile_kernel
 from falsework.stability.gpu_layout import build_layout
 from falsework.stability.settings import GpuSettings
 
-COMPILER = shutil.which("g++") or shutil.which("clang++")
 SMALL = ("arch:blocks=7", "wall:bricks=3,courses=3", "corbel", "bottle", "polycube")
-needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C++ compiler for the kernel")
-
-
-@lru_cache
-def library_of(defines: tuple[tuple[str, int], ...]) -> ctypes.CDLL:
-    """The kernel as a shared library."""
-    assert COMPILER is not None
-    with tempfile.TemporaryDirectory() as folder:
-        source, out = Path(folder) / "kernel.cpp", Path(folder) / "kernel.so"
-        source.write_text(kernel_source(), encoding="utf-8")
-        constants = [f"-D{name}={value}" for name, value in defines]
-        command = [COMPILER, "-std=c++17", "-O1", "-shared", "-fPIC", *constants, "-o", str(out), str(source)]
-        subprocess.run(command, check=True, capture_output=True)
-        return ctypes.CDLL(str(out))
-
-
-class HostDriver:
-    """A device whose blocks have one thread: the processor."""
-
-    multiprocessors = 1
-    most_threads = 1
-
-    def __init__(self, defines: dict[str, int], shared_limit: int = 227 * 1024, memory: int | None = None) -> None:
-        self.shared_limit = shared_limit
-        self.memory = memory
-        self.launched: list[str] = []
-        self._library = library_of(tuple(sorted(defines.items())))
-
-    def put(self, array: Any) -> Any:
-        return np.array(array, order="C")
-
-    def empty(self, shape: tuple[int, ...], dtype: Any) -> Any:
-        if self.memory is not None and np.prod(shape) * np.dtype(dtype).itemsize > self.memory:
-            raise RuntimeError("CUDA out of memory")
-        return np.full(shape, 77, dtype=dtype)  # what is read before it is written will not look right
-
-    def zeros(self, shape: tuple[int, ...], dtype: Any) -> Any:
-        return np.zeros(shape, dtype=dtype)
-
-    def get(self, array: Any) -> Any:
-        return array
-
-    def address(self, array: Any) -> int:
-        return array.ctypes.data
-
-    def blocks(self, kernel: str, threads: int, shared: int) -> int:
-        return 1
-
-    def launch(self, kernel: str, blocks: int, threads: int, shared: int, arguments: Any) -> None:
-        assert blocks == threads == 1
-        self.launched.append(kernel)
-        function = getattr(self._library, kernel)
-        function.argtypes = [type(argument) for argument in arguments]
-        function.restype = None
-        function(*arguments)
-
-
-def on_host(assembly: Assembly, settings: StabilitySettings = StabilitySettings(), **limits: Any) -> GpuSolver:
-    problem = build_problem(assembly, cone=settings.cone, gravity=settings.gravity)
-    return GpuSolver(problem, settings, make_driver=lambda defines: HostDriver(defines, **limits))
 
 
 def mixed_states(scenes: Any, assembly: Assembly, count: int, seed: int) -> Any:
@@ -95,7 +29,7 @@ def mixed_states(scenes: Any, assembly: Assembly, count: int, seed: int) -> Any:
     return np.concatenate([near, far])
 
 
-def compare(assembly: Assembly, states: Any, settings: StabilitySettings) -> Any:
+def compare(on_host: Callable[..., GpuSolver], assembly: Assembly, states: Any, settings: StabilitySettings) -> Any:
     """Check that both solvers say the same and that every certificate is accepted; return the verdicts."""
     solver = on_host(assembly, settings)
     verdicts = solver.check(states)
@@ -108,36 +42,34 @@ def compare(assembly: Assembly, states: Any, settings: StabilitySettings) -> Any
     return verdicts
 
 
-@needs_compiler
 @pytest.mark.parametrize("cone", ["octagon", "quadratic"])
 @pytest.mark.parametrize("structure", SMALL)
-def test_agrees_with_the_processor(scenes: Any, structure: str, cone: Any) -> None:
+def test_agrees_with_the_processor(scenes: Any, structure: str, cone: Any, on_host: Callable[..., GpuSolver]) -> None:
     assembly = library.build(structure)
-    verdicts = compare(assembly, mixed_states(scenes, assembly, 30, seed=5), StabilitySettings(cone=cone))
+    verdicts = compare(on_host, assembly, mixed_states(scenes, assembly, 30, seed=5), StabilitySettings(cone=cone))
     assert verdicts.stable.any()
     assert verdicts.unstable.any()
 
 
-@needs_compiler
 @pytest.mark.parametrize("name", ["bottle-12", "dome-37", "vault-62"])
-def test_agrees_on_real_structures(scenes: Any, shared_assembly: Callable[[str], Path], name: str) -> None:
+def test_agrees_on_real_structures(
+    scenes: Any, shared_assembly: Callable[[str], Path], name: str, on_host: Callable[..., GpuSolver]
+) -> None:
     assembly = load_structure(str(shared_assembly(name)))
-    compare(assembly, mixed_states(scenes, assembly, 20, seed=3), StabilitySettings())
+    compare(on_host, assembly, mixed_states(scenes, assembly, 20, seed=3), StabilitySettings())
 
 
-@needs_compiler
-def test_the_interior_point_method_agrees_from_the_first_step(scenes: Any) -> None:
+def test_the_interior_point_method_agrees_from_the_first_step(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
     """With one iteration of ADMM nearly everything is left to the interior point method."""
     assembly = library.build("wall:bricks=3,courses=3")
     states = mixed_states(scenes, assembly, 30, seed=8)
     for cone in ("octagon", "quadratic"):
         settings = StabilitySettings(cone=cone, gpu=GpuSettings(iterations=1, first_check=1))  # type: ignore[arg-type]
-        verdicts = compare(assembly, states, settings)
+        verdicts = compare(on_host, assembly, states, settings)
         assert (verdicts.iterations > 1).mean() > 0.5
 
 
-@needs_compiler
-def test_states_too_large_for_the_chip_are_judged_in_memory(scenes: Any) -> None:
+def test_states_too_large_for_the_chip_are_judged_in_memory(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
     """With next to no shared memory every state takes the kernels that work in device memory, to the same end."""
     assembly = library.build("arch:blocks=7")
     states = mixed_states(scenes, assembly, 30, seed=2)
@@ -151,8 +83,7 @@ def test_states_too_large_for_the_chip_are_judged_in_memory(scenes: Any) -> None
     np.testing.assert_array_equal(first.residual, second.residual)
 
 
-@needs_compiler
-def test_verdicts_alone_are_the_same(scenes: Any) -> None:
+def test_verdicts_alone_are_the_same(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
     assembly = library.build("wall:bricks=3,courses=3")
     states = mixed_states(scenes, assembly, 20, seed=4)
     solver = on_host(assembly)
@@ -165,8 +96,7 @@ def test_verdicts_alone_are_the_same(scenes: Any) -> None:
     np.testing.assert_array_equal(residual, whole.residual)
 
 
-@needs_compiler
-def test_found_forces_are_a_good_guess(scenes: Any) -> None:
+def test_found_forces_are_a_good_guess(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
     """A stable state started from its own forces is proven at the first test, and hands forces back."""
     assembly = library.build("arch:blocks=7")
     states = np.unique(mixed_states(scenes, assembly, 40, seed=6), axis=0)
@@ -184,8 +114,7 @@ def test_found_forces_are_a_good_guess(scenes: Any) -> None:
     assert accept(assembly, states[rows], warm).all()
 
 
-@needs_compiler
-def test_the_batch_is_halved_when_memory_runs_out(scenes: Any) -> None:
+def test_the_batch_is_halved_when_memory_runs_out(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
     assembly = library.build("arch:blocks=7")
     states = mixed_states(scenes, assembly, 16, seed=7)
     expected = on_host(assembly).check(states)
@@ -200,8 +129,7 @@ def test_the_batch_is_halved_when_memory_runs_out(scenes: Any) -> None:
     np.testing.assert_array_equal(verdict, expected.verdict)
 
 
-@needs_compiler
-def test_nothing_to_judge_and_nothing_that_moves(scenes: Any) -> None:
+def test_nothing_to_judge_and_nothing_that_moves(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
     assembly = library.build("arch:blocks=5")
     solver = on_host(assembly)
     assert len(solver.check(np.zeros((0, assembly.part_count), np.uint8))) == 0
@@ -212,8 +140,7 @@ def test_nothing_to_judge_and_nothing_that_moves(scenes: Any) -> None:
     assert (verdicts.residual == 0).all()
 
 
-@needs_compiler
-def test_without_friction_a_clamped_cube_falls(scenes: Any) -> None:
+def test_without_friction_a_clamped_cube_falls(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
     for cone in ("octagon", "quadratic"):
         assembly = scenes.clamp(friction=0.0)
         solver = on_host(assembly, StabilitySettings(cone=cone))
@@ -262,11 +189,10 @@ def test_compiles_for_a_gpu(kernel: str, tmp_path: Path, monkeypatch: pytest.Mon
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [code]
 
 
-@needs_compiler
-def test_oracle_sends_large_batches_to_the_gpu_and_small_ones_to_the_processor(monkeypatch):
+def test_oracle_sends_large_batches_to_the_gpu_and_small_ones_to_the_processor(monkeypatch, host_driver):
     assembly = library.build("arch:blocks=7")
     monkeypatch.setattr(
-        oracle, "GpuSolver", lambda problem, settings: GpuSolver(problem, settings, make_driver=HostDriver)
+        oracle, "GpuSolver", lambda problem, settings: GpuSolver(problem, settings, make_driver=host_driver)
     )
     rng = np.random.default_rng(3)
     states = rng.integers(0, 3, (60, assembly.part_count)).astype(np.uint8)

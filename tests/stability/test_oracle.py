@@ -66,8 +66,8 @@ def test_check_returns_proofs_that_hold(arch: Assembly, states: NDArray, expecte
     np.testing.assert_array_equal(verdicts.verdict, expected)
     assert accept(arch, states, verdicts).all()
     np.testing.assert_array_equal(verdicts.proof, np.where(expected == 1, Proof.FORCES, Proof.VELOCITY))
-    assert (verdicts.residual[verdicts.stable] <= 1e-3).all()
-    assert (verdicts.residual[verdicts.unstable] > 1e-3).all()
+    assert (verdicts.residual[verdicts.stable] <= 1e-4).all()
+    assert (verdicts.residual[verdicts.unstable] > 1e-4).all()
     assert verdicts.forces is not None
     assert verdicts.velocity is not None
     assert verdicts.forces.shape == (len(states), stability.problem.points, 3)

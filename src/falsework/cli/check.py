@@ -67,7 +67,7 @@ class CheckPlan(Command):
         if found.good:
             output.say(
                 f"{self.plan}: all {found.states} states are stable, "
-                f"proven by the exact solver; residual at most {found.residual:.1e} m/s2"
+                f"proven by the exact solver; residual at most {found.residual:.1e} of gravity"
             )
             return Exit.DONE
         output.note(

@@ -67,6 +67,8 @@ class CheckStability(Command):
             held = [part for part in np.flatnonzero(states[index] == 2) if not assembly.boundary[part]]
             if held:
                 subject += f" with {', '.join(part_name(assembly, int(part)) for part in held)} held"
-            line = f"{subject}: {verdict.name.lower()} (proof: {proof.name.lower()}, residual {residual:.1e} m/s2)"
+            line = (
+                f"{subject}: {verdict.name.lower()} (proof: {proof.name.lower()}, residual {residual:.1e} of gravity)"
+            )
             output.say(f"{line}; {describe(assembly, moving)}" if moving else line)
         return Exit.DONE if bool(np.all(verdicts.stable)) else Exit.NO

@@ -82,6 +82,11 @@ class MassProperties:
     volume: NDArray[np.float64]
     """Shape (parts,), m3."""
 
+    @property
+    def gyration(self) -> NDArray[np.float64]:
+        """Largest radius of gyration of each part, about an axis through its centre of mass: shape (parts,), metres."""
+        return np.sqrt(np.linalg.eigvalsh(self.inertia)[:, -1] / self.mass)
+
 
 def mass_properties(meshes: Sequence[TriangleMesh], density: NDArray[np.float64]) -> MassProperties:
     """Mass, centre of mass and inertia of homogeneous parts, exact for their meshes.

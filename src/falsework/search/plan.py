@@ -48,7 +48,7 @@ class Plan:
     proofs: NDArray[np.int8]
     """`Proof` of each state, shape (steps + 1,)."""
     residuals: NDArray[np.float64]
-    """Largest acceleration that is left in each state, m/s2 and rad/s2, shape (steps + 1,)."""
+    """Residual of each state, a share of gravity (see `Verdicts`), shape (steps + 1,)."""
     name: str
     """Name of the structure."""
     identity: str

@@ -33,7 +33,7 @@ class PlanReport:
     reason: str = ""
     """What is wrong with the first bad state; empty if all are good."""
     residual: float = 0.0
-    """Largest acceleration left in a good state, m/s2 and rad/s2."""
+    """Largest residual of a good state, a share of gravity."""
     verdict: Verdicts | None = None
     """Verdict on the first bad state, with the velocity that proves it unstable; None if it broke a rule."""
     seconds: float = 0.0
@@ -136,7 +136,9 @@ def check_proofs(plan: Plan, assembly: Assembly) -> PlanReport:
     bad = np.flatnonzero(~(residual <= plan.claim.tolerance))
     if len(bad) and (broken is None or bad[0] < broken[0]):
         row = int(bad[0])
-        reason = f"the forces of {_place(plan, row)} leave {residual[row]:.3g} m/s2, above {plan.claim.tolerance:g}"
+        reason = (
+            f"the forces of {_place(plan, row)} leave {residual[row]:.3g} of gravity, above {plan.claim.tolerance:g}"
+        )
         return PlanReport(len(plan.states), row, reason, seconds=time.perf_counter() - begun)
     return _end(plan, broken, float(residual.max(initial=0.0)), time.perf_counter() - begun)
 

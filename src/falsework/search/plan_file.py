@@ -183,7 +183,7 @@ class _Reader(Reader):
         robots = self._count(data["robots"], "robots", least=1)
         states, actions, residuals = self._sequence(data, direction, boundary, robots)
         if residuals.max() > claim.tolerance:
-            self._fail(f"a residual of {residuals.max():.3g} m/s2 is above the tolerance of {claim.tolerance:g}")
+            self._fail(f"a residual of {residuals.max():.3g} is above the tolerance of {claim.tolerance:g}")
         fixed = self._parts(rules["fixed"], parts, "rules.fixed")
         touched = sorted(set(fixed) & set((actions % parts).tolist()))
         if touched:

@@ -170,7 +170,7 @@ def components(models: Models) -> dict[str, Any]:
     verdict = {
         "verdict": {"enum": ["stable", "unstable", "undecided"]},
         "proof": {"enum": ["forces", "velocity", "none"]},
-        "residual": {"description": "m/s2 and rad/s2", "anyOf": [{"type": "number"}, {"type": "null"}]},
+        "residual": {"description": "share of gravity", "anyOf": [{"type": "number"}, {"type": "null"}]},
         "moving": {**numbers, "description": "parts that move, the fastest first; only where asked for"},
     }
     answer = {

@@ -3,9 +3,11 @@
 A displacement proves that a state is stable under the criterion `contact`: the check evaluates the contact law, which
 keeps forces inside the friction cones, and asks what they leave. It also proves equilibrium.
 
-Forces and virtual velocities bound the same number, the smallest that the largest acceleration of a part can be made by
-admissible contact forces: forces in the friction cones whose normal components sum to at most the force
-bound. Forces bound it from above, a virtual velocity from below, so a state cannot pass both.
+Forces and virtual velocities bound the same number, the smallest that the residual can be made by admissible contact
+forces: forces in the friction cones whose normal components sum to at most the force bound. The residual is the
+largest acceleration of a part as a share of gravity; an angular acceleration counts times the part's largest radius
+of gyration, so the residual has no dimension and does not change with size, density or gravity. Forces bound it from
+above, a virtual velocity from below, so a state cannot pass both.
 """
 
 from __future__ import annotations
@@ -37,8 +39,8 @@ class Claim:
     """Friction cone, `octagon` or `quadratic`."""
     gravity: float = 9.81
     """m/s2 along -z."""
-    tolerance: float = 1e-3
-    """Largest acceleration of a stable state, m/s2 and rad/s2."""
+    tolerance: float = 1e-4
+    """Largest residual of a stable state, a share of gravity."""
     force_bound: float = 1e3
     """Bound on the sum of all normal forces, in weights of the structure."""
     criterion: Criterion = "equilibrium"
@@ -98,7 +100,7 @@ def accept(assembly: Assembly, states: States, verdicts: Verdicts, claim: Claim 
 
 
 def residual_of_displacement(assembly: Assembly, states: States, displacement: Array, claim: Claim) -> Array:
-    """Largest acceleration that the contact forces of a displacement leave, or infinity where it is too large.
+    """Residual that the contact forces of a displacement leave, or infinity where the displacement is too large.
 
     The law is that of `contact/law.py`, written anew: normal springs without tension, tangential springs cut back to
     the friction limit, no force at zero displacement.
@@ -135,7 +137,7 @@ def forces_of_displacement(assembly: Assembly, states: States, displacement: Arr
 
 
 def residual_of_forces(assembly: Assembly, states: States, forces: Array, claim: Claim = Claim()) -> Array:
-    """Largest acceleration that contact forces leave, or infinity where they are not admissible.
+    """Residual that contact forces leave, or infinity where they are not admissible.
 
     Args:
         assembly: the structure.
@@ -145,7 +147,7 @@ def residual_of_forces(assembly: Assembly, states: States, forces: Array, claim:
         claim: cone, gravity and force bound.
 
     Returns:
-        m/s2 (rad/s2 for rotation), shape (batch,).
+        Shares of gravity, shape (batch,).
     """
     contacts, mass = assembly.contacts, assembly.mass
     owner = contacts.contact_of_point
@@ -171,18 +173,19 @@ def residual_of_forces(assembly: Assembly, states: States, forces: Array, claim:
     net[:, :, 2] -= claim.gravity * mass.mass
     linear = net[:, :, :3] / mass.mass[None, :, None]
     angular = np.linalg.solve(mass.inertia[None], net[:, :, 3:, None])[..., 0]
-    largest = np.maximum(np.abs(linear).max(axis=2), np.abs(angular).max(axis=2))
+    largest = np.maximum(np.abs(linear).max(axis=2), np.abs(angular).max(axis=2) * mass.gyration) / claim.gravity
     residual = np.where(states == 1, largest, 0.0).max(axis=1, initial=0.0)
     return np.where(admissible, residual, np.inf)
 
 
 def residual_bound_of_velocity(assembly: Assembly, states: States, velocity: Array, claim: Claim = Claim()) -> Array:
-    """Acceleration that every admissible set of contact forces leaves at least, as a velocity proves it.
+    """Residual that every admissible set of contact forces leaves at least, as a velocity proves it.
 
     For forces with sum of normals at most `B`, the power of all forces on velocity `w` is at least
     `w . gravity - B max_c s_c`, where `s_c` is the most power that contact point `c` can take out per newton of
-    normal force. The power is also the acceleration times the momentum of `w`, at most the largest
-    acceleration times the 1-norm of the momentum (the lemma of Farkas with both bounds in numbers).
+    normal force. The power is also the acceleration times the momentum of `w`, at most the residual times
+    gravity times the 1-norm of the momentum, angular momenta divided by the radii of gyration (the lemma of
+    Farkas with both bounds in numbers).
 
     Args:
         assembly: the structure.
@@ -192,7 +195,7 @@ def residual_bound_of_velocity(assembly: Assembly, states: States, velocity: Arr
         claim: cone, gravity and force bound.
 
     Returns:
-        m/s2, shape (batch,); zero or less where nothing is proven.
+        Shares of gravity, shape (batch,); zero or less where nothing is proven.
     """
     contacts, mass = assembly.contacts, assembly.mass
     owner = contacts.contact_of_point
@@ -205,7 +208,8 @@ def residual_bound_of_velocity(assembly: Assembly, states: States, velocity: Arr
     power = -claim.gravity * (mass.mass * linear[:, :, 2]).sum(axis=1)
     weight = claim.gravity * mass.mass[~assembly.boundary].sum()
     momentum = np.abs(mass.mass[None, :, None] * linear).sum(axis=(1, 2))
-    momentum += np.abs(np.einsum("pij,bpj->bpi", mass.inertia, angular)).sum(axis=(1, 2))
+    turning = np.abs(np.einsum("pij,bpj->bpi", mass.inertia, angular)).sum(axis=2)
+    momentum = claim.gravity * (momentum + (turning / mass.gyration).sum(axis=1))
     proven = power - claim.force_bound * weight * taken
     bound = np.divide(proven, momentum, out=np.zeros_like(proven), where=momentum > 0)
     return np.where(np.isfinite(bound), bound, 0.0)

@@ -119,7 +119,7 @@ class GpuSolver:
             states: checked states, `uint8` on the solver's device, contiguous, shape (batch, parts).
 
         Returns:
-            Verdict, `int8`, and residual in m/s2, `float64`, each of shape (batch,) on the device.
+            Verdict, `int8`, and residual, `float64`, each of shape (batch,) on the device.
         """
         batch = len(states)
         verdict = self.driver.zeros((batch,), np.int8)

@@ -42,6 +42,7 @@ _ARRAY_FIELDS = (
     "inertia",
     "flexibility",
     "gravity",
+    "gyration",
 )
 
 
@@ -53,6 +54,7 @@ class KernelStructure(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in _ARRAY_FIELDS),
         ("weight", ctypes.c_double),
         ("friction", ctypes.c_double),
+        ("length", ctypes.c_double),
     ]
 
 
@@ -106,6 +108,8 @@ class Layout:
     arrays: dict[str, NDArray]
     weight: float
     friction: float
+    length: float
+    """Unit of length of the arrays, metres."""
     group_size: int
     """Most contact points of a group."""
     ancestors: int
@@ -113,7 +117,8 @@ class Layout:
 
     def kernel_structure(self, addresses: dict[str, int]) -> KernelStructure:
         """Argument of the kernel, given where each array was put."""
-        return KernelStructure(**self.sizes, **addresses, weight=self.weight, friction=self.friction)
+        scalars = {"weight": self.weight, "friction": self.friction, "length": self.length}
+        return KernelStructure(**self.sizes, **addresses, **scalars)
 
     @property
     def groups(self) -> int:
@@ -202,7 +207,8 @@ def build_layout(problem: Problem, group_size: int | None = None) -> Layout:
         "block_group": block_group,
     }
     arrays = {name: np.ascontiguousarray(array, dtype=np.int32) for name, array in arrays.items()}
-    arrays |= _mechanics(problem, first, count, pair, position, group_size)
+    mechanics, length = _mechanics(problem, first, count, pair, position, group_size)
+    arrays |= mechanics
     sizes = {
         "parts": problem.parts,
         "positions": n,
@@ -211,7 +217,7 @@ def build_layout(problem: Problem, group_size: int | None = None) -> Layout:
         "levels": len(pattern["level_start"]) - 1,
         "points": problem.points,
     }
-    return Layout(sizes, arrays, problem.weight, problem.friction, group_size, _ancestors(pattern))
+    return Layout(sizes, arrays, problem.weight, problem.friction, length, group_size, _ancestors(pattern))
 
 
 def _eliminate(problem: Problem) -> dict[str, NDArray]:
@@ -299,10 +305,20 @@ def _lists(keys: NDArray, values: NDArray, count: int) -> tuple[NDArray, NDArray
 
 def _mechanics(
     problem: Problem, first: NDArray, count: NDArray, pair: NDArray, position: NDArray, size: int
-) -> dict[str, NDArray]:
-    """Masses, arms and contact points, in float64 and where ADMM reads them in float32 too."""
+) -> tuple[dict[str, NDArray], float]:
+    """Masses, arms and contact points, in float64 and where ADMM reads them in float32 too; the unit of length.
+
+    Lengths are in shares of the mean radius of gyration, masses of the mean mass, accelerations of gravity, so
+    that float32 rounds the same numbers whatever the size of the structure.
+    """
     groups = len(first)
-    axes, moments = problem.basis[:, :3], problem.basis[:, 3:]
+    order = np.argsort(np.where(position < 0, len(position), position))[: int((position >= 0).sum())]
+    factor = problem.momentum[order]
+    gravity, gyration = 1 / problem.measure[0, 0], problem.measure[order, 1] / problem.measure[order, 0]
+    mass = factor[:, 0, 0] ** 2
+    length, heavy = (float(each.mean()) if len(order) else 1.0 for each in (gyration, mass))
+    axes, moments = problem.basis[:, :3] / np.sqrt(heavy), problem.basis[:, 3:] / (np.sqrt(heavy) * length)
+    basis = np.concatenate([axes, moments], axis=1)
     norm = (axes**2).sum(axis=(1, 2))  # three orthogonal axes of one length: sum of a x (r x a) is 2/3 norm r
     arms = 1.5 * np.cross(axes, moments, axis=1).sum(axis=2) / norm[:, None]
     point = np.zeros((size, 13, groups))
@@ -312,22 +328,20 @@ def _mechanics(
         at = first[rows] + i
         point[i, :9, rows] = axes[at].reshape(-1, 9)
         point[i, 9:12, rows] = arms[at]
-        point[i, 12, rows] = problem.force_scale[at]
+        point[i, 12, rows] = problem.force_scale[at] * np.sqrt(heavy) * gravity
     stiffness = np.zeros((groups, 6, 6))
     group_of_point = np.repeat(np.arange(groups), count)
-    np.add.at(stiffness, group_of_point, problem.basis @ problem.basis.transpose(0, 2, 1))
+    np.add.at(stiffness, group_of_point, basis @ basis.transpose(0, 2, 1))
     low = np.tril_indices(6)
 
     arm = np.zeros((6, groups))
     for side, (transfer, sign) in enumerate(((problem.transfer_a, -1.0), (problem.transfer_b, 1.0))):
         # Undo the whitening; what is left is [1 0; arm x 1]. Boundary parts have zeros, and are never asked for.
         shift = sign * problem.momentum[problem.pair_parts[:, side]] @ transfer
-        arm[side * 3 : side * 3 + 3] = np.stack([shift[:, 5, 1], shift[:, 3, 2], shift[:, 4, 0]])[:, pair]
-    order = np.argsort(np.where(position < 0, len(position), position))[: int((position >= 0).sum())]
-    factor = problem.momentum[order]
-    inertia = factor[:, 3:, 3:] @ factor[:, 3:, 3:].transpose(0, 2, 1)
+        arm[side * 3 : side * 3 + 3] = np.stack([shift[:, 5, 1], shift[:, 3, 2], shift[:, 4, 0]])[:, pair] / length
+    inertia = factor[:, 3:, 3:] @ factor[:, 3:, 3:].transpose(0, 2, 1) / (heavy * length**2)
     turn = problem.acceleration[order][:, 3:, 3:]
-    flexibility = turn @ turn.transpose(0, 2, 1)
+    flexibility = turn @ turn.transpose(0, 2, 1) * (heavy * length**2)
     single = point[:, :12].reshape(size, 3, 4, groups).transpose(0, 1, 3, 2)
     arrays = {
         "point_single": single.astype(np.float32),
@@ -335,9 +349,10 @@ def _mechanics(
         "arm_single": arm.astype(np.float32),
         "arm": arm,
         "local_single": stiffness[:, low[0], low[1]].T.astype(np.float32),
-        "mass": factor[:, 0, 0] ** 2,
+        "mass": mass / heavy,
         "inertia": inertia.reshape(-1, 9).T,
         "flexibility": flexibility.reshape(-1, 9).T,
-        "gravity": problem.gravity_wrench[order].T,
+        "gravity": problem.gravity_wrench[order].T / (heavy * gravity),
+        "gyration": gyration / length,
     }
-    return {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    return {name: np.ascontiguousarray(array) for name, array in arrays.items()}, length

@@ -24,7 +24,7 @@ _TOLERANCE = 1e-9  # the smallest that Gurobi takes
 class GurobiSolver(ExactSolver):
     """Judges states one at a time, with Gurobi.
 
-    It asks at once for the smallest largest acceleration, which settles every state; with the octagon that is
+    It asks at once for the smallest residual, which settles every state; with the octagon that is
     a linear program, which the licence that comes with `pip install gurobipy` takes up to 2,000 rows.
     """
 

@@ -32,13 +32,14 @@ class Options(NamedTuple):
 
 @nb.njit(fastmath=FAST, cache=True)
 def judge_forces(structure, work, pairs, forces, options, residual):
-    """Largest acceleration that forces of the cone leave, or infinity if they exceed the force bound.
+    """Residual that forces of the cone leave, or infinity if they exceed the force bound.
 
     Leaves the whitened residual in `residual`.
     """
     set_gravity(structure, work, residual)
     add_wrenches(structure, work, pairs, forces, residual)
     free, order, turn, scale = work.free, structure.elimination.order, structure.acceleration, work.force_scale
+    measure = structure.measure
     worst = 0.0
     for j in range(len(free)):
         if not free[j]:
@@ -48,7 +49,7 @@ def judge_forces(structure, work, pairs, forces, options, residual):
             total = 0.0
             for c in range(6):
                 total += turn[part, r, c] * residual[j, c]
-            worst = max(worst, abs(total))
+            worst = max(worst, abs(total) * measure[part, r // 3])
     pressed = 0.0
     for j in range(work.start[pairs]):
         pressed += forces[j, 0] * scale[j]
@@ -59,13 +60,14 @@ def judge_forces(structure, work, pairs, forces, options, residual):
 
 @nb.njit(fastmath=FAST, cache=True)
 def judge_velocity(structure, work, pairs, velocity, options):
-    """Largest acceleration that every force of the cone below the bound leaves, as proven by a velocity.
+    """Residual that every force of the cone below the bound leaves at least, as proven by a velocity.
 
     For forces `f` of the cone with sum of normals at most `U W`, `velocity . (G f + g)` is at least
-    `velocity . g - U W max_c support(-G^T velocity)_c`, and at most the largest acceleration times the
-    1-norm of the momentum of `velocity`.
+    `velocity . g - U W max_c support(-G^T velocity)_c`. It is at most the residual, the largest acceleration
+    times `measure`, times the 1-norm of the momentum of `velocity` divided by `measure`.
     """
     free, order, gravity, mass = work.free, structure.elimination.order, structure.gravity, structure.momentum
+    measure = structure.measure
     power = 0.0
     momentum = 0.0
     for j in range(len(free)):
@@ -77,7 +79,7 @@ def judge_velocity(structure, work, pairs, velocity, options):
             total = 0.0
             for c in range(6):
                 total += mass[part, r, c] * velocity[j, c]
-            momentum += abs(total)
+            momentum += abs(total) / measure[part, r // 3]
     bound = options.force_bound * structure.weight
     allowed = (power - options.tolerance * momentum) / bound
     if allowed <= 0.0:

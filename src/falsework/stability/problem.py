@@ -20,8 +20,8 @@ Mask = NDArray[np.bool_]
 
 FORCE_BOUND = 1e3
 """Default bound on the sum of all normal forces, in weights of the structure (the paper bounds forces too)."""
-TOLERANCE = 1e-3
-"""Default largest acceleration of a stable state, m/s2 and rad/s2 (paper, section 4)."""
+TOLERANCE = 1e-4
+"""Default largest residual of a stable state, a share of gravity; the paper allows 1e-3 m/s2 (section 4)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +75,9 @@ class Problem:
     """`L`: turns a whitened velocity into a momentum, shape (parts, 6, 6)."""
     acceleration: Array
     """`L^-T`: turns a whitened residual into an acceleration, shape (parts, 6, 6)."""
+    measure: Array
+    """Residual per m/s2 of linear and per rad/s2 of angular acceleration, shape (parts, 2): `1 / gravity`, and the
+    part's largest radius of gyration times that. It makes the residual a share of gravity, whatever the size."""
     force_scale: Array
     """Force in N of a scaled variable of 1, shape (points,)."""
     weight: float
@@ -162,6 +165,7 @@ def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float 
         "whitening": whitening,
         "momentum": momentum,
         "acceleration": whitening.transpose(0, 2, 1),
+        "measure": np.stack([np.ones(assembly.part_count), mass.gyration], axis=1) / gravity,
         "force_scale": 1.0 / (norms * top),
     }
     for name, array in arrays.items():

@@ -86,7 +86,8 @@ class StabilitySettings:
     gravity: float = 9.81
     """m/s2 along -z."""
     tolerance: float = TOLERANCE
-    """Largest acceleration of a stable state, m/s2 and rad/s2 (paper, section 4)."""
+    """Largest residual of a stable state: the largest acceleration of a part as a share of gravity, angular
+    acceleration times the part's largest radius of gyration. The paper allows 1e-3 m/s2 (section 4)."""
     force_bound: float = FORCE_BOUND
     """Bound on the sum of all normal forces, in weights of the structure."""
     stiffness_ratio: float = TANGENTIAL_RATIO

@@ -7,7 +7,7 @@ equations 2 to 6 and 13). Only bounds and the linear term differ, so one inverse
     min 1/2 |W (J x + g - s)|^2    with  0 <= x <= U c,  |s| <= U (1 - p),  0 <= mu x_n - sum x_t
 
 where `c` says which contact points act, `p` which parts can move, `W^T W = M^-1`, and `U` bounds forces. The state
-counts as stable once the accelerations that its clipped forces leave are within the tolerance, and as
+counts as stable once the residual that its clipped forces leave is within the tolerance, and as
 unstable if that has not happened by the last iteration. Neither is a proof.
 """
 
@@ -46,7 +46,7 @@ class SharedInverseSettings:
     iterations: int = 3000
     """Iterations after which a state counts as unsolved."""
     check_every: int = 200
-    """Iterations between two looks at the accelerations."""
+    """Iterations between two looks at the residual."""
     penalty: float = 0.1
     """Penalty of ADMM in SI units. Scaling all densities by a factor and scaling penalty and force bound
     by it are the same thing, so this number is what decides how fast a structure converges."""
@@ -133,7 +133,8 @@ class SharedInverse:
         self._inverse, self._block, self._across = self._tensor(inverse), self._tensor(block), self._tensor(across)
         self._first, self._spread = first, self._tensor(spread)
         self._program, self._program_back = self._sparse(program), self._sparse(program.T)
-        self._wrenches, self._inverse_mass = self._sparse(wrenches), self._sparse(whiten.T @ whiten)
+        measure = sp.diags(np.repeat(problem.measure, 3))
+        self._wrenches, self._measured = self._sparse(wrenches), self._sparse(measure @ whiten.T @ whiten)
         self._whitened_gravity = self._tensor(whiten @ problem.gravity_wrench.ravel())
         self._gravity = self._tensor(problem.gravity_wrench.ravel())
 
@@ -149,7 +150,7 @@ class SharedInverse:
             states: one state `(parts,)` or a batch `(batch, parts)`.
 
         Returns:
-            Verdicts with `Proof.NONE`; the residual is the largest acceleration that the forces leave, m/s2.
+            Verdicts with `Proof.NONE`; the residual is what the forces leave.
 
         Raises:
             StateError: states of the wrong length or with other values.
@@ -188,7 +189,7 @@ class SharedInverse:
             forces = torch.clamp(x, low, high)[: len(active)]
             local = torch.matmul(self._spread, forces.view(problem.points, VARIABLES, -1))
             wrenches = torch.sparse.mm(self._wrenches, local.view(3 * problem.points, -1)) + self._gravity[:, None]
-            residual = (torch.sparse.mm(self._inverse_mass, wrenches) * free).abs().amax(dim=0)
+            residual = (torch.sparse.mm(self._measured, wrenches) * free).abs().amax(dim=0)
             solved = residual <= self.settings.tolerance
             last = done >= method.iterations
             out = solved | last

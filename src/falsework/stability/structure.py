@@ -36,6 +36,7 @@ class Structure(NamedTuple):
     gravity: NDArray[np.float64]
     momentum: NDArray[np.float64]
     acceleration: NDArray[np.float64]
+    measure: NDArray[np.float64]
     force_scale: NDArray[np.float64]
     weight: float
     friction: float
@@ -68,6 +69,7 @@ def build_structure(problem: Problem) -> Structure:
         gravity=problem.scaled_gravity,
         momentum=problem.momentum,
         acceleration=problem.acceleration,
+        measure=problem.measure,
         force_scale=problem.force_scale,
         weight=problem.weight,
         friction=problem.friction,

@@ -60,8 +60,9 @@ class Verdicts:
     proof: NDArray[np.int8]
     """`Proof` of each state, shape (batch,)."""
     residual: NDArray[np.float64]
-    """Largest acceleration of a part, m/s2 or rad/s2, shape (batch,). Stable, what the forces leave, at most
-    the tolerance; unstable, what every admissible set of forces leaves at least, above the tolerance."""
+    """Largest acceleration of a part as a share of gravity, angular acceleration times the part's largest radius
+    of gyration: shape (batch,). Stable, what the forces leave, at most the tolerance; unstable, what every
+    admissible set of forces leaves at least, above the tolerance."""
     iterations: NDArray[np.int32]
     """Steps of the solver that decided, shape (batch,)."""
     decided_by: NDArray[np.int8]

@@ -49,7 +49,6 @@ def build_contact_structure(
     """
     stiffness = normal_stiffness(assembly, gravity) / problem.force_scale**2
     scale = 1.0 / float(np.median(stiffness)) if len(stiffness) else 1.0
-    inertia = np.linalg.eigvalsh(assembly.mass.inertia)[:, -1]
     return ContactStructure(
         normal=stiffness * scale,
         tangential=ratio * stiffness * scale,
@@ -78,7 +77,7 @@ def place_contacts(structure, contact_structure, work, contact, pairs):
 @nb.njit(cache=True)
 def read_displacement(structure, contact_structure, work, displacement, out):
     """Whiten a displacement in m and rad of shape (parts, 6); zero for parts that cannot move."""
-    order, factor = structure.elimination.order, contact_structure.mass_factor
+    order, factor = structure.elimination.order, structure.momentum
     for j in range(len(work.free)):
         for r in range(6):
             out[j, r] = 0.0
@@ -93,14 +92,14 @@ def read_displacement(structure, contact_structure, work, displacement, out):
 @nb.njit(cache=True)
 def write_displacement(structure, contact_structure, work, whitened, out):
     """Displacement in m and rad of shape (parts, 6) from a whitened one; zero for parts that cannot move."""
-    order, whitening = structure.elimination.order, contact_structure.whitening
+    order, turn = structure.elimination.order, structure.acceleration
     out[:] = 0.0
     for j in range(len(work.free)):
         if work.free[j]:
             part = order[j]
             for r in range(6):
                 for c in range(6):
-                    out[part, r] += whitening[part, c, r] * whitened[j, c]
+                    out[part, r] += turn[part, r, c] * whitened[j, c]
                 out[part, r] *= contact_structure.scale
 
 

@@ -37,10 +37,6 @@ class ContactStructure(NamedTuple):
     normal: NDArray[np.float64]
     """Normal stiffness of each contact point in scaled variables, median 1, shape (points,)."""
     tangential: NDArray[np.float64]
-    whitening: NDArray[np.float64]
-    """`L^-1` of each part, shape (parts, 6, 6); its transpose makes a displacement of a whitened one."""
-    mass_factor: NDArray[np.float64]
-    """`L` of each part, shape (parts, 6, 6)."""
     scale: float
     """Metres (or radians) of displacement per scaled unit."""
     reach: NDArray[np.float64]
@@ -167,8 +163,9 @@ def assemble_tangent(structure, work, contact, pairs, shift):
 
 @nb.njit(fastmath=FAST, cache=True)
 def largest_residual(structure, work, wrench):
-    """Largest acceleration that whitened wrenches cause, in the units of the tolerance."""
-    free, order, turn = work.free, structure.elimination.order, structure.acceleration
+    """Residual of whitened wrenches: the largest acceleration that they cause, times `measure`."""
+    free, order = work.free, structure.elimination.order
+    turn, measure = structure.acceleration, structure.measure
     worst = 0.0
     for j in range(len(free)):
         if free[j]:
@@ -177,14 +174,14 @@ def largest_residual(structure, work, wrench):
                 total = 0.0
                 for c in range(6):
                     total += turn[part, r, c] * wrench[j, c]
-                worst = max(worst, abs(total))
+                worst = max(worst, abs(total) * measure[part, r // 3])
     return worst
 
 
 @nb.njit(fastmath=FAST, cache=True)
 def largest_movement(structure, contact_structure, work, displacement):
     """Largest movement of a part in m: of its centre, or of a point one radius of gyration away by its rotation."""
-    free, order, whitening = work.free, structure.elimination.order, contact_structure.whitening
+    free, order, turn = work.free, structure.elimination.order, structure.acceleration
     worst = 0.0
     for j in range(len(free)):
         if free[j]:
@@ -192,7 +189,7 @@ def largest_movement(structure, contact_structure, work, displacement):
             for r in range(6):
                 total = 0.0
                 for c in range(6):
-                    total += whitening[part, c, r] * displacement[j, c]
+                    total += turn[part, r, c] * displacement[j, c]
                 worst = max(worst, abs(total) * (1.0 if r < 3 else contact_structure.reach[part]))
     return worst * contact_structure.scale
 

@@ -32,14 +32,14 @@ def _load_history(structure, contact_structure, work, contact, pairs, springs):
 @nb.njit(cache=True)
 def _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs):
     """Add the increment to the displacement, and remember the spring forces with friction cut back to the law."""
-    order, whitening = structure.elimination.order, contact_structure.whitening
+    order, turn = structure.elimination.order, structure.acceleration
     for j in range(len(work.free)):
         if work.free[j]:
             part = order[j]
             for r in range(6):
                 total = 0.0
                 for c in range(6):
-                    total += whitening[part, c, r] * contact.displacement[j, c]
+                    total += turn[part, r, c] * contact.displacement[j, c]
                 displacement[part, r] += total * contact_structure.scale
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]

@@ -96,6 +96,7 @@ constexpr double kHuge = 1e300;
 constexpr uint16_t kNone = 0xffff;
 
 // Arrays of one structure; positions are parts in elimination order, groups are runs of contact points of a pair.
+// Lengths are in units of `length` metres, accelerations in units of gravity; force scales and `weight` in N.
 struct Structure {
   int parts, positions, groups, blocks, levels, points;
   const int* position;       // (parts,) -1 for boundary
@@ -122,7 +123,8 @@ struct Structure {
   const double* inertia;     // (9, positions)
   const double* flexibility; // (9, positions) inverse inertia
   const double* gravity;     // (6, positions)
-  double weight, friction;
+  const double* gyration;    // (positions,) largest radius of gyration
+  double weight, friction, length;
 };
 
 struct Options {

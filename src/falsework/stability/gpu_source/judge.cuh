@@ -31,7 +31,7 @@ struct FromMultipliers {
 
 // What the two tests need to know of a block's share of the state.
 struct Tally {
-  double v[5];  // largest acceleration, largest power taken a newton; power of gravity, momentum, sum of normals
+  double v[5];  // residual, largest power taken a newton; power of gravity, scaled momentum, sum of normals
 };
 
 template <class T, class V>
@@ -45,7 +45,7 @@ DEVICE void tally_nodes(const Structure& s, const State& a, const T* wrench, con
       f[r] = node_wrench(s, a, node, half * 3 + r, wrench);
       tally.v[2] += double(v[r]) * load(s.gravity + (half * 3 + r) * s.positions + j);
     }
-    double mass = load(s.mass + j);
+    double mass = load(s.mass + j), measure = half ? load(s.gyration + j) : 1.0;
 #pragma unroll
     for (int r = 0; r < 3; r++) {
       double acceleration = f[r] / mass, momentum = mass * double(v[r]);
@@ -57,8 +57,8 @@ DEVICE void tally_nodes(const Structure& s, const State& a, const T* wrench, con
           momentum += load(s.inertia + (r * 3 + c) * s.positions + j) * double(v[c]);
         }
       }
-      tally.v[0] = fmax(tally.v[0], finite_or_huge(fabs(acceleration)));
-      tally.v[3] += fabs(momentum);
+      tally.v[0] = fmax(tally.v[0], finite_or_huge(fabs(acceleration) * measure));
+      tally.v[3] += fabs(momentum) / measure;
     }
   }
   reduce<2, 3>(tally.v);
@@ -131,7 +131,8 @@ PHASE void write_result(
       int j = load(s.position + p);
       int node = j >= 0 ? a.node_slot[j] : kNone;
       double* out = b.velocity + ((long long)index * s.parts + p) * 6;
-      for (int r = 0; r < 6; r++) out[r] = node != kNone ? double(velocity[node * 6 + r]) : 0.0;
+      for (int r = 0; r < 6; r++)
+        out[r] = node != kNone ? double(velocity[node * 6 + r]) * (r < 3 ? s.length : 1.0) : 0.0;
     }
 }
 
