@@ -87,7 +87,7 @@ def test_an_open_part_is_not_judged(scenes: Any) -> None:
 
 @pytest.mark.usefixtures("installed")
 def test_its_own_errors_are_reported(scenes: Any) -> None:
-    """LMGC90 stops the process on a plate with a hole, whose faces are no polygons; this process goes on."""
+    """LMGC90 stops its process on plates with notches; this one goes on, and names the plate."""
     house = library.build("house")
     (answer,) = judge_by_lmgc90(house, complete_state(house.boundary))
     assert answer.answer == "not judged"

@@ -14,6 +14,9 @@ Gravity acts for 0.3 s on the parts at rest, contact law `IQS_CLB_g0` (inelastic
 count as closed); held and boundary parts have their velocity prescribed as zero. Within that time a part that is free
 falls 440 mm. On parts of a metre those that stand moved by at most 0.03 mm and those that fall by 7 mm or more; the
 limit lies between, at a thousandth of the size of a typical part.
+
+Its contacts are made for polyhedra that are convex or nearly so. Plates with notches and blocks of several voxels stop
+it; on thin vaults it now and then runs out of room for contacts, or misses one. All that is answered by `not judged`.
 """
 
 from __future__ import annotations
@@ -161,7 +164,7 @@ def _lost(assembly: Assembly, state: States, found: set[tuple[int, int]]) -> tup
 
 
 def _run(folder: Path) -> str:
-    """Run the child; what it printed."""
+    """Run the child; what it printed, and its exit code."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OMP_NUM_THREADS": "1"}
     try:
         # -P: the folder of the script stays out of the import path, as its modules are named after what they wrap.
@@ -181,6 +184,7 @@ def _run(folder: Path) -> str:
 
 
 def _error(said: str) -> str:
-    """First error of what was printed, or else its last line."""
+    """First error of what was printed with the line after it, or else the last line."""
     lines = [" ".join(line.split()) for line in said.splitlines() if line.strip()]
-    return next((line for line in lines if "error" in line.lower()), lines[-1])
+    first = next((k for k, line in enumerate(lines) if "error" in line.lower()), len(lines) - 1)
+    return " ".join(lines[first : first + 2])

@@ -8,22 +8,23 @@ from __future__ import annotations
 
 import json
 import sys
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 
 def main(folder: Path) -> None:
     """Compute the scene of a folder and write the answer."""
-    from compas_lmgc90.solver import Solver
-
+    lmgc90: Any = import_module("compas_lmgc90.solver")
     with np.load(folder / "scene.npz") as scene:
         vertices, faces, fixed = scene["vertices"], scene["faces"], scene["fixed"]
         corner_start, face_start = scene["corner_start"], scene["face_start"]
         density, radius = scene["density"], scene["radius"]
         friction, alert, step = float(scene["friction"]), float(scene["alert"]), float(scene["step"])
         steps = int(scene["steps"])
-    solver = Solver(dt=step, theta=0.5)
+    solver = lmgc90.Solver(dt=step, theta=0.5)
     blocks = [
         {
             "vertices": vertices[corner_start[k] : corner_start[k + 1]].tolist(),
