@@ -62,6 +62,14 @@ def test_it_agrees_with_discrete_elements(name: str) -> None:
 
 
 @pytest.mark.usefixtures("installed")
+def test_nothing_makes_two_walls_press_a_block(scenes: Any) -> None:
+    """Forces in balance exist, and the block falls freely all the same."""
+    (answer,) = judge_by_lmgc90(scenes.clamp(friction=0.55), [1, 2, 2])
+    assert (answer.answer, answer.part) == ("falls", 0)
+    assert answer.moved == pytest.approx(FALL, rel=0.02)
+
+
+@pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("name", ["cra-A", "cra-H"])
 def test_published_counterexamples_slide(public_structure: Callable[[str], Path], name: str) -> None:
     """Models A and H of Kao et al. (2022) are in equilibrium on paper and fall freely."""
