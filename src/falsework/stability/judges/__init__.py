@@ -1,0 +1,10 @@
+"""Independent judges of what stands: methods from other fields that share nothing with the solvers of this room."""
+
+from __future__ import annotations
+
+from falsework.stability.judges.discrete_elements import DiscreteElementSettings as DiscreteElementSettings
+from falsework.stability.judges.discrete_elements import Settling as Settling
+from falsework.stability.judges.discrete_elements import replay_by_discrete_elements as replay_by_discrete_elements
+from falsework.stability.judges.discrete_elements import settle as settle
+from falsework.stability.judges.lmgc90 import Lmgc90Answer as Lmgc90Answer
+from falsework.stability.judges.lmgc90 import judge_by_lmgc90 as judge_by_lmgc90

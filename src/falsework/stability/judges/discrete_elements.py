@@ -1,0 +1,202 @@
+"""Discrete elements at rest: an explicit dynamic relaxation that decides whether a structure stands.
+
+Rigid parts touch at the contact points of the structure through normal springs that cannot pull and tangential
+springs with Coulomb friction, whose force is incremental and so remembers how the part has slid (Cundall and Strack
+1979). Local damping takes energy out until the parts rest or move on (Cundall 1987). Displacements are small: arms
+and contact frames are those of the undeformed structure. The masses are those of the springs, not of the parts: every
+degree of freedom gets half the row sum of its stiffness, so that one step of unit length is stable for all of them and
+rest comes within a few thousand steps. What rests is then in equilibrium under its true weight, and what does not
+rest moves on until it has fallen.
+
+The method shares nothing with the solvers of this package but the assembly: no optimisation, no linear algebra, no
+criterion but rest. Lengths are divided by the size of a typical part and forces by its weight, so neither scale
+nor density matters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import REMOVED, as_states
+from falsework.errors import InputError
+from falsework.stability.judges.relaxation import FALLS, STANDS, Model, relax
+
+Array = NDArray[np.float64]
+
+_SINK = 2e-5
+"""How far a typical part sinks under its weight on eight typical contact points, in sizes of it."""
+_POINTS = 8
+"""Contact points that carry a typical part."""
+_LEAST_AREA = 1e-3
+"""Smallest area that a contact point stands for, in mean ones: springs softer than that only slow everything down."""
+
+
+@dataclass(frozen=True)
+class DiscreteElementSettings:
+    """Springs, damping, and how long to wait."""
+
+    tangential: float = 0.7
+    """Tangential by normal stiffness; Mindlin's theory of elastic spheres gives 0.67 to 1."""
+    damping: float = 0.7
+    """Share of the unbalanced force that local damping takes from what moves with it."""
+    ramp: int = 2000
+    """Steps in which an unbalanced force, such as gravity on the unstressed structure, rises to its full size."""
+    steps: int = 30000
+    """Steps after which a state that neither rests nor has fallen is left open."""
+    friction_share: float = 0.0
+    """How unsure the friction is: before a structure at rest is judged, its tangential forces are drawn anew, evenly
+    from the disc of this share of their limit. 0: friction is what history has left."""
+    seed: int = 0
+    """Of these draws."""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.tangential) and self.tangential > 0):
+            raise InputError(f"tangential stiffness ratio is {self.tangential}; give a positive number such as 0.7")
+        for name, value in (("damping", self.damping), ("friction_share", self.friction_share)):
+            if not 0 <= value <= 1:
+                raise InputError(f"{name} is {value}; give a number from 0 to 1")
+        for name, count in (("ramp", self.ramp), ("steps", self.steps)):
+            if count < 1:
+                raise InputError(f"{name} is {count} steps; give at least 1")
+
+
+@dataclass(frozen=True, eq=False)
+class Settling:
+    """What became of states, one entry a state."""
+
+    stands: NDArray[np.int8]
+    """1 stands, -1 falls, 0 open after the step limit. Shape (states,)."""
+    moved: Array
+    """Largest displacement of a part, metres: of its centre of mass, plus rotation times half the diagonal of its
+    bounding box; infinite for a part that nothing touches. Shape (states,)."""
+    part: NDArray[np.int32]
+    """Part that moved most; -1 where no part is free to move. Shape (states,)."""
+
+
+def settle(
+    assembly: Assembly, states: ArrayLike, settings: DiscreteElementSettings = DiscreteElementSettings()
+) -> Settling:
+    """Judge states from nothing: gravity rises on an unstressed structure, and what comes to rest stands.
+
+    Args:
+        assembly: the structure.
+        states: one state (parts,) or a batch (batch, parts).
+        settings: springs, damping, and how long to wait.
+
+    Raises:
+        StateError: states of the wrong shape or with wrong values.
+    """
+    batch = as_states(states, assembly.boundary)
+    size, model = _model(assembly)
+    answers = _Answers(size)
+    points = len(model.local)
+    for row, state in enumerate(batch):
+        gap, friction = np.zeros(points), np.zeros((points, 2))
+        answer = relax(model, state, gap, friction, *_numbers(settings))
+        if settings.friction_share and answer[0] == STANDS:
+            _redraw(model, gap, friction, settings, row)
+            answer = relax(model, state, gap, friction, *_numbers(settings))
+        answers.add(answer)
+    return answers.settling()
+
+
+def replay_by_discrete_elements(
+    assembly: Assembly, states: ArrayLike, settings: DiscreteElementSettings = DiscreteElementSettings()
+) -> Settling:
+    """Build a structure state by state, remembering at every contact point how far it is pressed and has slid.
+
+    Parts come in held and unstressed: a new contact carries no force, however far its neighbours have sunk. A part
+    that a robot lets go is loaded slowly with what the robot carried; one that a robot takes again stays where it
+    is. The contacts of a part that is removed are forgotten.
+
+    Args:
+        assembly: the structure.
+        states: in the order of assembly, shape (steps + 1, parts); the first one starts from nothing.
+        settings: springs, damping, and how long to wait.
+
+    Returns:
+        An entry for each state up to the first that falls, which is the last entry; an open one does not end the
+        replay. `moved` counts from the state before.
+
+    Raises:
+        StateError: states of the wrong shape or with wrong values.
+    """
+    batch = as_states(states, assembly.boundary)
+    size, model = _model(assembly)
+    answers = _Answers(size)
+    points = len(model.local)
+    gap, friction = np.zeros(points), np.zeros((points, 2))
+    ends = model.parts[assembly.contacts.contact_of_point]
+    for row, state in enumerate(batch):
+        gone = (state[ends] == REMOVED).any(axis=1)
+        gap[gone], friction[gone] = 0.0, 0.0
+        if settings.friction_share:
+            _redraw(model, gap, friction, settings, row)
+        answers.add(relax(model, state, gap, friction, *_numbers(settings)))
+        if answers.last == FALLS:
+            break
+    return answers.settling()
+
+
+class _Answers:
+    """Collects what the compiled loop says, in metres."""
+
+    def __init__(self, size: float) -> None:
+        self._size = size
+        self._rows: list[tuple[int, float, int]] = []
+
+    def add(self, answer: tuple[int, float, int]) -> None:
+        self._rows.append(answer)
+
+    @property
+    def last(self) -> int:
+        return self._rows[-1][0]
+
+    def settling(self) -> Settling:
+        stands, moved, part = zip(*self._rows, strict=True) if self._rows else ((), (), ())
+        return Settling(np.array(stands, np.int8), np.array(moved, float) * self._size, np.array(part, np.int32))
+
+
+def _numbers(settings: DiscreteElementSettings) -> tuple[float, float, int, int]:
+    return settings.tangential, settings.damping, settings.ramp, settings.steps
+
+
+def _redraw(model: Model, gap: Array, friction: Array, settings: DiscreteElementSettings, row: int) -> None:
+    """Replace the tangential forces by ones that are even in a disc within their limits."""
+    random = np.random.default_rng((settings.seed, row))
+    limit = model.friction * model.stiffness * np.maximum(0.0, -gap)
+    length = settings.friction_share * limit * np.sqrt(random.random(len(gap)))
+    angle = 2 * np.pi * random.random(len(gap))
+    friction[:, 0], friction[:, 1] = length * np.cos(angle), length * np.sin(angle)
+
+
+def _model(assembly: Assembly) -> tuple[float, Model]:
+    """Size of a typical part, metres, and the structure measured in it."""
+    contacts, mass = assembly.contacts, assembly.mass
+    boxes = np.array([np.ptp(mesh.bounds, axis=0) for mesh in assembly.meshes])
+    size = float(np.median(boxes.max(axis=1)))
+    loose = ~assembly.boundary
+    weight = mass.mass / (mass.mass[loose].mean() if loose.any() else mass.mass.mean())
+    count = np.diff(contacts.start)
+    owner = contacts.contact_of_point
+    middle = np.zeros((len(contacts), 3))
+    np.add.at(middle, owner, contacts.points)
+    middle /= np.maximum(count, 1)[:, None]
+    area = (contacts.areas / np.maximum(count, 1))[owner]
+    mean = area.mean() if len(area) else 1.0
+    return size, Model(
+        parts=np.ascontiguousarray(contacts.parts, np.int32),
+        start=np.ascontiguousarray(contacts.start, np.int32),
+        frames=np.ascontiguousarray(contacts.frames),
+        arm_a=(middle - mass.center[contacts.parts[:, 0]]) / size,
+        arm_b=(middle - mass.center[contacts.parts[:, 1]]) / size,
+        local=np.einsum("pij,pj->pi", contacts.frames[owner], contacts.points - middle[owner]) / size,
+        stiffness=np.maximum(area / mean, _LEAST_AREA) / (_POINTS * _SINK),
+        weight=np.ascontiguousarray(weight),
+        radius=np.linalg.norm(boxes, axis=1) / (2 * size),
+        friction=float(assembly.friction),
+    )

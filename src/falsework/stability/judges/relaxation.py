@@ -1,0 +1,254 @@
+"""The compiled loop of the discrete elements: explicit steps of unit length until a state rests or has fallen."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, INSTALLED, REMOVED
+
+Array = NDArray[np.float64]
+
+STANDS, OPEN, FALLS = 1, 0, -1
+"""Answers of the judge; open: still moving at the step limit."""
+
+_FALLEN = 0.04
+"""Displacement of a part that has fallen, in sizes of a typical part: 2,000 times what weight compresses."""
+_REST = 1e-4
+"""Largest unbalanced force of a part at rest, in weights of it; moments are divided by the size of a typical part."""
+_EVERY = 100
+"""Steps between two looks at the parts."""
+
+
+class Model(NamedTuple):
+    """A structure in sizes and weights of a typical part."""
+
+    parts: NDArray[np.int32]
+    """Shape (contacts, 2)."""
+    start: NDArray[np.int32]
+    """Shape (contacts + 1,)."""
+    frames: Array
+    """Shape (contacts, 3, 3)."""
+    arm_a: Array
+    """From the centre of mass of part `a` to the middle of the contact, shape (contacts, 3)."""
+    arm_b: Array
+    local: Array
+    """Contact points about the middle, in the frame of the contact, shape (points, 3)."""
+    stiffness: Array
+    """Of the normal springs, shape (points,)."""
+    weight: Array
+    """Shape (parts,)."""
+    radius: Array
+    """Shape (parts,)."""
+    friction: float
+
+
+@nb.njit(cache=True, nogil=True)
+def relax(model, state, gap, friction, tangential, damping, ramp, steps):
+    """Let a state come to rest or fall; step length and unit of mass are one.
+
+    Args:
+        model: the structure.
+        state: shape (parts,).
+        gap: in and out: how far each contact point is open, negative where pressed, shape (points,).
+        friction: in and out: tangential forces on part `b`, shape (points, 2).
+        tangential, damping, ramp, steps: as in `DiscreteElementSettings`.
+
+    Returns:
+        Answer, largest displacement since the start, and the part that moved so.
+    """
+    slot = np.empty(len(state), np.int64)
+    free = np.flatnonzero(state == INSTALLED)
+    bodies = len(free)
+    if bodies == 0:
+        return STANDS, 0.0, -1
+    slot[:] = bodies  # one more body that never moves stands for all fixed parts
+    for body in range(bodies):
+        slot[free[body]] = body
+    active, points = _active(model, state)
+    index = np.empty(points, np.int64)
+    first = np.zeros(len(active) + 1, np.int64)
+    for k in range(len(active)):
+        begin, end = model.start[active[k]], model.start[active[k] + 1]
+        first[k + 1] = first[k] + end - begin
+        for j in range(end - begin):
+            index[first[k] + j] = begin + j
+    side_a, side_b = slot[model.parts[active, 0]], slot[model.parts[active, 1]]
+    frames, arm_a, arm_b = model.frames[active], model.arm_a[active], model.arm_b[active]
+    local, stiff = model.local[index], model.stiffness[index]
+    open_, slide = gap[index], friction[index]
+    inertia = _inertia(bodies, side_a, side_b, first, frames, arm_a, arm_b, local, stiff, tangential)
+    for body in range(bodies):
+        if inertia[body, 0] == 0.0:
+            return FALLS, np.inf, free[body]
+    weight, radius = model.weight[free], model.radius[free]
+    motion, moved = np.zeros((bodies + 1, 6)), np.zeros((bodies + 1, 6))
+    load, missing = np.zeros((bodies + 1, 6)), np.zeros((bodies, 6))
+    answer, largest, part = OPEN, 0.0, free[0]
+    resting = 0
+    for step in range(steps + 1):
+        load[:] = 0.0
+        load[:bodies, 2] = -weight
+        for k in range(len(active)):
+            _contact(
+                motion[side_a[k]], motion[side_b[k]], load[side_a[k]], load[side_b[k]], frames[k], arm_a[k], arm_b[k],
+                local, stiff, open_, slide, first[k], first[k + 1], tangential, model.friction,
+            )  # fmt: skip
+        if step == 0:
+            missing[:] = load[:bodies]
+        if step % _EVERY == 0:
+            largest, part = _largest(moved, radius, free)
+            if largest > _FALLEN:
+                answer = FALLS
+                break
+            # Twice in a row: an oscillation may pass through a moment of balance.
+            resting = resting + 1 if (step == 0 or step > ramp) and _balanced(load, weight) else 0
+            if resting == 2 or (resting == 1 and step == 0):
+                answer = STANDS
+                break
+        share = max(0.0, 1.0 - (step + 1) / ramp)
+        for body in range(bodies):
+            for i in range(6):
+                force = load[body, i] - share * missing[body, i]
+                v = motion[body, i]
+                drag = damping * abs(force)
+                v += (force - (drag if v > 0.0 else -drag if v < 0.0 else 0.0)) / inertia[body, i]
+                motion[body, i] = v
+                moved[body, i] += v
+    for j in range(points):
+        gap[index[j]] = open_[j]
+        friction[index[j]] = slide[j]
+    return answer, largest, part
+
+
+@nb.njit(cache=True, nogil=True)
+def _active(model, state):
+    """Contacts that act, both parts present and one of them free, and how many points they have."""
+    active = np.empty(len(model.parts), np.int64)
+    count, points = 0, 0
+    for c in range(len(model.parts)):
+        a, b = state[model.parts[c, 0]], state[model.parts[c, 1]]
+        if a != REMOVED and b != REMOVED and not (a == HELD and b == HELD):
+            active[count] = c
+            count += 1
+            points += model.start[c + 1] - model.start[c]
+    return active[:count], points
+
+
+@nb.njit(cache=True, nogil=True)
+def _inertia(bodies, side_a, side_b, first, frames, arm_a, arm_b, local, stiff, tangential):
+    """Masses that make a unit step stable, shape (bodies, 6).
+
+    Row sums of the absolute stiffness bound the squares of all frequencies by one; a step is stable up to four, of
+    which half is used.
+    """
+    inertia = np.zeros((bodies + 1, 6))
+    row = np.zeros((2, 6))
+    for k in range(len(side_a)):
+        frame = frames[k]
+        for j in range(first[k], first[k + 1]):
+            point = frame.T @ local[j]
+            for axis in range(3):
+                n = frame[axis]
+                total = 0.0
+                for side in range(2):
+                    arm = (arm_a[k] if side == 0 else arm_b[k]) + point
+                    row[side, :3] = np.abs(n)
+                    row[side, 3] = abs(arm[1] * n[2] - arm[2] * n[1])
+                    row[side, 4] = abs(arm[2] * n[0] - arm[0] * n[2])
+                    row[side, 5] = abs(arm[0] * n[1] - arm[1] * n[0])
+                    if (side_a[k] if side == 0 else side_b[k]) < bodies:
+                        total += row[side].sum()
+                spring = stiff[j] if axis == 0 else tangential * stiff[j]
+                inertia[side_a[k]] += 0.5 * spring * total * row[0]
+                inertia[side_b[k]] += 0.5 * spring * total * row[1]
+    for body in range(bodies):
+        # A turn that no spring resists, as about the normal through a single point, needs some mass all the same.
+        inertia[body, 3:] = np.maximum(inertia[body, 3:], 1e-6 * inertia[body, :3].max())
+    return inertia[:bodies]
+
+
+@nb.njit(cache=True, nogil=True)
+def _contact(va, vb, load_a, load_b, f, ra, rb, local, stiff, gap, slide, begin, end, tangential, mu):
+    """Move the points of one contact on by one step and add their forces to the loads of both parts."""
+    # Motion of part b against part a at the middle of the contact, then in its frame.
+    x = vb[0] + vb[4] * rb[2] - vb[5] * rb[1] - va[0] - va[4] * ra[2] + va[5] * ra[1]
+    y = vb[1] + vb[5] * rb[0] - vb[3] * rb[2] - va[1] - va[5] * ra[0] + va[3] * ra[2]
+    z = vb[2] + vb[3] * rb[1] - vb[4] * rb[0] - va[2] - va[3] * ra[1] + va[4] * ra[0]
+    wx, wy, wz = vb[3] - va[3], vb[4] - va[4], vb[5] - va[5]
+    v0 = f[0, 0] * x + f[0, 1] * y + f[0, 2] * z
+    v1 = f[1, 0] * x + f[1, 1] * y + f[1, 2] * z
+    v2 = f[2, 0] * x + f[2, 1] * y + f[2, 2] * z
+    w0 = f[0, 0] * wx + f[0, 1] * wy + f[0, 2] * wz
+    w1 = f[1, 0] * wx + f[1, 1] * wy + f[1, 2] * wz
+    w2 = f[2, 0] * wx + f[2, 1] * wy + f[2, 2] * wz
+    s0 = s1 = s2 = m0 = m1 = m2 = 0.0
+    for j in range(begin, end):
+        p0, p1, p2 = local[j, 0], local[j, 1], local[j, 2]
+        gap[j] += v0 + w1 * p2 - w2 * p1
+        if gap[j] >= 0.0:
+            slide[j, 0] = 0.0
+            slide[j, 1] = 0.0
+            continue
+        normal = -stiff[j] * gap[j]
+        spring = tangential * stiff[j]
+        t1 = slide[j, 0] - spring * (v1 + w2 * p0 - w0 * p2)
+        t2 = slide[j, 1] - spring * (v2 + w0 * p1 - w1 * p0)
+        limit = mu * normal
+        square = t1 * t1 + t2 * t2
+        if square > limit * limit:
+            cut = limit / np.sqrt(square)
+            t1 *= cut
+            t2 *= cut
+        slide[j, 0] = t1
+        slide[j, 1] = t2
+        s0 += normal
+        s1 += t1
+        s2 += t2
+        m0 += p1 * t2 - p2 * t1
+        m1 += p2 * normal - p0 * t2
+        m2 += p0 * t1 - p1 * normal
+    x = f[0, 0] * s0 + f[1, 0] * s1 + f[2, 0] * s2
+    y = f[0, 1] * s0 + f[1, 1] * s1 + f[2, 1] * s2
+    z = f[0, 2] * s0 + f[1, 2] * s1 + f[2, 2] * s2
+    mx = f[0, 0] * m0 + f[1, 0] * m1 + f[2, 0] * m2
+    my = f[0, 1] * m0 + f[1, 1] * m1 + f[2, 1] * m2
+    mz = f[0, 2] * m0 + f[1, 2] * m1 + f[2, 2] * m2
+    load_b[0] += x
+    load_b[1] += y
+    load_b[2] += z
+    load_b[3] += mx + rb[1] * z - rb[2] * y
+    load_b[4] += my + rb[2] * x - rb[0] * z
+    load_b[5] += mz + rb[0] * y - rb[1] * x
+    load_a[0] -= x
+    load_a[1] -= y
+    load_a[2] -= z
+    load_a[3] -= mx + ra[1] * z - ra[2] * y
+    load_a[4] -= my + ra[2] * x - ra[0] * z
+    load_a[5] -= mz + ra[0] * y - ra[1] * x
+
+
+@nb.njit(cache=True, nogil=True)
+def _largest(moved, radius, free):
+    """Largest displacement of a part, and the part."""
+    largest, part = -1.0, -1
+    for body in range(len(free)):
+        u = moved[body]
+        shift = np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+        shift += radius[body] * np.sqrt(u[3] ** 2 + u[4] ** 2 + u[5] ** 2)
+        if shift > largest:
+            largest, part = shift, free[body]
+    return largest, part
+
+
+@nb.njit(cache=True, nogil=True)
+def _balanced(load, weight):
+    """Whether the unbalanced force of every part is small against its weight."""
+    for body in range(len(weight)):
+        for i in range(6):
+            if abs(load[body, i]) > _REST * weight[body]:
+                return False
+    return True

@@ -1,0 +1,202 @@
+"""Discrete elements at rest: closed forms, what history does, and that rest is equilibrium."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import falsework.stability.judges
+from falsework.assembly import library, load_structure
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import complete_state
+from falsework.errors import InputError, StateError
+from falsework.search import find_plans
+from falsework.stability import Stability, Verdict
+from falsework.stability.judges import DiscreteElementSettings, Settling, replay_by_discrete_elements, settle
+
+STANDS, OPEN, FALLS = 1, 0, -1
+SINK = 2e-5  # what a typical part sinks on eight typical points, in sizes of it
+
+
+def answer_of(assembly: Assembly, **settings: Any) -> int:
+    """What becomes of the complete structure."""
+    return int(settle(assembly, complete_state(assembly.boundary), DiscreteElementSettings(**settings)).stands[0])
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.55, 1.2])
+@pytest.mark.parametrize(("azimuth", "scale"), [(0.0, 1.0), (0.7, 0.01), (2.1, 30.0)])
+def test_a_block_slips_past_the_angle_of_friction(scenes: Any, friction: float, azimuth: float, scale: float) -> None:
+    """Coulomb: it rests if and only if `tan(slope) <= mu`, whatever its size and the direction of the slope."""
+    angle = np.arctan(friction)
+    for offset, expected in ((-3e-3, STANDS), (3e-3, FALLS)):
+        assert answer_of(scenes.slope(angle + offset, friction=friction, azimuth=azimuth, scale=scale)) == expected
+
+
+@pytest.mark.parametrize("blocks", [1, 2, 5])
+def test_a_stack_leans_as_far_as_the_harmonic_series(blocks: int) -> None:
+    """Each centre of mass over the edge of the block below; one hundredth more and it tips."""
+    assert answer_of(library.build(f"stack:blocks={blocks},overhang=0.99")) == STANDS
+    assert answer_of(library.build(f"stack:blocks={blocks},overhang=1.01")) == FALLS
+
+
+def test_an_arch_stands_above_the_critical_thickness() -> None:
+    """Milankovitch: a semicircular arch of fine voussoirs needs a thickness of 0.1075 of its radius."""
+    assert answer_of(library.build("arch:blocks=25,thickness=0.13")) == STANDS
+    assert answer_of(library.build("arch:blocks=25,thickness=0.09")) == FALLS
+
+
+def test_nothing_makes_two_walls_press_a_block(scenes: Any) -> None:
+    """Forces in balance exist, since the walls may press as hard as they like; from nothing, they do not press."""
+    clamp = scenes.clamp(friction=0.55)
+    state = complete_state(clamp.boundary)
+    assert Stability(clamp).check(state).verdict[0] == Verdict.STABLE
+    assert answer_of(clamp) == FALLS
+
+
+@pytest.mark.parametrize("tangential", [0.3, 0.7, 1.5])
+def test_published_counterexamples_slide(public_structure: Callable[[str], Path], tangential: float) -> None:
+    """Models A and H of Kao et al. (2022): a wedge and a block between two supports, in equilibrium on paper."""
+    for name in ("cra-A", "cra-H"):
+        assert answer_of(load_structure(public_structure(name)), tangential=tangential) == FALLS
+
+
+def test_what_nothing_carries_falls(scenes: Any) -> None:
+    """A block in the air falls at once; two that carry nothing but each other fall too."""
+    tower = scenes.tower(3)
+    settling = settle(tower, [[0, 1, 0, 2], [0, 1, 1, 2], [1, 0, 0, 2], [0, 0, 0, 2], [0, 1, 2, 2]])
+    assert settling.stands.tolist() == [FALLS, FALLS, STANDS, STANDS, FALLS]
+    assert np.isinf(settling.moved[0])
+    assert settling.part[0] == 1
+    assert settling.moved[3] == 0.0
+    assert settling.part[3] == -1
+
+
+def test_held_parts_carry(scenes: Any) -> None:
+    """A block on a held one stands, though below the held one is nothing."""
+    settling = settle(scenes.tower(3), [[0, 2, 1, 2]])
+    assert settling.stands.tolist() == [STANDS]
+    assert settling.part.tolist() == [2]
+
+
+@pytest.mark.parametrize("scale", [0.01, 1.0, 30.0])
+def test_a_cube_sinks_as_its_springs_say(scenes: Any, scale: float) -> None:
+    """Four typical points instead of eight: twice the typical depth; level, so that it does not turn."""
+    cube = scenes.box([0, 0, 0], [scale] * 3, "cube")
+    ground = scenes.box([0, 0, -scale], [scale, scale, 0], "ground")
+    settling = settle(scenes.make([cube, ground], [1]), [1, 2])
+    assert settling.moved[0] == pytest.approx(2 * SINK * scale, rel=1e-3)
+
+
+def test_parts_come_in_unstressed(scenes: Any) -> None:
+    """A column put under a beam that has already sunk on two others carries its own weight alone.
+
+    Put up all at once, the three columns share the beam. Held or not, what is new moves nothing.
+    """
+    columns = [scenes.box([x, 0, 0], [x + 1, 1, 1], f"column-{x}") for x in (0, 2, 4)]
+    beam = scenes.box([0, 0, 1], [5, 1, 2], "beam")
+    assembly = scenes.make([*columns, beam, scenes.box([-1, -1, -1], [6, 2, 0], "ground")], [4])
+    steps = [[1, 0, 1, 0, 2], [1, 0, 1, 2, 2], [1, 0, 1, 1, 2], [1, 2, 1, 1, 2], [1, 1, 1, 1, 2]]
+    replay = replay_by_discrete_elements(assembly, steps)
+    assert replay.stands.tolist() == [STANDS] * 5
+    assert replay.moved[1] == replay.moved[3] == 0.0
+    sinks = replay.moved[0]  # of an end column under its own weight
+    assert replay.part[4] == 1
+    assert replay.moved[4] == pytest.approx(sinks, rel=1e-2)
+    assert settle(assembly, steps[4]).moved[0] > 1.5 * sinks
+
+
+def test_a_part_that_is_held_again_stays_pressed(scenes: Any) -> None:
+    """Taking a part and letting it go once more changes nothing; removing it and putting it back loosens it."""
+    tower = scenes.tower(2)
+    steps = [[1, 0, 2], [1, 2, 2], [1, 1, 2], [1, 2, 2], [1, 1, 2], [1, 2, 2], [1, 0, 2], [1, 2, 2], [1, 1, 2]]
+    replay = replay_by_discrete_elements(tower, steps)
+    assert replay.stands.tolist() == [STANDS] * 9
+    loaded = replay.moved[2]
+    assert replay.moved[[3, 4, 5]].tolist() == [0.0, 0.0, 0.0]
+    assert replay.moved[8] == pytest.approx(loaded, rel=0.01)
+
+
+def test_a_replay_ends_at_the_first_fall(scenes: Any) -> None:
+    """The cube between two walls stands while a robot holds it, and what comes later is not asked."""
+    replay = replay_by_discrete_elements(scenes.clamp(friction=0.55), [[0, 2, 2], [2, 2, 2], [1, 2, 2], [0, 2, 2]])
+    assert replay.stands.tolist() == [STANDS, STANDS, FALLS]
+    assert replay.part.tolist() == [-1, -1, 0]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_a_plan_for_an_arch_can_be_built(share: float) -> None:
+    """Each state of a plan that robots support on the way stands, however friction has come to lie."""
+    arch = library.build("arch:blocks=7")
+    plan = find_plans(arch).plans[0].reverse()
+    replay = replay_by_discrete_elements(arch, plan.states, DiscreteElementSettings(friction_share=share, seed=3))
+    assert len(replay.stands) == len(plan.states)
+    assert (replay.stands == STANDS).all()
+
+
+def test_drawing_friction_anew_moves_a_block_and_is_repeatable(scenes: Any) -> None:
+    """A block well below the angle of friction comes to rest again; the same seed moves it the same way."""
+    slope = scenes.slope(0.3, friction=0.55)
+
+    def judged(seed: int) -> Settling:
+        return settle(slope, [1, 2], DiscreteElementSettings(friction_share=1.0, seed=seed))
+
+    first, again, other = judged(0), judged(0), judged(1)
+    assert first.stands[0] == other.stands[0] == STANDS
+    assert 0 < first.moved[0] == again.moved[0] != other.moved[0]
+
+
+@pytest.mark.parametrize("name", ["arch", "dome:rings=3", "wall"])
+def test_what_rests_is_in_equilibrium(scenes: Any, name: str) -> None:
+    """At rest the contact forces lie in the friction cones and balance gravity, so the solvers must find some too."""
+    assembly = library.build(name)
+    states = scenes.random_states(assembly, 30, seed=5, shares=(0.05, 0.85, 0.1))
+    settling = settle(assembly, states)
+    verdicts = Stability(assembly).check(states).verdict
+    assert (settling.stands != OPEN).all()
+    assert (verdicts[settling.stands == STANDS] == Verdict.STABLE).all()
+    assert (settling.stands == STANDS).any()
+    assert (settling.stands == FALLS).any()
+
+
+def test_too_few_steps_leave_a_state_open(scenes: Any) -> None:
+    settling = settle(scenes.tower(2), [1, 1, 2], DiscreteElementSettings(steps=500))
+    assert settling.stands.tolist() == [OPEN]
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"tangential": 0.0}, "tangential stiffness ratio is 0.0; give a positive number"),
+        ({"damping": 1.5}, "damping is 1.5; give a number from 0 to 1"),
+        ({"friction_share": -0.1}, "friction_share is -0.1; give a number from 0 to 1"),
+        ({"ramp": 0}, "ramp is 0 steps; give at least 1"),
+        ({"steps": 0}, "steps is 0 steps; give at least 1"),
+    ],
+)
+def test_settings_are_checked(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        DiscreteElementSettings(**values)
+
+
+def test_states_are_checked(scenes: Any) -> None:
+    for judge in (settle, replay_by_discrete_elements):
+        with pytest.raises(StateError, match="boundary part 2 as 1"):
+            judge(scenes.tower(2), [1, 1, 1])
+
+
+def test_the_judges_share_nothing_with_the_solvers() -> None:
+    """Of this package they import what describes a structure, and nothing that decides or proves."""
+    folder = Path(falsework.stability.judges.__file__).parent
+    allowed = ("falsework.assembly.", "falsework.geometry.", "falsework.errors", "falsework.stability.judges.")
+    for path in folder.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom):
+                names = [node.module or ""]
+            for name in names:
+                assert not name.startswith("falsework") or name.startswith(allowed), f"{path.name} imports {name}"
