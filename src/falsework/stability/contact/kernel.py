@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numba as nb
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.stability.contact.law import contact_force
@@ -18,8 +17,8 @@ from falsework.stability.contact.newton import (
     find_rest,
 )
 from falsework.stability.contact.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
-from falsework.stability.problem import Problem
 from falsework.stability.judge import MARGIN
+from falsework.stability.problem import Problem
 from falsework.stability.structure import restrict, set_gravity
 
 
@@ -52,10 +51,8 @@ def build_contact_structure(
     return ContactStructure(
         normal=stiffness * scale,
         tangential=ratio * stiffness * scale,
-        whitening=problem.whitening,
-        mass_factor=np.linalg.inv(problem.whitening),
         scale=scale,
-        reach=np.sqrt(inertia / assembly.mass.mass),
+        reach=assembly.mass.gyration,
         limit=MOVEMENT * structure_size(assembly),
     )
 

@@ -8,7 +8,6 @@ contacts in equal increments; after each, points that slid keep the friction tha
 from __future__ import annotations
 
 import numba as nb
-import numpy as np
 
 from falsework.stability.contact.kernel import lacks_contact
 from falsework.stability.contact.law import contact_force
