@@ -67,17 +67,17 @@ def least_squares(problem: Problem, free: Mask, active: Mask, claim: Claim) -> P
     """
     # Forces in shares of the weight and accelerations in shares of gravity keep the numbers near one, and make them
     # the same whatever the size of the structure.
-    unit = problem.weight
-    whiten = block_diagonal(problem.whitening[free] / np.abs(problem.scaled_gravity[free, 2]).min())
-    wrenches = whiten @ wrench_matrix(problem, free, active) * unit
-    gravity = whiten @ problem.gravity_wrench[free].ravel()
     rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
+    units = _force_units(problem, columns // 3)
+    whiten = block_diagonal(problem.whitening[free] / np.abs(problem.scaled_gravity[free, 2]).min())
+    wrenches = whiten @ wrench_matrix(problem, free, active) @ sp.diags(units)
+    gravity = whiten @ problem.gravity_wrench[free].ravel()
     cone = _cone_rows(problem, columns // 3, claim.cone)
     cone_rows = cone.shape[0]  # type: ignore[index]
     linear = claim.cone == "octagon"
 
     def read(x: Array, _: Array) -> tuple[Array, Array]:
-        return unit * x[:columns].reshape(-1, 3), _normalised(whiten.T @ x[columns:])
+        return (units * x[:columns]).reshape(-1, 3), _normalised(whiten.T @ x[columns:])
 
     return Program(
         curvature=np.repeat([0.0, 1.0], [columns, rows]),
@@ -96,21 +96,21 @@ def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: Claim)
     Its multipliers are the best virtual velocity there is: by duality they prove the very residual that its
     solution reaches. Arguments as for `least_squares`.
     """
-    unit = problem.weight
+    rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
+    units = _force_units(problem, columns // 3)
     whiten = block_diagonal(problem.whitening[free])
     measured = sp.csc_matrix(sp.diags(np.repeat(problem.measure[free], 3)) @ (whiten.T @ whiten))  # D M^-1
-    accelerations = measured @ wrench_matrix(problem, free, active) * unit
+    accelerations = measured @ wrench_matrix(problem, free, active) @ sp.diags(units)
     gravity = measured @ problem.gravity_wrench[free].ravel()
-    rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
     cone = _cone_rows(problem, columns // 3, claim.cone)
     cone_rows = cone.shape[0]  # type: ignore[index]
     linear = claim.cone == "octagon"
-    normals = sp.csc_matrix(np.tile([1.0, 0.0, 0.0], columns // 3)[None])
+    normals = sp.csc_matrix((np.tile([1.0, 0.0, 0.0], columns // 3) * units / problem.weight)[None])
     one = sp.csc_matrix(np.ones((rows, 1)))
 
     def read(x: Array, multipliers: Array) -> tuple[Array, Array]:
         velocity = measured.T @ (multipliers[:rows] - multipliers[rows : 2 * rows])
-        return unit * x[:columns].reshape(-1, 3), _normalised(velocity)
+        return (units * x[:columns]).reshape(-1, 3), _normalised(velocity)
 
     return Program(
         curvature=np.zeros(columns + 1),
@@ -162,16 +162,38 @@ def into_cone(forces: Array, friction: float, cone: str) -> Array:
     return forces
 
 
+def without_slip(problem: Problem, free: Mask, active: Mask, velocity: Array) -> Array:
+    """Nearest velocity of the free parts at which no acting contact point slips, shape (free, 6).
+
+    Friction counts the last digits of a slip in full; where it is very large, only a motion without any proves much.
+    """
+    slip = wrench_matrix(problem, free, active).T.toarray().reshape(-1, 3, 6 * int(free.sum()))[:, 1:]
+    lengths = np.repeat(problem.measure[free] / problem.measure[free, :1], 3)  # so that all components are in m/s
+    slip = slip.reshape(-1, len(lengths)) / lengths
+    scaled = velocity.ravel() * lengths
+    for _ in range(2):  # once more for the digits that the first time rounds off
+        scaled = scaled - np.linalg.lstsq(slip, slip @ scaled, rcond=1e-10)[0]
+    return (scaled / lengths).reshape(-1, 6)
+
+
+def _force_units(problem: Problem, points: int) -> Array:
+    """Forces in N of variables of 1 at every contact point, shape (3 points,).
+
+    Where friction is below 1, tangential variables count in shares of it, so that the cone keeps its slope. Without
+    friction their columns vanish, and the cone still says that the normal force is not negative.
+    """
+    tangent = min(problem.friction, 1.0)
+    return np.tile(np.array([1.0, tangent, tangent]) * problem.weight, points)
+
+
 def _cone_rows(problem: Problem, points: int, cone: str) -> sp.csc_matrix:
-    """Rows `A` that keep forces in their friction cones: `A f <= 0`, or `-A f` in a second-order cone."""
-    mu = problem.friction
+    """Rows `A` that keep variables in the friction cones: `A x <= 0`, or `-A x` in a second-order cone."""
+    slope = max(problem.friction, 1.0)
     if cone == "quadratic":
-        block = -np.diag([mu, 1.0, 1.0])
+        block = -np.diag([slope, 1.0, 1.0])
     else:
         angle = (np.arange(8) + 0.5) * np.pi / 4
-        block = np.stack([np.full(8, -mu * np.cos(np.pi / 8)), np.cos(angle), np.sin(angle)], axis=1)
-    if cone == "octagon" and mu == 0:  # the sides alone would leave the normal's sign open
-        block = np.vstack([block, [-1.0, 0.0, 0.0]])
+        block = np.stack([np.full(8, -slope * np.cos(np.pi / 8)), np.cos(angle), np.sin(angle)], axis=1)
     return sp.csc_matrix(sp.kron(sp.eye(points), block))
 
 

@@ -1,0 +1,115 @@
+"""Friction from nothing to more than any material has: every state is decided, and no contact pulls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from falsework.assembly import library
+from falsework.assembly.model import Assembly
+from falsework.stability import ExactSolver, Stability, StabilitySettings, Verdict, accept, build_problem
+from falsework.stability.cpu import CpuSolver
+from falsework.stability.problem import Cone
+from falsework.stability.settings import CpuSettings, GpuSettings
+
+CONES: tuple[Cone, ...] = ("octagon", "quadratic")
+
+
+def decided(assembly: Assembly, states: NDArray[np.uint8], cone: Cone) -> NDArray[np.int8]:
+    """Verdicts on which the processor, with the exact solver's help, and the exact solver alone agree; all proven."""
+    settings = StabilitySettings(cone=cone)
+    both, alone = Stability(assembly, settings).check(states), ExactSolver(assembly, settings).check(states)
+    for verdicts in (both, alone):
+        assert accept(assembly, states, verdicts, settings.claim).all()
+    np.testing.assert_array_equal(both.verdict, alone.verdict)
+    return both.verdict
+
+
+def some_states(scenes: Any, assembly: Assembly) -> NDArray[np.uint8]:
+    return np.unique(scenes.random_states(assembly, 16, seed=51, shares=(0.25, 0.6, 0.15)), axis=0)
+
+
+def under_a_ceiling(scenes: Any, friction: float) -> Assembly:
+    """A cube that touches nothing but a fixed block above it."""
+    cube, ceiling = scenes.box([0, 0, 0], [1, 1, 1], "cube"), scenes.box([-1, -1, 1], [2, 2, 2], "ceiling")
+    return scenes.make([cube, ceiling], [1], friction=friction)
+
+
+@pytest.mark.parametrize("cone", CONES)
+@pytest.mark.parametrize("friction", [0.0, 1e-8, 0.5])
+def test_contacts_do_not_pull(scenes: Any, cone: Cone, friction: float) -> None:
+    """A cube under a fixed ceiling falls, with all of gravity, although pulling contacts could hold it."""
+    assembly = under_a_ceiling(scenes, friction)
+    assert len(assembly.contacts.points) == 4
+    state, settings = np.array([[1, 2]], np.uint8), StabilitySettings(cone=cone)
+    verdicts = ExactSolver(assembly, settings).check(state)
+    assert verdicts.verdict[0] == Verdict.UNSTABLE
+    assert verdicts.residual[0] == pytest.approx(1, abs=1e-6)
+    assert verdicts.forces is not None
+    assert (verdicts.forces[0, :, 0] >= 0).all()
+    assert Stability(assembly, settings).check(state).verdict[0] == Verdict.UNSTABLE
+
+
+@pytest.mark.parametrize("cone", CONES)
+@pytest.mark.parametrize("friction", [0.0, 1e-8, 0.5])
+def test_contacts_do_not_pull_on_a_gpu(scenes: Any, on_host: Callable[..., Any], cone: Cone, friction: float) -> None:
+    solver = on_host(under_a_ceiling(scenes, friction), StabilitySettings(cone=cone))
+    assert solver.check(np.array([[1, 2]], np.uint8)).verdict[0] == Verdict.UNSTABLE
+
+
+@pytest.mark.parametrize("name", ["polycube", "bottle", "wall:bricks=3,courses=3", "corbel"])
+def test_without_friction_both_cones_are_the_same_ray(scenes: Any, simplex: Callable[..., float], name: str) -> None:
+    assembly = library.build(name).replace(friction=0.0)
+    states = some_states(scenes, assembly)
+    octagon, quadratic = (decided(assembly, states, cone) for cone in CONES)
+    assert {Verdict.STABLE, Verdict.UNSTABLE} == set(octagon.tolist())
+    np.testing.assert_array_equal(octagon, quadratic)
+    least = np.array([simplex(assembly, state, directions=1) for state in states])
+    np.testing.assert_array_equal(octagon == Verdict.STABLE, least <= StabilitySettings().tolerance)
+
+
+@pytest.mark.parametrize("make", ["cpu", "gpu"])
+def test_the_interior_point_method_needs_no_friction(scenes: Any, request: pytest.FixtureRequest, make: str) -> None:
+    """With hardly any ADMM before it, it decides as much with one cone as with the other."""
+    assembly = library.build("wall:bricks=3,courses=3").replace(friction=0.0)
+    states = scenes.few_changes(assembly, 12, seed=52)
+    verdict = []
+    for cone in CONES:
+        settings = StabilitySettings(cone=cone, cpu=CpuSettings(iterations=1, threads=1), gpu=GpuSettings(iterations=1))
+        if make == "gpu":
+            solver = request.getfixturevalue("on_host")(assembly, settings)
+        else:
+            solver = CpuSolver(build_problem(assembly, cone=cone), settings)
+        verdict.append(solver.check(states).verdict)
+    assert (verdict[0] != Verdict.UNDECIDED).mean() > 0.8
+    np.testing.assert_array_equal(verdict[0], verdict[1])
+
+
+@pytest.mark.parametrize("cone", CONES)
+@pytest.mark.parametrize("friction", [1e-12, 1e-10, 2e-9, 1e-8, 1e-7, 1e-6, 1e-5])
+@pytest.mark.parametrize("name", ["polycube", "bottle"])
+def test_next_to_no_friction_is_decided(scenes: Any, name: str, friction: float, cone: Cone) -> None:
+    """What stands without friction stands with a little, and what falls with more falls with a little."""
+    assembly = library.build(name).replace(friction=friction)
+    states = some_states(scenes, assembly)
+    verdict = decided(assembly, states, cone)
+    without = decided(assembly.replace(friction=0.0), states, cone)
+    more = decided(assembly.replace(friction=1e-3), states, cone)
+    assert (verdict[without == Verdict.STABLE] == Verdict.STABLE).all()
+    assert (verdict[more == Verdict.UNSTABLE] == Verdict.UNSTABLE).all()
+
+
+@pytest.mark.parametrize("cone", CONES)
+@pytest.mark.parametrize("friction", [1e4, 1e6, 1e8])
+@pytest.mark.parametrize("name", ["bottle", "wall", "stack"])
+def test_more_friction_than_anything_has_is_decided(scenes: Any, name: str, friction: float, cone: Cone) -> None:
+    assembly = library.build(name).replace(friction=friction)
+    states = some_states(scenes, assembly)
+    verdict = decided(assembly, states, cone)
+    assert {Verdict.STABLE, Verdict.UNSTABLE} == set(verdict.tolist())
+    less = decided(assembly.replace(friction=10.0), states, cone)
+    assert (verdict[less == Verdict.STABLE] == Verdict.STABLE).all()
