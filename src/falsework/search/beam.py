@@ -339,7 +339,7 @@ class BeamSearch:
         undecided, limit = self._judge.undecided + self._undecided, ""
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:
-            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided)
+            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided, self.task.doubt)
         # A beam that was taken back may be less far now than where it died before.
         farther_now = len(self.levels) > self._farthest
         return SearchResult(

@@ -233,7 +233,7 @@ class DepthFirstSearch:
         limit, routes, undecided = "", (), self._judge.undecided + self._undecided
         if self.found:
             outcome, routes = Outcome.FOUND, (self._route(),)
-        elif self.done and not interrupted and undecided == 0:
+        elif self.done and not interrupted and undecided == 0 and not self.task.doubt:
             outcome = Outcome.PROVED_IMPOSSIBLE
         else:
             outcome = Outcome.NOT_FOUND
@@ -241,6 +241,8 @@ class DepthFirstSearch:
                 limit = f"gave up after {self.settings.state_limit} states; raise the limit or use a beam search"
             elif undecided:
                 limit = f"{undecided} states could be proved neither stable nor unstable"
+            elif self.done and not interrupted:
+                limit = self.task.doubt
         return SearchResult(
             outcome=outcome,
             routes=routes,

@@ -19,7 +19,7 @@ class Outcome(StrEnum):
     FOUND = "found"
     """There is at least one plan, and it is in the result."""
     PROVED_IMPOSSIBLE = "proved_impossible"
-    """Every state that can be reached was looked at: there is no plan."""
+    """Every state that can be reached was looked at, under rules that forbid nothing possible: there is no plan."""
     NOT_FOUND = "not_found"
     """The search was limited or interrupted before it found a plan; one may exist."""
 
@@ -49,18 +49,21 @@ class Route:
         return rank
 
 
-def beam_failure(width: int, exhaustive: bool, undecided: int) -> tuple[Outcome, str]:
+def beam_failure(width: int, exhaustive: bool, undecided: int, doubt: str) -> tuple[Outcome, str]:
     """What it means that a beam came to no end, and which limit it met, if any.
 
     Args:
         width: states that it keeps a level.
         exhaustive: it never had to leave one out.
         undecided: states that could be proved neither stable nor unstable.
+        doubt: why the rules of the task may forbid too much; see `Task.doubt`.
     """
     if not exhaustive:
         return Outcome.NOT_FOUND, f"the beam keeps {width} states a level; a wider one may find a plan"
     if undecided:
         return Outcome.NOT_FOUND, f"{undecided} states could be proved neither stable nor unstable"
+    if doubt:
+        return Outcome.NOT_FOUND, doubt
     return Outcome.PROVED_IMPOSSIBLE, ""
 
 

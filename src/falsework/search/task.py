@@ -48,6 +48,10 @@ class Clearance(Protocol):
         """Shape (batch, parts): part `i` has an exit that no other present part blocks."""
         ...
 
+    def doubt(self, parts: Mask) -> str:
+        """Why some of the parts, shape (parts,), may have exits that `can_leave` does not know; empty if none has."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Task:
@@ -144,6 +148,13 @@ class Task:
     def steps(self) -> int:
         """Number of steps of every plan."""
         return int(STAGE[self.target].sum() - STAGE[self.start].sum())
+
+    @cached_property
+    def doubt(self) -> str:
+        """Why looking at every state would not prove that there is no plan, in words; empty if it would."""
+        if self.clearance is None:
+            return ""
+        return self.clearance.doubt((self.start != REMOVED) & (self.target == REMOVED))
 
     def postpone(self, postponed: Sequence[int]) -> Task:
         """The same task with other lower bounds on when missing parts go in."""
