@@ -36,7 +36,7 @@ class TaskOptions:
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts that are neither held nor removed, such as 7."""
     removable_only_if_clear: bool = False
-    """Remove a part only if it has a straight way out."""
+    """Remove a part only if it has a straight way out, in whatever direction."""
 
     def task(self, assembly: Assembly) -> Task:
         """Check the rules against a structure.
