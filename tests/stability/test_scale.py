@@ -53,7 +53,7 @@ def solve(
 
 
 def settings_of(cone: str, gravity: float = EARTH) -> StabilitySettings:
-    return StabilitySettings(cone=cone, gravity=gravity, cpu=CpuSettings(threads=1))  # type: ignore[arg-type]
+    return StabilitySettings(criterion="equilibrium", cone=cone, gravity=gravity, cpu=CpuSettings(threads=1))  # type: ignore[arg-type]
 
 
 @lru_cache
