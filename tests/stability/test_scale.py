@@ -39,7 +39,7 @@ def solver(request: pytest.FixtureRequest) -> Callable[[Assembly, StabilitySetti
     if request.param == "exact":
         return ExactSolver
     return lambda assembly, settings: CpuSolver(
-        build_problem(assembly, cone=settings.cone, gravity=settings.gravity), settings
+        build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity), settings
     )
 
 
