@@ -43,8 +43,8 @@ def _invert(block, b, work, inverse):
     return True
 
 
-# Products below run along rows of their right factor, so that the compiler keeps whole rows in vector registers; written
-# as inner products of rows they take half as long again.
+# Products below run along rows of their right factor, so that the compiler keeps whole rows in vector registers;
+# written as inner products of rows they take half as long again.
 
 
 @nb.njit(inline="always", fastmath=True)
