@@ -163,7 +163,7 @@ def test_a_state_without_legal_action_has_failed() -> None:
 def test_only_removals_are_judged_and_every_state_once(bottle: Assembly) -> None:
     oracle = Counting(bottle)
     environment, first = random_rollouts(bottle, 300, oracle=oracle)
-    assert len(oracle.asked) == len(set(oracle.asked)) == environment.counters.removals_asked
+    assert len(oracle.asked) == len(set(oracle.asked)) == environment.counters.states_asked
     removed = first.actions >= environment.part_count
     assert set(oracle.asked) == {state.numpy().tobytes() for state in first.states[1:][removed]}
     asked = len(oracle.asked)
