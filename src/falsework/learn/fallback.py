@@ -50,10 +50,11 @@ class _Census:
         job, census = self._job, self._search.run(stop=stop)
         result, states = census.result, census.graph.states
         while result.found and not job.stands(result.routes[0]):
-            # Each turn rules a state out, so that there is an end.
-            states = states[~job.oracle.rules_out(states)]
-            graph = StateGraph.build(job.task, states)
-            route = graph.sample_route(np.random.default_rng(job.request.seed))
+            # Each turn rules a state out, so that there is an end; but a route of one step has none to rule out.
+            left = states[~job.oracle.rules_out(states)]
+            graph = StateGraph.build(job.task, left)
+            route = graph.sample_route(np.random.default_rng(job.request.seed)) if len(left) < len(states) else None
+            states = left
             if route is None:
                 return replace(result, outcome=Outcome.NOT_FOUND, routes=())
             result = replace(result, routes=(route,))
@@ -141,8 +142,12 @@ def _finish(rivals: list[_Turns], job: Job) -> Iterator[None]:
                 if job.decided:
                     return
             if job.clock.passed:
-                for rest in rivals:
-                    job.ended(rest.search.run(stop=lambda: True), rest.decider)
+                job.busy = True
+                try:
+                    for rest in rivals:
+                        job.ended(rest.search.run(stop=lambda: True), rest.decider)
+                finally:
+                    job.busy = False
                 return
         yield
 

@@ -102,7 +102,7 @@ class Job:
         self.others: Callable[[], None] = lambda: None
         """Called every now and then, so that other requests need not wait for this one beyond their deadlines."""
         self.busy = False
-        """Whether a search for this request is under way, which then ends by itself when the clock has run out."""
+        """Whether a search, a replay or the answer is under way, which ends by itself when the clock has run out."""
         self.decided_by = Decider.NOBODY
         self.outcome = Outcome.NOT_FOUND
         self.result: SearchResult | None = None
@@ -144,7 +144,13 @@ class Job:
 
         The state in which it falls is ruled out: the oracle of this job from then on says that it slides.
         """
-        return self.replayer is None or self.replayer.as_time_allows(route.states[::-1]).stands is not False
+        if self.replayer is None:
+            return True
+        before, self.busy = self.busy, True  # no answer while the route is not among those that are known
+        try:
+            return self.replayer.as_time_allows(route.states[::-1]).stands is not False
+        finally:
+            self.busy = before
 
     def choose(self, task: Task, states: States, given: Sequence[Route]) -> list[Route]:
         """As many routes through some states as are wanted, as different as possible, of which no replay falls.
@@ -208,6 +214,7 @@ class Job:
     def answer(self) -> Replan:
         """Prove what was found and say it."""
         plans: tuple[Plan, ...]
+        self.busy = True
         fallen = None if self.replayer is None else self.replayer.fallen
         if not self.routes and fallen is not None and self.clock.passed:
             # Every state of it stands, and there was no time for another one; the answer says that its replay falls.

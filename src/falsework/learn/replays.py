@@ -72,7 +72,7 @@ class TimedReplayer:
         """The last sequence whose replay the clock cut short, in the order of assembly."""
         self.fallen: States | None = None
         """Of the sequences that fall the one that comes farthest."""
-        self.fell_after = -1
+        self.fell_after = 0
         """Steps of it that come to rest."""
         self.ruled_out: set[bytes] = set()
         """States between the ends in which sequences fell."""
@@ -158,8 +158,8 @@ class TimedReplayer:
 
     def _note(self, states: States, row: int) -> None:
         """Remember that a sequence falls in state `row`."""
-        if row - 1 > self.fell_after:
-            self.fallen, self.fell_after = states, row - 1
+        if self.fallen is None or row - 1 > self.fell_after:
+            self.fallen, self.fell_after = states, max(row - 1, 0)
         inner = _inner(row, len(states))
         if inner is not None:
             self.ruled_out.add(states[inner].tobytes())
