@@ -49,7 +49,7 @@ class _Census:
     def run(self, *, stop: Stop | None = None) -> SearchResult:
         job, census = self._job, self._search.run(stop=stop)
         result, states = census.result, census.graph.states
-        while result.found and not job.stands(result.routes[0]):
+        while result.found and not job.stands(result.routes[0], Decider.EXHAUSTIVE):
             # Each turn rules a state out, so that there is an end; but a route of one step has none to rule out.
             left = states[~job.oracle.rules_out(states)]
             graph = StateGraph.build(job.task, left)
@@ -206,7 +206,7 @@ class _Widening:
                 settings = BeamSettings(width, Direction.DISASSEMBLY, "none", retries=0, seed=seed)
                 self._beam = BeamSearch(self._job.task, self._job.oracle, settings, guide=self._guide)
             result = self._beam.run(stop=stop)
-            if result.found and not self._job.stands(result.routes[0]):
+            if result.found and not self._job.stands(result.routes[0], Decider.GUIDED):
                 states = result.routes[0].states
                 self._beam.forbid(states[self._job.oracle.rules_out(states)])
                 if self._beam.found:  # nothing lies between the ends

@@ -111,7 +111,8 @@ class Job:
         self.hopeless = False
         """Whether one of the ends does not stand, so that looking for a plan is in vain."""
         self._chosen = False
-        self._fell_by = Decider.SEARCH
+        self._fell_by: dict[bytes, Decider] = {}
+        """Who proposed the routes whose replays fell."""
         self._unstable: States | None = None
         self._why = ""
 
@@ -128,9 +129,8 @@ class Job:
 
     def found(self, routes: list[Route], by: Decider) -> None:
         """Take plans unless their replays fall; the first are those with which missing parts may come latest."""
-        routes = [route for route in routes if self.stands(route)]
+        routes = [route for route in routes if self.stands(route, by)]
         if not routes:
-            self._fell_by = by
             return
         if not self.routes:
             self.decided_by = by
@@ -139,7 +139,7 @@ class Job:
         self.routes = sorted(routes, key=lambda route: insertion_steps(route, self.task), reverse=True)
         self.outcome = Outcome.FOUND
 
-    def stands(self, route: Route) -> bool:
+    def stands(self, route: Route, by: Decider = Decider.SEARCH) -> bool:
         """Whether a replay of a route stands, as far as there is time for it.
 
         The state in which it falls is ruled out: the oracle of this job from then on says that it slides.
@@ -148,7 +148,10 @@ class Job:
             return True
         before, self.busy = self.busy, True  # no answer while the route is not among those that are known
         try:
-            return self.replayer.as_time_allows(route.states[::-1]).stands is not False
+            stands = self.replayer.as_time_allows(route.states[::-1]).stands is not False
+            if not stands:
+                self._fell_by[route.states[::-1].tobytes()] = by
+            return stands
         finally:
             self.busy = before
 
@@ -219,7 +222,7 @@ class Job:
         if not self.routes and fallen is not None and self.clock.passed:
             # Every state of it stands, and there was no time for another one; the answer says that its replay falls.
             self.routes = [Route.through(fallen[::-1].copy())]
-            self.outcome, self.decided_by = Outcome.FOUND, self._fell_by
+            self.outcome, self.decided_by = Outcome.FOUND, self._fell_by.get(fallen.tobytes(), Decider.SEARCH)
         plans, chosen = (), self._choose()
         late = self.clock.passed
         if self.routes:

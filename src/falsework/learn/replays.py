@@ -154,6 +154,8 @@ class TimedReplayer:
                 progress.reached, progress.history = first + done, found.histories[done - 1]
             if progress.fell:
                 self._note(states, progress.reached)
+            if progress.over:
+                progress.history = None  # a megabyte for a large structure, and nothing comes after
         return progress
 
     def _note(self, states: States, row: int) -> None:

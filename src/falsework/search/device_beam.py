@@ -153,9 +153,9 @@ class DeviceBeam:
     def levels(self) -> list[Level]:
         """Levels so far, copied to the host."""
         for level in self._levels[len(self._host) :]:
-            columns = (level.states, level.parent, level.action, level.score)
-            grounded = np.ones(len(level.states), dtype=np.int8)
-            self._host.append(Level(*(column.cpu().numpy() for column in columns), grounded))
+            tensors = (level.states, level.parent, level.action, level.score)
+            states, parent, action, score = (tensor.cpu().numpy() for tensor in tensors)
+            self._host.append(Level(states, parent, action, score, np.ones(len(states), dtype=np.int8)))
         return self._host
 
     def states(self) -> States:
