@@ -276,10 +276,12 @@ class Planner:
         replay = self._replayer.replay(route.states[::-1])
         if replay.good:
             return True
-        row = replay.falls_at or 0
+        row, last = replay.falls_at or 0, len(route.states) - 1
         if self.fallen is None or row > self.fallen[1]:
             self.fallen = route, row
-        self._forbidden = np.concatenate([self._forbidden, route.states[::-1][row : row + 1]])
+        # Both ends belong to every route, so where one falls the state beside it is ruled out.
+        barred = route.states[::-1][min(max(row, 1), max(last - 1, 0))]
+        self._forbidden = np.concatenate([self._forbidden, barred[None]])
         return False
 
     def _drop_beams(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from copy import copy
 from typing import TYPE_CHECKING, Protocol
 
+from falsework.errors import InputError
 from falsework.search.judge import Oracle
 from falsework.search.shards import Shards
 from falsework.search.tensors import import_torch, put
@@ -18,7 +19,10 @@ if TYPE_CHECKING:
 
 
 class TensorOracle(Protocol):
-    """Decides stability of batches of states on a device."""
+    """Decides stability of batches of states on a device.
+
+    One whose attribute `holds_keep_stable` is true, as of `Stability`, is not asked about parts that become held.
+    """
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
         """Verdicts, each with a proof found in float64.
@@ -37,6 +41,7 @@ class HostOracle:
     """An oracle on the processor, asked about states on any device."""
 
     def __init__(self, oracle: Oracle) -> None:
+        self.holds_keep_stable = bool(getattr(oracle, "holds_keep_stable", False))
         self._oracle = oracle
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
@@ -46,7 +51,10 @@ class HostOracle:
 
 
 class DeviceOracle:
-    """The solver on a GPU; only states that it leaves open go to the exact solver, on the processor."""
+    """The solver on a GPU, of the criterion `equilibrium`.
+
+    Only states that it leaves open go to the exact solver, on the processor.
+    """
 
     def __init__(self, oracle: Stability, device: torch.device) -> None:
         """Copy the problem to the device.
@@ -57,10 +65,16 @@ class DeviceOracle:
 
         Raises:
             DependencyError: what the solver needs is not installed.
-            InputError: no such device.
+            InputError: no such device, or an oracle of the criterion `contact`, which only the processor decides.
         """
         from falsework.stability.gpu import GpuSolver
 
+        if oracle.settings.criterion != "equilibrium":
+            raise InputError(
+                f"the solver on a GPU does not decide the criterion {oracle.settings.criterion}; "
+                f"use the processor, or the criterion equilibrium"
+            )
+        self.holds_keep_stable = oracle.holds_keep_stable
         self._solver = GpuSolver(oracle.problem, oracle.settings, str(device))
         self._exact: ExactSolver | GurobiSolver | None = oracle.exact
 
@@ -92,8 +106,12 @@ def without_exact(oracle: TensorOracle) -> TensorOracle:
 
 
 def oracle_on(oracle: Stability, device: torch.device) -> TensorOracle:
-    """The oracle's verdicts for states on a device: by the solver there, or by the oracle itself on the processor."""
-    return DeviceOracle(oracle, device) if device.type == "cuda" else HostOracle(oracle)
+    """The oracle's verdicts for states on a device: by the solver there, or by the oracle itself on the processor.
+
+    Under the criterion `contact` states leave the device, since only the processor decides it.
+    """
+    there = device.type == "cuda" and oracle.settings.criterion == "equilibrium"
+    return DeviceOracle(oracle, device) if there else HostOracle(oracle)
 
 
 class TensorJudge:
