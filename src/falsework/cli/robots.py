@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, Exit, LoadOptions, StructureOptions
+from falsework.cli.criterion import CriterionOption
 from falsework.cli.planning import writable
 from falsework.errors import InputError
 
@@ -28,8 +29,8 @@ if TYPE_CHECKING:
 class PlanRobots(Command):
     """Plan how the arms of a cell take a structure apart, and so, played backwards, how they build it.
 
-    Actions and motions are planned together: every state is proven stable, every motion is free of collisions, one
-    robot moves at a time. Exit code 1 if no plan was found; the report says which parts no robot reaches, what is in
+    Actions and motions are planned together: every state stands, and so does a replay of all of them in the order of
+    assembly, every motion is free of collisions, one robot moves at a time. Exit code 1 if no plan was found; the report says which parts no robot reaches, what is in
     the way, and how far it came, and what was found is saved all the same.
     """
 
@@ -59,12 +60,13 @@ class PlanRobots(Command):
     """Write the motions in the order of assembly."""
     proofs: bool = False
     """Write the contact forces that prove each state into the plan too."""
+    criterion: CriterionOption = "contact"
 
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
         from falsework.robots.cell_file import load_cell
         from falsework.robots.hybrid import HybridSettings, plan_robots
-        from falsework.stability import Stability
+        from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)
         settings = HybridSettings(seed=self.robots_seed, deadline=self.deadline, forces=self.proofs)
@@ -77,7 +79,7 @@ class PlanRobots(Command):
                 assembly,
                 cell,
                 task=task,
-                oracle=Stability(assembly),
+                oracle=Stability(assembly, StabilitySettings(criterion=self.criterion)),
                 guide=guide,
                 settings=settings,
                 progress=lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}"),
@@ -119,9 +121,11 @@ class PlanRobots(Command):
                 }
             )
             if result.found:
+                replay = result.statistics["replay"]
                 output.say(
                     f"{self.out}: {len(saved)} steps for {len(saved.robots)} robots, {saved.seconds:.0f} s of motion, "
-                    f"every state proven stable ({result.statistics['seconds']:.1f} s)"
+                    f"every state proven stable (criterion {self.criterion}"
+                    f"{'' if replay is None else f', the replay {replay}'}, {result.statistics['seconds']:.1f} s)"
                 )
                 return Exit.DONE
             output.note(f"the {len(saved)} steps that were found are in {self.out}")

@@ -3,7 +3,8 @@
 A search in depth with backtracking. At every keyframe it takes the actions after which the structure can still come
 apart, the most promising first, and asks the keyframe graph for a motion; where there is none, the action is rejected
 with the reason and the next one is tried. After some dead ends it starts anew in another order; what was computed is
-kept.
+kept. Under the criterion `contact` a plan whose replay in the order of assembly falls is not delivered either: the
+state in which it falls is forbidden, and the search begins anew.
 """
 
 from __future__ import annotations
@@ -80,6 +81,9 @@ class HybridProgress:
 
 
 Progress = Callable[[HybridProgress], None]
+
+_REPLAYS = 40
+"""Plans with motions whose replay may fall before the search is given up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +174,8 @@ class _Search:
         self.counts: Counter[str] = Counter()
         self.attempt = 0
         self.unreachable: list[int] | None = None
+        self.fallen = ""
+        """Where the replay of the last plan that was not delivered falls, in words."""
         self._reported = self.began
 
     def run(self, root: Node) -> HybridResult:
@@ -188,17 +194,48 @@ class _Search:
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
                 if turn:
                     self.proposals.vary(self.attempt)
-                chain = self.dive(root, np.random.default_rng([self.settings.seed, self.attempt]))
-                self.attempt += 1
+                chain = self.standing(root)
                 if chain is not None:
                     return self.solved(root, chain)
+                if self.counts["replays_fallen"] == _REPLAYS:
+                    return self.failed(root, "not_found", self.fallen)
                 if self.late():
                     limit = f"the deadline of {self.settings.deadline:g} s has passed"
                     return self.failed(root, "interrupted", limit)
                 if self._hopeless():
                     return self.failed(root, "not_found", "more searching would be in vain")
-                limit = f"{self.attempt} searches did not do"
+                limit = f"{self.attempt} searches did not do{f'; {self.fallen}' if self.fallen else ''}"
         return self.failed(root, "not_found", limit)
+
+    def standing(self, root: Node) -> list[Edge] | None:
+        """The edges of a plan whose replay stands, or None after too many dead ends or plans that fall."""
+        while self.counts["replays_fallen"] < _REPLAYS:
+            chain = self.dive(root, np.random.default_rng([self.settings.seed, self.attempt]))
+            self.attempt += 1
+            if chain is None:
+                return None
+            route = self._route(root, chain)
+            row = self.proposals.falls(route)
+            if row is None:
+                return chain
+            self.counts["replays_fallen"] += 1
+            self.fallen = (
+                f"every state of a plan with motions stood, but built up in order it fell {self._place(route, row)} "
+                f"({self.counts['replays_fallen']} such plans)"
+            )
+            if not self.proposals.forbid(route, row):
+                return None
+            self.dead.clear()
+            self.proposals.vary(self.attempt)
+        return None
+
+    def _place(self, route: Route, row: int) -> str:
+        """A state in the order of assembly, in words."""
+        if row == 0:
+            return "at the beginning"
+        action, parts = int(route.actions[::-1][row - 1]), self.assembly.part_count
+        doing = "inserting" if action >= parts else "releasing"
+        return f"at step {row} of assembly, {doing} {self.assembly.names[action % parts]}"
 
     def dive(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
         """One search in depth; the edges of a plan, or None after too many dead ends."""
@@ -319,11 +356,14 @@ class _Search:
         statistics = self._statistics() if partial is None else partial.statistics
         return HybridResult(None, partial, why, statistics)
 
-    def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
+    @staticmethod
+    def _route(root: Node, chain: list[Edge]) -> Route:
         states: States = np.array([root.state, *(edge.node.state for edge in chain)], dtype=np.uint8)
-        route = Route(states, np.array([edge.action for edge in chain], dtype=np.int64))
-        task = self.proposals.task
-        statistics = self._statistics()
+        return Route(states, np.array([edge.action for edge in chain], dtype=np.int64))
+
+    def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
+        route, task = self._route(root, chain), self.proposals.task
+        statistics = self._statistics() | {"replay": self._replay(route)}
         if why is not None:
             statistics["failure"] = why.record()
         plan = make_robot_plan(
@@ -333,8 +373,16 @@ class _Search:
         plan.statistics.update(statistics)
         return plan
 
+    def _replay(self, route: Route) -> str | None:
+        """How the replay of a route ends, in words; None under a criterion that knows no history."""
+        if self.oracle.replayer is None:
+            return None
+        row = self.proposals.falls(route)
+        return "stands" if row is None else f"falls {self._place(route, row)}"
+
     def _statistics(self) -> dict[str, Any]:
         return {
+            "criterion": self.oracle.settings.criterion,
             "seed": self.settings.seed,
             "seconds": round(time.perf_counter() - self.began, 3),
             "attempts": self.attempt,
@@ -342,6 +390,7 @@ class _Search:
             "actions": self.counts["actions"],
             "rejected": self.counts["rejected"],
             "unsolvable": self.counts["unsolvable"],
+            "replays_fallen": self.counts["replays_fallen"],
             "solvable_states": len(self.proposals),
             "free_motions": self.graph.motions,
             "free_motions_used_again": self.graph.motions_kept,
