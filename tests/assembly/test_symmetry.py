@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from falsework.assembly import Assembly, load_structure
+from falsework.assembly.model import ContactWarning
 from falsework.assembly.symmetry import _motions, _same_contacts, symmetries
 from falsework.geometry.mesh import TriangleMesh
 from falsework.stability import Stability
@@ -97,6 +98,32 @@ def test_contacts_matter() -> None:
         assert _same_contacts(dome.contacts.pushes(dome.part_count), turn, image)
         kept += _same_contacts(push, turn, image)
     assert kept == 2
+
+
+def test_lines_matter() -> None:
+    """Two boxes on a slab are mirror images until the edge of a fixed wedge, or a pair of them, touches."""
+    faces = np.array([(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)])
+    faces = np.concatenate([faces, [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]])
+
+    def box(name: str, low: tuple[float, ...], high: tuple[float, ...]) -> TriangleMesh:
+        corners = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+        return TriangleMesh.from_arrays(name, corners, faces)
+
+    def wedge(name: str, side: float) -> TriangleMesh:
+        points = [(x, y, z) for y in (-0.5, 0.5) for x, z in ((2, 0.5), (3, 0.2), (3, 0.8))]
+        turned = np.array(points) * (side, side, 1)
+        prism = [(0, 1, 2), (3, 5, 4), (0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2), (2, 5, 3), (2, 3, 0)]
+        return TriangleMesh.from_arrays(name, turned, prism)
+
+    slab = box("slab", (-5, -2, -1), (5, 2, 0))
+    pair = [slab, box("left", (-2, -1, 0), (-1, 1, 1)), box("right", (1, -1, 0), (2, 1, 1))]
+    assert symmetries(Assembly.from_meshes(pair, boundary=[0]))[:, 1].max() == 2
+    for wedges in (1, 2):
+        parts = [*pair, wedge("east", 1.0), *([wedge("west", -1.0)] if wedges == 2 else [])]
+        with pytest.warns(ContactWarning):
+            assembly = Assembly.from_meshes(parts, boundary=[0, *range(3, len(parts))])
+        assert (assembly.contacts.dimension == 1).sum() == wedges
+        assert (symmetries(assembly)[:, 1].max() == 2) == (wedges == 2)
 
 
 def test_images_of_states_stand_if_the_states_do() -> None:

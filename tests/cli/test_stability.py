@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework.assembly import Assembly, load_structure, save_assembly
 
 Run = Callable[..., Any]
 Write = Callable[..., Path]
@@ -46,6 +46,14 @@ def slope(folder: Path, degrees: float, write_structure: Write) -> Path:
     """A block on a slope that goes down towards +x."""
     boxes = [((-2, -1, -1), (2, 1, 0)), ((-0.5, -0.5, 0), (0.5, 0.5, 0.4))]
     return turned(folder, boxes, write_structure, ("y", degrees))
+
+
+def test_a_beam_on_a_ridge_is_judged_with_a_warning(falsework: Run, beam_on_ridge: Assembly, tmp_path: Path) -> None:
+    folder = save_assembly(beam_on_ridge, tmp_path / "beam")
+    finished = falsework("stability", folder)
+    assert finished.code == 0
+    line = "falsework: warning: parts roof and beam touch along a line only: verdicts may hang on it\n"
+    assert finished.error == line
 
 
 def test_a_block_slips_past_the_angle_of_friction(falsework: Run, write_structure: Write, tmp_path: Path) -> None:

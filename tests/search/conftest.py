@@ -57,10 +57,15 @@ class RuleClearance:
     """Part `i` leaves if all of one of its sets of blockers are gone."""
 
     blockers: list[list[frozenset[int]]]
+    complete: bool = True
+    """Whether the sets are all there are, so that a search may rely on them for a proof."""
 
     def can_leave(self, states: NDArray[np.uint8]) -> NDArray[np.bool_]:
         rows = [[self.free(tuple(state.tolist()), part) for part in range(states.shape[1])] for state in states]
         return np.array(rows, dtype=bool).reshape(states.shape)
+
+    def doubt(self, parts: NDArray[np.bool_]) -> str:
+        return "" if self.complete or not parts.any() else "exits may be missing"
 
     def free(self, state: State, part: int) -> bool:
         return any(all(not state[other] for other in way) for way in self.blockers[part])
@@ -168,6 +173,7 @@ class Rules:
     arch = staticmethod(arch)
     random = staticmethod(random_rules)
     ground = staticmethod(ground)
+    clearance = staticmethod(RuleClearance)
     enumeration = staticmethod(Enumeration)
     verdicts = staticmethod(verdicts_of)
 

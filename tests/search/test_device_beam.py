@@ -105,7 +105,13 @@ def test_ways_out_on_tensors_are_those_of_the_table(rules: Any, direction: Direc
     rng = np.random.default_rng(parts)
     ways = rng.integers(0, 4, size=parts)
     blockers = pack(rng.random((ways.sum(), parts)) < 3 / parts)
-    table = ClearanceTable(np.zeros((ways.sum(), 3)), blockers, np.concatenate([[0], np.cumsum(ways)]).astype(np.int32))
+    table = ClearanceTable(
+        np.zeros((ways.sum(), 3)),
+        blockers,
+        np.concatenate([[0], np.cumsum(ways)]).astype(np.int32),
+        np.ones(parts, bool),
+        0,
+    )
     task = Task.create(rules.ground(parts), parts, clearance=table)
     states = rng.choice([0, 0, 1, 2], size=(500, parts)).astype(np.uint8)
     states[:, 0] = 2

@@ -239,7 +239,7 @@ class DeviceBeam:
         undecided, limit = int(self._refused[1]), ""
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:
-            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided)
+            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided, doubt=self.task.doubt)
         return SearchResult(
             outcome=outcome,
             routes=(self.route(),) if self.found else (),

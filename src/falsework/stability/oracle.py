@@ -84,7 +84,7 @@ class Stability:
 
     @property
     def holds_keep_stable(self) -> bool:
-        """Whether a stable state stays stable when a part of it is held: so under `equilibrium`, not under `contact`."""
+        """Whether a stable state stays stable when a part of it is held: under `equilibrium`, not under `contact`."""
         return self.settings.criterion == "equilibrium"
 
     @cached_property

@@ -122,10 +122,7 @@ def lacks_contact(work, pairs):
             touched[work.slot_a[p]] = True
         if work.slot_b[p] >= 0:
             touched[work.slot_b[p]] = True
-    for j in range(len(work.free)):
-        if work.free[j] and not touched[j]:
-            return True
-    return False
+    return np.any(work.free & ~touched)
 
 
 @nb.njit(cache=True)

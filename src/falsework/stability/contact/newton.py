@@ -1,7 +1,7 @@
-"""Displacement at which contact forces balance the load, by pseudo-transient Newton iterations (Kelley and Keyes 1998).
+"""Displacement at which contact forces balance the load, by pseudo-transient Newton iterations.
 
-Each iteration is a linearly implicit Euler step of `du/dt = r(u)`, the motion of the structure in a viscous medium, with
-`r` the wrenches that contacts and load leave. The time step grows as the residual falls, so iterations end as Newton's
+The method is that of Kelley and Keyes (1998). Each iteration is a linearly implicit Euler step of `du/dt = r(u)`, the
+motion of the structure in a viscous medium, with `r` the wrenches that contacts and load leave. The time step grows as the residual falls, so iterations end as Newton's
 method where there is an equilibrium, and follow the parts that move where there is none. Velocities, displacements
 and wrenches are whitened by the masses as in `Problem`.
 """
