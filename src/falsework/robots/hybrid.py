@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -93,7 +93,7 @@ class HybridResult:
     plan: RobotPlan | None
     """From the start to the target, or None."""
     partial: RobotPlan | None
-    """Where there is no plan: the longest one that was found, if it has any step."""
+    """Where there is no plan: the longest one that was found, if it has any step and its replay stands."""
     explanation: Explanation | None
     """Where there is no plan: why."""
     statistics: dict[str, Any]
@@ -182,7 +182,10 @@ class _Search:
         """Find an abstract plan, then motions for it or for one near it."""
         self.abstract = self.proposals.prepare(self.late)
         if not self.abstract.found:
-            return self.failed(root, self._abstract_outcome(), "")
+            if self.proposals.fallen is not None:
+                place = self._place(*self.proposals.fallen)
+                self.fallen = f"every state of a plan stood, but built up in order it fell {place}"
+            return self.failed(root, self._abstract_outcome(), self.fallen)
         if self.task.steps == 0:
             return self.solved(root, [])
         limit = ""
@@ -225,6 +228,7 @@ class _Search:
             )
             if not self.proposals.forbid(route, row):
                 return None
+            self.best = []  # what falls is not handed back as a part of a plan either
             self.dead.clear()
             self.proposals.vary(self.attempt)
         return None
@@ -352,7 +356,9 @@ class _Search:
             unreachable=self.unreachable or [],
             abstract=self.abstract is not None and not self.abstract.found,
         )
-        partial = self._plan(root, self.best, why) if self.best else None
+        partial = None
+        if self.best and self.proposals.falls(self._route(root, self.best)) is None:
+            partial = self._plan(root, self.best, why)
         statistics = self._statistics() if partial is None else partial.statistics
         return HybridResult(None, partial, why, statistics)
 
@@ -363,22 +369,16 @@ class _Search:
 
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
         route, task = self._route(root, chain), self.proposals.task
-        statistics = self._statistics() | {"replay": self._replay(route)}
+        statistics = self._statistics()
         if why is not None:
             statistics["failure"] = why.record()
         plan = make_robot_plan(
             self.assembly, self.cell, task, self.oracle, route, root, chain, forces=self.settings.forces
         )
         statistics["seconds"] = round(time.perf_counter() - self.began, 3)
-        plan.statistics.update(statistics)
+        replay = plan.plan.replay
+        plan.statistics.update(statistics, replay=None if replay is None else asdict(replay))
         return plan
-
-    def _replay(self, route: Route) -> str | None:
-        """How the replay of a route ends, in words; None under a criterion that knows no history."""
-        if self.oracle.replayer is None:
-            return None
-        row = self.proposals.falls(route)
-        return "stands" if row is None else f"falls {self._place(route, row)}"
 
     def _statistics(self) -> dict[str, Any]:
         return {

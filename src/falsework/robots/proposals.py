@@ -69,6 +69,8 @@ class Proposals:
         self._taste = taste
         self._assembly, self._seed = assembly, seed
         self.postponed: tuple[int, ...] = ()
+        self.fallen: tuple[Route, int] | None = None
+        """Where `prepare` finds nothing: the plan that came farthest in its replay, and the state in which it falls."""
         self._left = 0
         self._preferred: set[bytes] = set()
         self._solvable: set[bytes] = {task.target.tobytes()}
@@ -87,6 +89,7 @@ class Proposals:
         if route is not None:
             planner.begin_with(route)
         result = planner.run(stop=stop)  # which replays what it finds
+        self.fallen = planner.fallen
         if result.found:
             self.postponed = planner.postponed
             self.task = self.task.postpone(planner.postponed)
