@@ -168,7 +168,8 @@ class MakeReplan(Command):
         plan = answer.plans[0]
         output.say(
             f"{paths[0]}: {len(plan)} steps of {answer.direction.value} with {plan.robots} robots, every state proven "
-            f"stable (criterion {plan.claim.criterion}, decided by {answer.decided_by.value}, {answer.seconds:.2f} s, {answer.verdicts} verdicts)"
+            f"stable (criterion {plan.claim.criterion}, decided by {answer.decided_by.value}, {answer.seconds:.2f} s, "
+            f"{answer.verdicts} verdicts)"
         )
         output.say(_first_steps(plan))
         for need in plan.needs:
