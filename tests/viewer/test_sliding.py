@@ -65,6 +65,8 @@ def test_the_cube_slides_down_and_the_other_one_does_not(clamp: Assembly) -> Non
     assert proof.marks == {CUBE: SLIDING}
     (way,) = np.diff(proof.arrows["sliding"].ends, axis=1)[:, 0]
     np.testing.assert_allclose(way / np.linalg.norm(way), [0, 0, -1], atol=1e-6)
+    (pressed,) = proof.arrows["gravity"].ends[:, 0]  # only that of the other one, which could not hide the way
+    np.testing.assert_allclose(pressed, clamp.mass.center[IDLER])
     assert (proof.moved[CUBE][:, 2] < clamp.meshes[CUBE].vertices[:, 2]).all()
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import INSTALLED, States
+from falsework.assembly.state import HELD, INSTALLED, States
 from falsework.stability.motion import motion_of
 from falsework.stability.oracle import Stability
 from falsework.stability.verdict import Verdicts
@@ -93,13 +93,16 @@ def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int) -> S
     slides = bool(verdicts.slides[row])
     if not (slides or verdicts.unstable[row]):
         return StateProof(False, False, "neither stable nor unstable could be proven", {})
-    kind = "sliding" if slides else "motion"
-    arrows = {"gravity": arrows_of_forces(assembly, state, np.zeros((len(assembly.contacts.points), 3)))["gravity"]}
     motion = motion_of(assembly, verdicts, row)
+    moved = {} if motion is None else moved_parts(assembly, state, motion)
+    weighed = state.copy()
+    if slides:  # the arrow of a part that slides down would lie on that of its weight
+        weighed[list(moved)] = HELD
+    arrows = {"gravity": arrows_of_forces(assembly, weighed, np.zeros((len(assembly.contacts.points), 3)))["gravity"]}
     if motion is None:  # a state that slides which the exact solver decided
-        return StateProof(False, True, f"slides: {_WHY}", arrows, {}, slides)
+        return StateProof(False, True, f"slides: {_WHY}", arrows, moved, slides)
+    kind = "sliding" if slides else "motion"
     arrows[kind] = arrows_of_motion(assembly, state, motion, kind)
-    moved = moved_parts(assembly, state, motion)
     speed = np.linalg.norm(motion[:, :3], axis=1)
     named = _named(assembly, sorted(moved, key=lambda part: -speed[part]))
     words = f"slides: {named} would slide; {_WHY}" if slides else f"unstable: {named} would move"
