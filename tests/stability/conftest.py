@@ -221,9 +221,11 @@ class HostDriver:
         function(*arguments)
 
 
-def solver_on_host(assembly: Assembly, settings: StabilitySettings = StabilitySettings(), **limits: Any) -> GpuSolver:
+def solver_on_host(
+    assembly: Assembly, settings: StabilitySettings = StabilitySettings(criterion="equilibrium"), **limits: Any
+) -> GpuSolver:
     """The solver for a GPU, on the processor."""
-    problem = build_problem(assembly, cone=settings.cone, gravity=settings.gravity)
+    problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
     return GpuSolver(problem, settings, make_driver=lambda defines: HostDriver(defines, **limits))
 
 

@@ -21,7 +21,7 @@ CONES: tuple[Cone, ...] = ("octagon", "quadratic")
 
 def decided(assembly: Assembly, states: NDArray[np.uint8], cone: Cone) -> NDArray[np.int8]:
     """Verdicts on which the processor, with the exact solver's help, and the exact solver alone agree; all proven."""
-    settings = StabilitySettings(cone=cone)
+    settings = StabilitySettings(criterion="equilibrium", cone=cone)
     both, alone = Stability(assembly, settings).check(states), ExactSolver(assembly, settings).check(states)
     for verdicts in (both, alone):
         assert accept(assembly, states, verdicts, settings.claim).all()
@@ -45,7 +45,7 @@ def test_contacts_do_not_pull(scenes: Any, cone: Cone, friction: float) -> None:
     """A cube under a fixed ceiling falls, with all of gravity, although pulling contacts could hold it."""
     assembly = under_a_ceiling(scenes, friction)
     assert len(assembly.contacts.points) == 4
-    state, settings = np.array([[1, 2]], np.uint8), StabilitySettings(cone=cone)
+    state, settings = np.array([[1, 2]], np.uint8), StabilitySettings(criterion="equilibrium", cone=cone)
     verdicts = ExactSolver(assembly, settings).check(state)
     assert verdicts.verdict[0] == Verdict.UNSTABLE
     assert verdicts.residual[0] == pytest.approx(1, abs=1e-6)
@@ -57,7 +57,7 @@ def test_contacts_do_not_pull(scenes: Any, cone: Cone, friction: float) -> None:
 @pytest.mark.parametrize("cone", CONES)
 @pytest.mark.parametrize("friction", [0.0, 1e-8, 0.5])
 def test_contacts_do_not_pull_on_a_gpu(scenes: Any, on_host: Callable[..., Any], cone: Cone, friction: float) -> None:
-    solver = on_host(under_a_ceiling(scenes, friction), StabilitySettings(cone=cone))
+    solver = on_host(under_a_ceiling(scenes, friction), StabilitySettings(criterion="equilibrium", cone=cone))
     assert solver.check(np.array([[1, 2]], np.uint8)).verdict[0] == Verdict.UNSTABLE
 
 
@@ -69,7 +69,9 @@ def test_without_friction_both_cones_are_the_same_ray(scenes: Any, simplex: Call
     assert {Verdict.STABLE, Verdict.UNSTABLE} == set(octagon.tolist())
     np.testing.assert_array_equal(octagon, quadratic)
     least = np.array([simplex(assembly, state, directions=1) for state in states])
-    np.testing.assert_array_equal(octagon == Verdict.STABLE, least <= StabilitySettings().tolerance)
+    np.testing.assert_array_equal(
+        octagon == Verdict.STABLE, least <= StabilitySettings(criterion="equilibrium").tolerance
+    )
 
 
 @pytest.mark.parametrize("make", ["cpu", "gpu"])
@@ -79,7 +81,9 @@ def test_the_interior_point_method_needs_no_friction(scenes: Any, request: pytes
     states = scenes.few_changes(assembly, 12, seed=52)
     verdict = []
     for cone in CONES:
-        settings = StabilitySettings(cone=cone, cpu=CpuSettings(iterations=1, threads=1), gpu=GpuSettings(iterations=1))
+        settings = StabilitySettings(
+            criterion="equilibrium", cone=cone, cpu=CpuSettings(iterations=1, threads=1), gpu=GpuSettings(iterations=1)
+        )
         if make == "gpu":
             solver = request.getfixturevalue("on_host")(assembly, settings)
         else:

@@ -46,7 +46,12 @@ def compare(on_host: Callable[..., GpuSolver], assembly: Assembly, states: Any, 
 @pytest.mark.parametrize("structure", SMALL)
 def test_agrees_with_the_processor(scenes: Any, structure: str, cone: Any, on_host: Callable[..., GpuSolver]) -> None:
     assembly = library.build(structure)
-    verdicts = compare(on_host, assembly, mixed_states(scenes, assembly, 30, seed=5), StabilitySettings(cone=cone))
+    verdicts = compare(
+        on_host,
+        assembly,
+        mixed_states(scenes, assembly, 30, seed=5),
+        StabilitySettings(criterion="equilibrium", cone=cone),
+    )
     assert verdicts.stable.any()
     assert verdicts.unstable.any()
 
@@ -56,7 +61,7 @@ def test_agrees_on_real_structures(
     scenes: Any, shared_assembly: Callable[[str], Path], name: str, on_host: Callable[..., GpuSolver]
 ) -> None:
     assembly = load_structure(str(shared_assembly(name)))
-    compare(on_host, assembly, mixed_states(scenes, assembly, 20, seed=3), StabilitySettings())
+    compare(on_host, assembly, mixed_states(scenes, assembly, 20, seed=3), StabilitySettings(criterion="equilibrium"))
 
 
 def test_the_interior_point_method_agrees_from_the_first_step(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
@@ -64,7 +69,7 @@ def test_the_interior_point_method_agrees_from_the_first_step(scenes: Any, on_ho
     assembly = library.build("wall:bricks=3,courses=3")
     states = mixed_states(scenes, assembly, 30, seed=8)
     for cone in ("octagon", "quadratic"):
-        settings = StabilitySettings(cone=cone, gpu=GpuSettings(iterations=1, first_check=1))  # type: ignore[arg-type]
+        settings = StabilitySettings(criterion="equilibrium", cone=cone, gpu=GpuSettings(iterations=1, first_check=1))  # type: ignore[arg-type]
         verdicts = compare(on_host, assembly, states, settings)
         assert (verdicts.iterations > 1).mean() > 0.5
 
@@ -73,7 +78,7 @@ def test_states_too_large_for_the_chip_are_judged_in_memory(scenes: Any, on_host
     """With next to no shared memory every state takes the kernels that work in device memory, to the same end."""
     assembly = library.build("arch:blocks=7")
     states = mixed_states(scenes, assembly, 30, seed=2)
-    settings = StabilitySettings(gpu=GpuSettings(iterations=10))
+    settings = StabilitySettings(criterion="equilibrium", gpu=GpuSettings(iterations=10))
     roomy, tight = on_host(assembly, settings), on_host(assembly, settings, shared_limit=8 * 1024)
     first, second = roomy.check(states), tight.check(states)
     assert "interior_scratch" not in roomy.driver.launched  # type: ignore[attr-defined]
@@ -143,7 +148,7 @@ def test_nothing_to_judge_and_nothing_that_moves(scenes: Any, on_host: Callable[
 def test_without_friction_a_clamped_cube_falls(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
     for cone in ("octagon", "quadratic"):
         assembly = scenes.clamp(friction=0.0)
-        solver = on_host(assembly, StabilitySettings(cone=cone))
+        solver = on_host(assembly, StabilitySettings(criterion="equilibrium", cone=cone))
         assert solver.check(np.array([[1, 2, 2]], np.uint8)).verdict[0] == Verdict.UNSTABLE
 
 
@@ -198,16 +203,16 @@ def test_oracle_sends_large_batches_to_the_gpu_and_small_ones_to_the_processor(m
     states = rng.integers(0, 3, (60, assembly.part_count)).astype(np.uint8)
     states[:, assembly.boundary] = 2
     states = np.unique(states, axis=0)
-    auto = Stability(assembly, StabilitySettings(solver="auto"))
-    expected = Stability(assembly).check(states)
+    auto = Stability(assembly, StabilitySettings(criterion="equilibrium", solver="auto"))
+    expected = Stability(assembly, StabilitySettings(criterion="equilibrium")).check(states)
     np.testing.assert_array_equal(auto.judge(states).verdict, expected.verdict)
     assert auto.counters.gpu == len(states)
-    fresh = Stability(assembly, StabilitySettings(solver="auto"))
+    fresh = Stability(assembly, StabilitySettings(criterion="equilibrium", solver="auto"))
     np.testing.assert_array_equal(fresh.judge(states[:2]).verdict, expected.verdict[:2])
     assert (fresh.counters.gpu, fresh.counters.cpu) == (0, 2)
     np.testing.assert_array_equal(fresh.check(states).verdict, expected.verdict)
     parents = np.where(assembly.boundary, 2, 1).astype(np.uint8)[None].repeat(len(states), axis=0)
-    only = Stability(assembly, StabilitySettings(solver="gpu"))
+    only = Stability(assembly, StabilitySettings(criterion="equilibrium", solver="gpu"))
     np.testing.assert_array_equal(only.stable(states, parents=parents), expected.stable)
     assert only.counters.cpu == 0
 
@@ -219,8 +224,8 @@ def test_oracle_without_a_gpu_says_so_or_takes_the_processor(monkeypatch):
     monkeypatch.setattr(oracle, "GpuSolver", missing)
     assembly = library.build("arch:blocks=5")
     state = np.where(assembly.boundary, 2, 1).astype(np.uint8)[None].repeat(9, axis=0)
-    auto = Stability(assembly, StabilitySettings(solver="auto"))
+    auto = Stability(assembly, StabilitySettings(criterion="equilibrium", solver="auto"))
     assert auto.stable(state).all()
     assert auto.counters.gpu == 0
     with pytest.raises(DependencyError, match=r"falsework\[gpu\]"):
-        Stability(assembly, StabilitySettings(solver="gpu"))
+        Stability(assembly, StabilitySettings(criterion="equilibrium", solver="gpu"))

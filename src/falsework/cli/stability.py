@@ -20,7 +20,8 @@ class CheckStability(Command):
     """Say whether a structure or states of it are stable, with a proof.
 
     A state has one value a part: 0 removed, 1 installed, 2 held; boundary parts are always 2. For a state that is
-    unstable or slides, the parts that would move are named, and how they would. Exit code 1 if any state does not stand.
+    unstable or slides, the parts that would move are named, and how they would. Exit code 1 if any state does not
+    stand.
     """
 
     examples: ClassVar[tuple[str, ...]] = (

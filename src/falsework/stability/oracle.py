@@ -224,12 +224,14 @@ class Stability:
             rows = np.arange(first, min(first + size, len(states)))
             guess = None
             if parents is not None:
-                guess = np.full((len(rows), *self._guess_shape), np.nan if isinstance(solver, ContactSolver) else 0.0)
+                guess = np.full(
+                    (len(rows), *self._guess_shape), np.nan if self.settings.criterion == "contact" else 0.0
+                )
                 for row, start in zip(range(len(rows)), known[first : first + size], strict=True):
                     if start is not None:
                         guess[row] = start
                         self.counters.warm += 1
-            if isinstance(solver, GpuSolver):
+            if solver is self._gpu:
                 solved = solver.check(states[rows], certificates=False, guess=guess)
             else:
                 near = None if parents is None else parents[rows]

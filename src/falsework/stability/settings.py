@@ -121,3 +121,7 @@ class StabilitySettings:
         return Claim(
             self.friction_cone, self.gravity, self.tolerance, self.force_bound, self.criterion, self.stiffness_ratio
         )
+
+
+EQUILIBRIUM = StabilitySettings(criterion="equilibrium")
+"""The paper's criterion with everything else as it is by default: what solvers of the equilibrium problem take."""

@@ -154,12 +154,12 @@ def solve_contact_state(structure, contact_structure, state, options, work, cont
     if warm:
         read_displacement(structure, contact_structure, work, displacement, contact.displacement)
         result, residual, spent = find_rest(
-            structure, contact_structure, work, contact, pairs, options.warm_steps, tolerance, options.first_step, False
+            structure, contact_structure, work, contact, pairs, options.warm_steps, tolerance, options.first_step
         )
     if result != RESTS:
         contact.displacement[:] = 0.0
         result, residual, taken = find_rest(
-            structure, contact_structure, work, contact, pairs, options.steps, tolerance, options.first_step, True
+            structure, contact_structure, work, contact, pairs, options.steps, tolerance, options.first_step
         )
         spent += taken
     write_displacement(structure, contact_structure, work, contact.displacement, displacement)

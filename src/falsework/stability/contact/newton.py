@@ -1,9 +1,9 @@
 """Displacement at which contact forces balance the load, by pseudo-transient Newton iterations.
 
 The method is that of Kelley and Keyes (1998). Each iteration is a linearly implicit Euler step of `du/dt = r(u)`, the
-motion of the structure in a viscous medium, with `r` the wrenches that contacts and load leave. The time step grows as the residual falls, so iterations end as Newton's
-method where there is an equilibrium, and follow the parts that move where there is none. Velocities, displacements
-and wrenches are whitened by the masses as in `Problem`.
+motion of the structure in a viscous medium, with `r` the wrenches that contacts and load leave. The time step grows as
+the residual falls, so iterations end as Newton's method where there is an equilibrium, and follow the parts that move
+where there is none. Velocities, displacements and wrenches are whitened by the masses as in `Problem`.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from falsework.stability.structure import FAST, clear_matrix, pair_strain, pair_
 
 RESTS, MOVES_AWAY, OPEN = 1, -1, 0
 
-FIRST_STEP = 1e3
-"""First time step, in units in which the median contact stiffness is 1: longer in a thinner medium."""
+FIRST_STEP = 30.0
+"""First time step, in units in which the median contact stiffness is 1: longer in a thinner medium. From much longer
+steps iterations may jump to an equilibrium that parts, as they sink into their contacts, do not come to."""
 _GROWTH = 4.0
 """Growth of the time step after a full step, at least; by the fall of the residual where that is more."""
 _SHORTEST = 0.1
@@ -195,7 +196,7 @@ def largest_movement(structure, contact_structure, work, displacement):
 
 
 @nb.njit(fastmath=FAST, cache=True)
-def find_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, leap):
+def find_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step):
     """Iterate from `contact.displacement` until the parts rest, move away, or the steps are used up.
 
     Args:
@@ -203,8 +204,6 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
         steps: limit on iterations.
         tolerance: largest residual of a state at rest, as `largest_residual`.
         first_step: first time step.
-        leap: take the first step at full length whatever the residual after it; right for a start from rest, where
-            that step is the one of the bonded structure.
 
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations. Displacement and spring forces are in `contact`.
@@ -214,7 +213,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
     residual, next_residual = contact.residual, contact.next_residual
     size = evaluate(structure, work, contact, pairs, now, contact.trial, residual)
     worst = largest_residual(structure, work, residual)
-    time, first = first_step, leap
+    time = first_step
     for iteration in range(steps):
         if worst <= tolerance:
             return RESTS, worst, iteration
@@ -240,7 +239,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
                     for r in range(6):
                         defect = next_residual[j, r] - length * step[j, r] / time
                         implicit += defect * defect
-            if first or min(np.sqrt(implicit), next_size) <= size:
+            if min(np.sqrt(implicit), next_size) <= size:
                 break
             length *= 0.5
             if length < _SHORTEST:
@@ -248,7 +247,6 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
         if length < _SHORTEST or not next_size < np.inf:
             time *= _CUT
             continue
-        first = False
         if length == 1.0:
             time = min(time * max(_GROWTH, size / max(next_size, 1e-300)), _LONGEST_STEP)
         else:

@@ -135,7 +135,7 @@ class Replayer:
 
         Args:
             states: in the order of assembly, shape (states, parts).
-            history: of the first state; without it, gravity comes at once on the first state at rest.
+            history: of the first state; without it, gravity comes slowly on the first state.
             increments: instead of those of the settings.
 
         Raises:

@@ -12,9 +12,9 @@ from falsework.assembly.model import Assembly
 
 TANGENTIAL_RATIO = 0.7
 """Tangential over normal stiffness (Mindlin 1949: 0.67 to 1 for elastic bodies, by Poisson's ratio)."""
-SETTLEMENT = 2e-6
-"""Share of its size by which a typical part sinks into its joints under its own weight: 0.6 micrometres for a concrete
-block of 0.3 m on a dry joint of 10 GPa/m."""
+SETTLEMENT = 1e-6
+"""Share of its size by which a typical part sinks into its joints under its own weight: 0.3 micrometres for a concrete
+block of 0.3 m on a dry joint of some 20 GPa/m."""
 MOVEMENT = 1e-3
 """Largest movement of a part of a standing structure, as a share of the structure's diagonal."""
 _SUPPORTS = 8
