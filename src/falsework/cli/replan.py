@@ -187,26 +187,25 @@ class MakeReplan(Command):
         """Say why there is no plan, and what moves where the search broke off."""
         from falsework.cli.failure import explain
         from falsework.cli.motion import describe, motions
-        from falsework.learn.answer import Decider
         from falsework.search.result import Outcome
         from falsework.stability.motion import motion_of
 
         moving = []
         word = "no plan exists" if answer.outcome is Outcome.PROVED_IMPOSSIBLE else "no plan was found"
         text = f"{word}: {answer.reason}"
-        if answer.decided_by is Decider.RULES:
+        if answer.search is None:  # one of the two ends may not stand, which ends the work before any search
             task = request.task(assembly)
             verdicts = oracle.check(np.stack([task.start, task.target]))
             row = int(np.argmin(verdicts.stable))
             motion = motion_of(assembly, verdicts, row)
             moving = [] if motion is None else motions(assembly, motion)
-        elif answer.search is not None and not answer.deadline_passed:
+        elif not answer.deadline_passed:
             failure = explain(assembly, oracle, answer.search)
             moving, text = failure.moving, failure.text
         record = {**answer.record(), "plan": None, "criterion": self.criterion}
         record["moving"] = [motion.record(assembly) for motion in moving]
         output.record(record)
-        if moving and answer.decided_by is Decider.RULES:
+        if moving and answer.search is None:
             text = f"{text}; {describe(assembly, moving, limit=3)}"
         output.note(f"falsework: {text}")
 
