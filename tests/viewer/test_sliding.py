@@ -200,3 +200,24 @@ def test_the_command_names_the_states(plan_file: Path, tmp_path: Path, capsys: p
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["not_standing"] == []
     assert main(words) == 0
     assert "criterion" not in json.loads(capsys.readouterr().out.splitlines()[-1])
+
+
+def test_the_scene_of_the_page_has_the_part_and_its_way(clamp: Assembly) -> None:
+    pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
+    from falsework.viewer.page import Page
+
+    page = Page(Model(Timeline.still(clamp, complete_state(clamp.boundary))), port=0)
+    try:
+        page.refresh()
+        shown = set(page.scene._shown)
+        assert f"/parts/colour/{SLIDING[1:]}" in shown  # at once: no plan has said that this state stands
+        assert not {"/motion", "/arrows/sliding"} & shown
+        page._toggles["motion"].value = True
+        page.refresh()
+        assert "/motion" not in page.scene._shown  # which is for states that are unstable
+        page._toggles["sliding"].value = True
+        page.refresh()
+        assert {"/motion", "/arrows/sliding"} <= set(page.scene._shown)
+        assert page.scene._nodes["/motion"][1][0].color == rgb(SLIDING)
+    finally:
+        page.close()
