@@ -51,6 +51,8 @@ def build_contact_structure(
     return ContactStructure(
         normal=stiffness * scale,
         tangential=ratio * stiffness * scale,
+        turned_a=np.ascontiguousarray(problem.transfer_a.transpose(0, 2, 1)),
+        turned_b=np.ascontiguousarray(problem.transfer_b.transpose(0, 2, 1)),
         scale=scale,
         reach=assembly.mass.gyration,
         limit=MOVEMENT * structure_size(assembly),

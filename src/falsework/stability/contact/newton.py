@@ -38,6 +38,9 @@ class ContactStructure(NamedTuple):
     normal: NDArray[np.float64]
     """Normal stiffness of each contact point in scaled variables, median 1, shape (points,)."""
     tangential: NDArray[np.float64]
+    turned_a: NDArray[np.float64]
+    """Transposes of `Problem.transfer_a`, shape (pairs, 6, 6)."""
+    turned_b: NDArray[np.float64]
     scale: float
     """Metres (or radians) of displacement per scaled unit."""
     reach: NDArray[np.float64]
@@ -125,7 +128,7 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
 
 
 @nb.njit(fastmath=FAST, cache=True)
-def assemble_tangent(structure, work, contact, pairs, shift):
+def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
     """Write the tangent stiffness at the spring forces `contact.trial`, plus `shift` times the identity.
 
     A contact that just touches counts as closed and rough, so the first step from rest is that of a bonded structure.
@@ -134,10 +137,14 @@ def assemble_tangent(structure, work, contact, pairs, shift):
     kn, kt, trial = contact.normal, contact.tangential, contact.trial
     clear_matrix(work, shift)
     contact.upper[:] = 0.0
-    local = np.empty((6, 6))
+    turned_a, turned_b = contact_structure.turned_a, contact_structure.turned_b
+    ta, tb, block = structure.transfer_a, structure.transfer_b, structure.elimination.pair_block
+    pair, slot_a, slot_b = work.pair, work.slot_a, work.slot_b
+    diagonal, lower, filled, upper = work.diagonal, work.lower, work.filled, contact.upper
+    local, scratch = np.empty((6, 6)), (np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)))
     for p in range(pairs):
         local[:] = 0.0
-        closed = False
+        closed, slides = False, False
         for j in range(start[p], start[p + 1]):
             n, x, y = trial[j, 0], trial[j, 1], trial[j, 2]
             if n < 0.0:
@@ -146,6 +153,7 @@ def assemble_tangent(structure, work, contact, pairs, shift):
             k00, k10, k20, k11, k12, k21, k22 = kn[j], 0.0, 0.0, kt[j], 0.0, 0.0, kt[j]
             size = gauge(cone, x, y)
             if size > mu * n:
+                slides = True
                 ex, ey = x / size, y / size
                 gx, gy = gauge_gradient(cone, x, y)
                 k10, k20 = mu * kn[j] * ex, mu * kn[j] * ey
@@ -153,13 +161,18 @@ def assemble_tangent(structure, work, contact, pairs, shift):
                 k11, k12 = share * (1.0 - ex * gx), -share * ex * gy
                 k21, k22 = -share * ey * gx, share * (1.0 - ey * gy)
             for i in range(6):
-                h0 = basis[j, i, 0] * k00 + basis[j, i, 1] * k10 + basis[j, i, 2] * k20
-                h1 = basis[j, i, 1] * k11 + basis[j, i, 2] * k21
-                h2 = basis[j, i, 1] * k12 + basis[j, i, 2] * k22
+                b0, b1, b2 = basis[j, i, 0], basis[j, i, 1], basis[j, i, 2]
+                h0 = b0 * k00 + b1 * k10 + b2 * k20
+                h1 = b1 * k11 + b2 * k21
+                h2 = b1 * k12 + b2 * k22
                 for k in range(6):
                     local[i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
         if closed:
-            add_pair(structure, work, p, local, contact.upper)
+            q, a, b = pair[p], slot_a[p], slot_b[p]
+            e = block[q]
+            if a >= 0 and b >= 0:
+                filled[e] = True
+            add_pair(ta, tb, turned_a, turned_b, q, a, b, e, local, not slides, diagonal, lower, upper, scratch)
 
 
 @nb.njit(fastmath=FAST, cache=True)
@@ -217,7 +230,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
     for iteration in range(steps):
         if worst <= tolerance:
             return RESTS, worst, iteration
-        assemble_tangent(structure, work, contact, pairs, 1.0 / time)
+        assemble_tangent(structure, contact_structure, work, contact, pairs, 1.0 / time)
         if not factor_lu(elimination, free, work.diagonal, work.lower, contact.upper, work.filled):
             time *= _CUT
             continue
