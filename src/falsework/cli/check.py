@@ -101,12 +101,10 @@ class CheckPlan(Command):
 
     def _report(self, plan: Plan, assembly: Assembly, found: PlanReport, output: Output) -> None:
         from falsework.cli.motion import describe, motions
+        from falsework.stability.motion import motion_of
 
-        moving = []
-        if found.verdict is not None:
-            moved = found.verdict.velocity if found.verdict.unstable[0] else found.verdict.displacement
-            if moved is not None and not found.verdict.undecided[0]:
-                moving = motions(assembly, moved[0])
+        motion = None if found.verdict is None else motion_of(assembly, found.verdict, 0)
+        moving = [] if motion is None else motions(assembly, motion)
         output.record(
             {
                 "plan": str(self.plan),

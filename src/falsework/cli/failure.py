@@ -88,14 +88,14 @@ def common_motions(assembly: Assembly, oracle: Stability, states: States) -> lis
     """What moves in some states that do not stand: each part once, those that move in most states first."""
     if not len(states):
         return []
+    from falsework.stability.motion import motion_of
+
     verdicts = oracle.check(states)
     count: Counter[int] = Counter()
     fastest: dict[int, Motion] = {}
     for index in np.flatnonzero(verdicts.unstable | verdicts.slides):
-        moved = verdicts.velocity if verdicts.unstable[index] else verdicts.displacement
-        if moved is None:
-            continue
-        for motion in motions(assembly, moved[index]):
+        moved = motion_of(assembly, verdicts, int(index))
+        for motion in [] if moved is None else motions(assembly, moved):
             count[motion.part] += 1
             if motion.part not in fastest or motion.speed > fastest[motion.part].speed:
                 fastest[motion.part] = motion

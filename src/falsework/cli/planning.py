@@ -101,6 +101,7 @@ def refuse_unstable(assembly: Assembly, oracle: Stability, task: Task, output: O
 
     from falsework.assembly.state import complete_state
     from falsework.cli.motion import describe, motions
+    from falsework.stability.motion import motion_of
 
     for name, state in (("start", task.start), ("target", task.target)):
         verdicts = oracle.check(state)
@@ -108,11 +109,8 @@ def refuse_unstable(assembly: Assembly, oracle: Stability, task: Task, output: O
             continue
         complete = np.array_equal(state, complete_state(assembly.boundary))
         subject = "complete structure" if complete else f"{name} state"
-        moving = []
-        if verdicts.unstable[0] and verdicts.velocity is not None:
-            moving = motions(assembly, verdicts.velocity[0])
-        elif verdicts.slides[0] and verdicts.displacement is not None:
-            moving = motions(assembly, verdicts.displacement[0])
+        motion = motion_of(assembly, verdicts, 0)
+        moving = [] if motion is None else motions(assembly, motion)
         if verdicts.unstable[0]:
             text = f"no plan exists: the {subject} is unstable"
         elif verdicts.slides[0]:

@@ -48,6 +48,7 @@ class CheckStability(Command):
         from falsework.cli.arguments import read_states
         from falsework.cli.motion import describe, motions, part_name
         from falsework.stability import Proof, Stability, Verdict
+        from falsework.stability.motion import motion_of
 
         assembly = self.structure.load()
         wanted = complete_state(assembly.boundary) if self.states is None else read_states(self.states)
@@ -56,11 +57,8 @@ class CheckStability(Command):
         for index in range(len(states)):
             verdict, proof = Verdict(verdicts.verdict[index]), Proof(verdicts.proof[index])
             residual = float(verdicts.residual[index])
-            moving = []
-            if verdict is Verdict.UNSTABLE and verdicts.velocity is not None:
-                moving = motions(assembly, verdicts.velocity[index])
-            elif verdict is Verdict.SLIDES and verdicts.displacement is not None:
-                moving = motions(assembly, verdicts.displacement[index])
+            motion = motion_of(assembly, verdicts, index)
+            moving = [] if motion is None else motions(assembly, motion)
             output.record(
                 {
                     "state": index,

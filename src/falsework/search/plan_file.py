@@ -213,7 +213,7 @@ class _Reader(Reader):
             self._fail("rules.removable_only_if_clear must be true or false")
         if stability["cone"] not in ("octagon", "quadratic"):
             self._fail(f"stability.cone is {stability['cone']!r}", "it must be octagon or quadratic")
-        if stability["criterion"] not in _PROOF_WORDS:
+        if not isinstance(stability["criterion"], str) or stability["criterion"] not in _PROOF_WORDS:
             self._fail(f"stability.criterion is {stability['criterion']!r}", "it must be contact or equilibrium")
         claim = Claim(
             stability["cone"],
