@@ -184,7 +184,7 @@ class Stability:
         decided = self.exact.check(states)
         if self.settings.criterion == "contact":
             # Equilibrium alone does not say that the state stands: what the contact solver left open stays open.
-            slides = decided.stable & verdicts.slides
+            slides = decided.stable & (verdicts.slides | np.isposinf(verdicts.residual))
             decided.verdict[decided.stable & ~slides] = Verdict.UNDECIDED
             decided.verdict[slides] = Verdict.SLIDES
             decided.proof[:] = proof_of(decided.verdict, self.settings.criterion)

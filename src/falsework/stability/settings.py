@@ -30,7 +30,7 @@ class CpuSettings:
     """Iterations between two tests for a proof."""
     interior_steps: int = 50
     """Steps of the interior point method before a state is left to the exact solver."""
-    contact_steps: int = 150
+    contact_steps: int = 400
     """Newton iterations under the criterion `contact` before a state is left undecided."""
     threads: int | None = None
     """Worker threads; all cores by default."""

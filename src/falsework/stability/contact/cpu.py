@@ -171,8 +171,12 @@ def _judge_range(
         v, r, k, s = solve_state(structure, states[i], options, work, force, motion, cold)
         iterations[i] += k
         steps[i] += s
-        if v == STABLE:
-            v = _SLIDES if found == MOVES_AWAY else UNDECIDED
+        if found != MOVES_AWAY:
+            v = UNSTABLE if v == UNSTABLE else UNDECIDED
+        elif v == STABLE:
+            v = _SLIDES
+        elif v == UNDECIDED:
+            r = np.inf
         if v != _SLIDES or not keep_sliding:
             displacement[i] = np.nan
         verdict[i], residual[i] = v, r

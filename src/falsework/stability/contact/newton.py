@@ -30,6 +30,8 @@ _SHORTEST = 0.1
 _CUT = 0.1
 """... to this share."""
 _LONGEST_STEP = 1e14
+_FAR = 10.0
+"""Times the limit on movement at which iterations end: on the way to rest they may overshoot."""
 
 
 class ContactStructure(NamedTuple):
@@ -208,6 +210,13 @@ def largest_movement(structure, contact_structure, work, displacement):
     return worst * contact_structure.scale
 
 
+@nb.njit(cache=True)
+def _at_rest(structure, contact_structure, work, displacement):
+    """`RESTS`, or `MOVES_AWAY` where parts came to rest only beyond the limit on movement."""
+    moved = largest_movement(structure, contact_structure, work, displacement)
+    return MOVES_AWAY if moved > contact_structure.limit else RESTS
+
+
 @nb.njit(fastmath=FAST, cache=True)
 def find_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step):
     """Iterate from `contact.displacement` until the parts rest, move away, or the steps are used up.
@@ -229,7 +238,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
     time = first_step
     for iteration in range(steps):
         if worst <= tolerance:
-            return RESTS, worst, iteration
+            return _at_rest(structure, contact_structure, work, now), worst, iteration
         assemble_tangent(structure, contact_structure, work, contact, pairs, 1.0 / time)
         if not factor_lu(elimination, free, work.diagonal, work.lower, contact.upper, work.filled):
             time *= _CUT
@@ -273,6 +282,8 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
             for k in range(3):
                 contact.trial[j, k] = contact.next_trial[j, k]
         worst = largest_residual(structure, work, residual)
-        if largest_movement(structure, contact_structure, work, now) > contact_structure.limit:
+        if largest_movement(structure, contact_structure, work, now) > _FAR * contact_structure.limit:
             return MOVES_AWAY, worst, iteration + 1
-    return (RESTS if worst <= tolerance else OPEN), worst, steps
+    if worst <= tolerance:
+        return _at_rest(structure, contact_structure, work, now), worst, steps
+    return OPEN, worst, steps
