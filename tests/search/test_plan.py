@@ -40,8 +40,7 @@ def same(a: Plan, b: Plan) -> bool:
         and all(getattr(a, name) == getattr(b, name) for name in values)
         and np.allclose(a.residuals, b.residuals, rtol=1e-5)
         and a.removable_only_if_clear == b.removable_only_if_clear
-        and (a.displacement is None) == (b.displacement is None)
-        and (a.displacement is None or np.array_equal(a.displacement, b.displacement))
+        and np.array_equal(np.asarray(a.displacement, float), np.asarray(b.displacement, float), equal_nan=True)
     )
 
 

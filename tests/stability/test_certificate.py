@@ -259,14 +259,11 @@ def test_rounding_that_is_forgiven_carries_nothing(scenes: Any, cone: str) -> No
         [*slope.meshes, heavy, table], boundary=[1, 3], friction=0.5, density=[1e-3, 2400.0, 2400.0, 2400.0]
     )
     claim = Claim(cone=cone)
-    verdicts = Stability(assembly, StabilitySettings(criterion="equilibrium", cone=cone)).check(
-        complete_state(assembly.boundary)
-    )  # type: ignore[arg-type]
+    settings = StabilitySettings(criterion="equilibrium", cone=cone)  # type: ignore[arg-type]
+    verdicts = Stability(assembly, settings).check(complete_state(assembly.boundary))
     assert verdicts.unstable[0]
     # The forces that would hold the plate, were its cone only a little wider.
     wider = assembly.replace(friction=0.5 + 1e-3)
-    held = Stability(wider, StabilitySettings(criterion="equilibrium", cone=cone)).check(
-        complete_state(assembly.boundary)
-    )  # type: ignore[arg-type]
+    held = Stability(wider, settings).check(complete_state(assembly.boundary))
     assert held.stable[0]
     assert not accept(assembly, complete_state(assembly.boundary)[None], held, claim)[0]

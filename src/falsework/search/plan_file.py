@@ -215,11 +215,11 @@ class _Reader(Reader):
             self._fail(f"stability.cone is {stability['cone']!r}", "it must be octagon or quadratic")
         if not isinstance(stability["criterion"], str) or stability["criterion"] not in _PROOF_WORDS:
             self._fail(f"stability.criterion is {stability['criterion']!r}", "it must be contact or equilibrium")
+        numbers = ("gravity", "tolerance", "force_bound", "stiffness_ratio")
         claim = Claim(
-            stability["cone"],
-            *(self._number(stability[key], f"stability.{key}") for key in ("gravity", "tolerance", "force_bound")),
-            stability["criterion"],
-            self._number(stability["stiffness_ratio"], "stability.stiffness_ratio"),
+            cone=stability["cone"],
+            criterion=stability["criterion"],
+            **{key: self._number(stability[key], f"stability.{key}") for key in numbers},
         )
         if 0 in (claim.gravity, claim.tolerance, claim.force_bound, claim.stiffness_ratio):
             self._fail("stability has a zero where a positive number must be")

@@ -231,11 +231,11 @@ class Stability:
                     if start is not None:
                         guess[row] = start
                         self.counters.warm += 1
-            if solver is self._gpu:
-                solved = solver.check(states[rows], certificates=False, guess=guess)
-            else:
+            if solver is self._cpu and self._cpu is not None:
                 near = None if parents is None else parents[rows]
-                solved = solver.check(states[rows], certificates=False, parents=near, guess=guess)
+                solved = self._cpu.check(states[rows], certificates=False, parents=near, guess=guess)
+            else:
+                solved = solver.check(states[rows], certificates=False, guess=guess)
             if guess is not None:
                 self._remember(states[rows][solved.stable], guess[solved.stable])
             verdicts.put(rows, solved)
