@@ -117,7 +117,7 @@ def test_cones_of_faces_are_never_too_large(shapes):
     inside = np.logical_and.reduceat(directions @ cones.facets.T > cones.offset, cones.start[:-1], axis=1).any(axis=1)
     blocked = sweeper.blocked(1, directions)[:, 0]
     assert blocked[inside].all()
-    assert np.asarray(inside)[blocked].mean() > 0.995, "the peg is one piece, so that its cones with all faces say it all"
+    assert np.asarray(inside)[blocked].mean() > 0.995, "the cones of the peg, one piece, say it all"
     assert 500 < inside.sum() < 1900
 
 
