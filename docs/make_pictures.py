@@ -27,6 +27,7 @@ def main() -> None:
         "friction-cone": diagrams.friction_cone,
         "slope": diagrams.slope,
         "two-walls": diagrams.two_walls,
+        "equilibrium-plan": commands.equilibrium_plan,
         "arch-stands.svg": commands.arch_that_stands,
         "arch-falls.svg": commands.arch_that_falls,
         "state-graph": commands.state_graph,

@@ -44,6 +44,14 @@ def vault_plan(path: Path) -> None:
         run("picture", plan, "--out", str(path))
 
 
+def equilibrium_plan(path: Path) -> None:
+    """States of a plan for the built-in dome that is in equilibrium throughout; what slides is marked."""
+    with tempfile.TemporaryDirectory() as folder:
+        plan = str(Path(folder) / "plan.json")
+        run("plan", "dome", "--robots", "2", "--criterion", "equilibrium", "--out", plan)
+        run("picture", plan, "--verdicts", "--frames", "34", "--columns", "9", "--out", str(path))
+
+
 def state_graph(path: Path) -> None:
     """All states of a small arch that stand and can be reached, and one plan."""
     with tempfile.TemporaryDirectory() as folder:
