@@ -223,8 +223,8 @@ class HostDriver:
 
 def solver_on_host(assembly: Assembly, settings: StabilitySettings = StabilitySettings(), **limits: Any) -> GpuSolver:
     """The solver for a GPU, on the processor."""
-    problem = build_problem(assembly, cone=settings.cone, gravity=settings.gravity)
-    return GpuSolver(problem, settings, make_driver=lambda defines: HostDriver(defines, **limits))
+    problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
+    return GpuSolver(assembly, problem, settings, make_driver=lambda defines: HostDriver(defines, **limits))
 
 
 @pytest.fixture(scope="session")

@@ -12,9 +12,11 @@ from falsework.search.tensors import import_torch, put
 if TYPE_CHECKING:
     import torch
 
-    from falsework.stability.exact import ExactSolver
-    from falsework.stability.gurobi import GurobiSolver
+    from collections.abc import Callable
+
+    from falsework.assembly.state import States
     from falsework.stability.oracle import Stability
+    from falsework.stability.verdict import Verdicts
 
 
 class TensorOracle(Protocol):
@@ -46,13 +48,13 @@ class HostOracle:
 
 
 class DeviceOracle:
-    """The solver on a GPU; only states that it leaves open go to the exact solver, on the processor."""
+    """The solver on a GPU; only states that it leaves open go to the solvers on the processor."""
 
     def __init__(self, oracle: Stability, device: torch.device) -> None:
         """Copy the problem to the device.
 
         Args:
-            oracle: whose problem, settings and exact solver are used.
+            oracle: whose problem and settings are used, and whose solvers on the processor.
             device: a CUDA device.
 
         Raises:
@@ -61,24 +63,24 @@ class DeviceOracle:
         """
         from falsework.stability.gpu import GpuSolver
 
-        self._solver = GpuSolver(oracle.problem, oracle.settings, str(device))
-        self._exact: ExactSolver | GurobiSolver | None = oracle.exact
+        self._solver = GpuSolver(oracle.assembly, oracle.problem, oracle.settings, str(device))
+        self._settle: Callable[[States], Verdicts] | None = oracle.settle
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
         """As `TensorOracle`."""
         verdict, _ = self._solver.check_tensor(states)
-        if self._exact is None:
+        if self._settle is None:
             return verdict
         rest = (verdict == 0).nonzero()[:, 0]
         if len(rest):
-            decided = self._exact.check(states[rest].cpu().numpy()).verdict
+            decided = self._settle(states[rest].cpu().numpy()).verdict
             verdict[rest] = put(decided, states.device)
         return verdict
 
     def without_exact(self) -> DeviceOracle:
         """The same solver alone: nothing waits, and the few states that it leaves open stay so."""
         alone = copy(self)
-        alone._exact = None
+        alone._settle = None
         return alone
 
 

@@ -102,6 +102,11 @@ PHASE int judge(
   return decide(s, o, tally, 0.0, residual);
 }
 
+// What a state in equilibrium is: stable, or under the criterion `contact` what the Newton iterations said of it.
+DEVICE int meaning(const Options& o, const Batch& b, int index, int verdict) {
+  return o.contact_steps && verdict == kStable ? b.verdict[index] : verdict;
+}
+
 template <class V, class Source>
 PHASE void write_result(
     const Structure& s, const State& a, const Batch& b, int index, int verdict, double residual, int iterations,
