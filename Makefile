@@ -22,7 +22,8 @@ TORCH_CPU_INDEX ?= https://download.pytorch.org/whl/cpu
 # The validator of the Khronos Group, for tests; it runs in the node that comes from the Python registry.
 GLTF_VALIDATOR ?= gltf-validator@2.0.0-dev.3.10
 
-PYTEST_ARGS ?=
+# One worker a core; test files stay whole, since their fixtures are shared.
+PYTEST_ARGS ?= -n logical --dist loadfile
 
 .PHONY: demo test lint types docs images check clean help
 

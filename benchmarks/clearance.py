@@ -46,6 +46,8 @@ def main(options: Options) -> None:
     clearance_table(warm_up.meshes, warm_up.contacts, 10, tolerance=1e-4).can_leave(
         np.ones((1, warm_up.part_count), dtype=np.uint8)
     )
+    locked = load_structure("shelf:shelves=0")  # needs the proof, which is compiled then
+    clearance_table(locked.meshes, locked.contacts, 10, tolerance=1e-4)
     for structure in options.structures or (*real_structures(REAL), *BUILT_IN):
         assembly = load_structure(find(structure))
         _, overlap = assembly.contact_settings.lengths(assembly.meshes)

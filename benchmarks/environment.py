@@ -127,9 +127,9 @@ class Bench:
         self.play(self.environment(), policy, min(2.0, self.options.seconds / 3), 0)
         environment = self.environment()
         for name in ("rollouts", "rollouts known"):  # the same seed: the second time nothing is new
-            asked = environment.counters.removals_asked
+            asked = environment.counters.states_asked
             steps, seconds, rounds = self.play(environment, policy, self.options.seconds, 1)
-            extra: dict[str, Any] = {"asked": environment.counters.removals_asked - asked, "rounds": rounds}
+            extra: dict[str, Any] = {"asked": environment.counters.states_asked - asked, "rounds": rounds}
             if name == "rollouts":
                 extra["shares_measured"] = self.shares(policy)
             self.row(name, steps, seconds, policy, **extra)

@@ -35,6 +35,7 @@ from falsework.search.device_beam import DeviceBeam
 from falsework.search.shards import Shards, joined
 from falsework.search.tensor_judge import oracle_on
 from falsework.stability import Stability
+from falsework.stability.settings import EQUILIBRIUM
 
 TARGET = {("vault-62", 64): 2.0, ("vault-62", 1024): 15.0, ("dome-72", 64): 4.0}
 """Seconds asked for, with two robots on one H200."""
@@ -99,7 +100,7 @@ def measure(case: str, options: Options, shards: Shards, device: torch.device) -
     name, _, width = case.rpartition(":")
     assembly: Assembly = load_structure(find(name))
     task = Task.create(assembly.boundary, options.robots)
-    oracle = Stability(assembly)
+    oracle = Stability(assembly, EQUILIBRIUM)
     on_device = oracle_on(oracle, device)
 
     def search(width: int) -> DeviceBeam:
@@ -140,13 +141,13 @@ def measure(case: str, options: Options, shards: Shards, device: torch.device) -
         row["phases"] = time_phases(search(int(width)))
     if shards.first and options.checked:
         row["checked"] = min(options.checked, len(states))
-        row["disagree"] = disagreements(states, options.checked, Stability(assembly))
+        row["disagree"] = disagreements(states, options.checked, Stability(assembly, EQUILIBRIUM))
     if shards.first and options.graph:
         graph = StateGraph.build(task, states)
         row["graph_edges"], row["graph_solvable"] = len(graph.source), int(graph.solvable.sum())
     if shards.first and int(width) <= options.host:
-        BeamSearch(task, Stability(assembly), BeamSettings(width=4)).run()  # compiles
-        host = BeamSearch(task, Stability(assembly), BeamSettings(width=int(width)))
+        BeamSearch(task, Stability(assembly, EQUILIBRIUM), BeamSettings(width=4)).run()  # compiles
+        host = BeamSearch(task, Stability(assembly, EQUILIBRIUM), BeamSettings(width=int(width)))
         begin = time.perf_counter()
         found = host.run()
         row["host"] = {

@@ -28,6 +28,7 @@ from falsework.assembly import load_structure
 from falsework.assembly.state import complete_state
 from falsework.geometry import find_contacts
 from falsework.stability import Stability
+from falsework.stability.settings import EQUILIBRIUM
 
 MEASURED = ("contacts_s", "problem_s", "verdict_s", "memory_gib")
 
@@ -51,13 +52,13 @@ def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
     best: dict[str, float] = dict.fromkeys(MEASURED[:3], np.inf)
     assembly = load_structure(f"vault:parts={parts}")
     state = complete_state(assembly.boundary)
-    Stability(assembly).check(state)  # compiles
+    Stability(assembly, EQUILIBRIUM).check(state)  # compiles
     residual = np.nan
     for _ in range(repeats):
         begun = time.perf_counter()
         find_contacts(assembly.meshes)
         contacts = time.perf_counter()
-        oracle = Stability(assembly)
+        oracle = Stability(assembly, EQUILIBRIUM)
         problem = time.perf_counter()
         verdict = oracle.check(state)
         done = time.perf_counter()

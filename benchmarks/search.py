@@ -40,7 +40,8 @@ from falsework.search import (
     find_plans,
     task_of,
 )
-from falsework.stability import Stability
+from falsework.stability import Stability, StabilitySettings
+from falsework.stability.settings import EQUILIBRIUM
 
 REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")
 TARGET = {"vault-62": 30.0, "dome-72": 90.0}
@@ -65,6 +66,8 @@ class Options:
     """Alternative plans."""
     seed: int = 0
     """Of the searches."""
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """Of `plan` and `methods`; graphs are compared with the paper's and so are under `equilibrium`."""
     quiet: bool = False
     """No progress of long searches on standard error."""
 
@@ -114,7 +117,8 @@ def plan(options: Options) -> None:
         assembly = load_structure(structure)
         task = task_of(assembly, options.robots)
         settings = PlannerSettings(seed=options.seed)
-        planning = find_plans(assembly, task, settings=settings, progress=progress(options))
+        oracle = Stability(assembly, StabilitySettings(criterion=options.criterion))
+        planning = find_plans(assembly, task, oracle=oracle, settings=settings, progress=progress(options))
         seconds = time.perf_counter() - begin
         result = planning.result
         report(
@@ -129,7 +133,9 @@ def plan(options: Options) -> None:
             search_seconds=round(result.seconds, 3),
             seconds=round(seconds, 3),
             target_seconds=TARGET.get(Path(structure).name),
-            proofs_accepted=planning.found and planning.plans[0].validate_proofs(assembly).good,
+            criterion=options.criterion,
+            replay_stands=planning.found and planning.plans[0].replay is not None and planning.plans[0].replay.stands,
+            proofs_accepted=planning.found and planning.plans[0].validate_proofs(assembly, oracle.settings).good,
         )
 
 
@@ -141,7 +147,7 @@ def graph(options: Options) -> None:
         for width in options.widths:
             begin = time.perf_counter()
             # A new oracle each time: nothing is remembered from the other width.
-            search = BeamSearch(task, Stability(assembly), BeamSettings(width=width, seed=options.seed))
+            search = BeamSearch(task, Stability(assembly, EQUILIBRIUM), BeamSettings(width=width, seed=options.seed))
             result = search.run(progress=progress(options))
             found.append(StateGraph.build(task, search.states(), name=assembly.name))
             name, paper = Path(structure).name, None
@@ -171,7 +177,8 @@ def alternatives(options: Options) -> None:
         task = task_of(assembly, options.robots)
         begin = time.perf_counter()
         settings = PlannerSettings(alternatives=options.count, seed=options.seed)
-        planning = find_plans(assembly, task, settings=settings, progress=progress(options))
+        oracle = Stability(assembly, StabilitySettings(criterion=options.criterion))
+        planning = find_plans(assembly, task, oracle=oracle, settings=settings, progress=progress(options))
         seconds, chosen = time.perf_counter() - begin, planning.alternatives
         others = ~np.eye(len(chosen.routes), dtype=bool)
         report(
@@ -205,7 +212,7 @@ def methods(options: Options) -> None:
                 task, oracle, deep
             ).run(stop=deadline(60))
         for name, run in runs.items():
-            result = run(Stability(assembly))
+            result = run(Stability(assembly, StabilitySettings(criterion=options.criterion)))
             report(
                 "methods",
                 structure,

@@ -115,7 +115,7 @@ def report(benchmark: str, structure: str, **figures: Any) -> None:
 
 def measure_verdicts(name: str, assembly: Assembly, states: States, parents: States, options: Options) -> None:
     """Agreement and speed on the same states."""
-    settings = StabilitySettings(cone=options.cone, cpu=CpuSettings(threads=options.threads))
+    settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
     checked = Stability(assembly, settings)
     verdicts = checked.check(states)
     accepted = int(accept(assembly, states, verdicts, settings.claim).sum())
@@ -166,7 +166,7 @@ def measure_verdicts(name: str, assembly: Assembly, states: States, parents: Sta
 
 def measure_cold(name: str, assembly: Assembly, states: States, options: Options) -> None:
     """Milliseconds from an assembly to the first verdict, and of single verdicts that nothing is known of."""
-    settings = StabilitySettings(cone=options.cone, cpu=CpuSettings(threads=options.threads))
+    settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
     state = complete_state(assembly.boundary)
     Stability(assembly, settings).check(state)
     Stability(assembly, settings).judge(state)
@@ -193,7 +193,7 @@ def measure_baseline(name: str, assembly: Assembly, states: States, parents: Sta
     import torch
 
     torch.set_num_threads(options.baseline_threads)
-    settings = StabilitySettings(cpu=CpuSettings(threads=options.threads))
+    settings = StabilitySettings(criterion="equilibrium", cpu=CpuSettings(threads=options.threads))
     states, parents = states[: options.baseline_states], parents[: options.baseline_states]
     method = SharedInverseSettings(
         device=options.device, inverse=options.inverse, precision=options.precision, batch=max(len(states), 1)

@@ -11,6 +11,7 @@ from falsework.assembly import Assembly
 from falsework.assembly.state import States
 from falsework.search import BeamSearch, BeamSettings, Task
 from falsework.stability import Stability, Verdicts
+from falsework.stability.settings import EQUILIBRIUM
 
 REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")
 
@@ -23,6 +24,11 @@ class Recorder:
         self.states: list[States] = []
         self.parents: list[States] = []
 
+    @property
+    def holds_keep_stable(self) -> bool:
+        """As `Stability.holds_keep_stable`."""
+        return self.oracle.holds_keep_stable
+
     def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
         """As `Stability.judge`."""
         assert parents is not None
@@ -34,7 +40,7 @@ class Recorder:
 def asked_states(
     assembly: Assembly, count: int, *, width: int = 64, robots: int = 2, seed: int = 0
 ) -> tuple[States, States]:
-    """A random sample of the different states that a beam search of a whole structure asks about.
+    """A random sample of the different states that a beam search under `equilibrium` asks about.
 
     Args:
         assembly: the structure.
@@ -46,7 +52,7 @@ def asked_states(
     Returns:
         States and, for each, the stable state that it comes from; both of shape (count, parts).
     """
-    recorder = Recorder(Stability(assembly))
+    recorder = Recorder(Stability(assembly, EQUILIBRIUM))
     task = Task.create(assembly.boundary, robots)
     BeamSearch(task, recorder, BeamSettings(width=width, seed=seed)).run()
     states, parents = np.concatenate(recorder.states), np.concatenate(recorder.parents)

@@ -26,6 +26,7 @@ def main() -> None:
         "vault-plan": commands.vault_plan,
         "friction-cone": diagrams.friction_cone,
         "slope": diagrams.slope,
+        "two-walls": diagrams.two_walls,
         "arch-stands.svg": commands.arch_that_stands,
         "arch-falls.svg": commands.arch_that_falls,
         "state-graph": commands.state_graph,

@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from falsework.assembly.model import Assembly, ContactWarning
+from falsework.geometry import TriangleMesh
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
@@ -35,6 +38,21 @@ def shared_assembly() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+@pytest.fixture(scope="session")
+def beam_on_ridge() -> Assembly:
+    """A beam (part 2) across a flat block (0) and the ridge of a roof (1), both boundary: an area and a line."""
+    box = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)]
+    box += [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
+    roof = [(0, 1, 2), (3, 5, 4), (0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2), (2, 5, 3), (2, 3, 0)]
+    meshes = [
+        TriangleMesh.from_arrays("block", [(x, y, z) for x in (0, 0.2) for y in (0, 1) for z in (0, 1)], box),
+        TriangleMesh.from_arrays("roof", [(x, y, z) for y in (0, 1) for x, z in ((2.5, 0), (3.5, 0), (3, 1))], roof),
+        TriangleMesh.from_arrays("beam", [(x, y, z) for x in (0, 3.2) for y in (0.4, 0.6) for z in (1, 1.1)], box),
+    ]
+    with pytest.warns(ContactWarning):
+        return Assembly.from_meshes(meshes, boundary=[0, 1], name="beam-on-ridge")
 
 
 @pytest.fixture(scope="session")

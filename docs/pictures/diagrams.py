@@ -117,6 +117,44 @@ def slope(path: Path) -> None:
     _finish(figure, path)
 
 
+def two_walls(path: Path) -> None:
+    """A block that only walls could hold, the same without prestress, and a wedge that presses its walls itself."""
+    figure, axes = plt.subplots(1, 3, figsize=(9.6, 3.2))
+    titles = (
+        "in equilibrium, if the walls press",
+        "without prestress: it slides",
+        "a wedge presses its walls: it stands",
+    )
+    for number, (axis, title) in enumerate(zip(axes, titles, strict=True)):
+        taper, drop = (0.16, 0.05) if number == 2 else (0.0, 0.45 if number == 1 else 0.0)
+        low, high = 0.5 - taper, 0.5 + taper
+        for side in (-1, 1):
+            wall = np.array([(1.6, -0.75), (1.6, 0.75), (high, 0.75), (low, -0.75)])
+            if taper:
+                wall[2:, 0] = [0.5 + taper * 1.5, 0.5 - taper * 1.5]
+            axis.fill(side * wall[:, 0], wall[:, 1], color="#a3a5a9")
+        block = np.array([(-low, -0.5), (low, -0.5), (high, 0.5), (-high, 0.5)]) - [0, drop]
+        if number == 1:
+            ghost = block + [0, drop]
+            axis.plot(*np.vstack([ghost, ghost[:1]]).T, color=INK, linewidth=0.8, linestyle=":")
+        axis.fill(*block.T, facecolor=SAND, edgecolor=INK, linewidth=1)
+        center = np.array([0.0, -drop])
+        _arrow(axis, np.array([center, center - [0, 0.5]]), GRAVITY)
+        axis.plot(*center, "o", color=GRAVITY, markersize=5)
+        if number == 1:
+            _arrow(axis, np.array([[0.8, 0.35], [0.8, -0.35]]), INK)
+        else:
+            for side in (-1, 1):
+                foot = np.array([side * 0.5, -drop])
+                push = np.array([-side * 0.38, 0.22])
+                _arrow(axis, np.array([foot - push, foot]), FORCE, dashed=number == 0)
+        axis.set_title(title, fontsize=10, color=INK)
+        axis.set_aspect("equal")
+        axis.set_xlim(-1.7, 1.7)
+        axis.set_ylim(-1.15, 0.85)
+    _finish(figure, path)
+
+
 def _box(low: tuple[float, float, float], high: tuple[float, float, float], color: str) -> Solid:
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]

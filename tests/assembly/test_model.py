@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_assembly
+from falsework.assembly import Assembly, load_assembly, save_assembly
+from falsework.assembly.model import ContactWarning
 from falsework.errors import AssemblyError
 from falsework.geometry import ContactSettings, TriangleMesh
 
@@ -155,3 +157,16 @@ def test_real_structure_stands_on_its_boundary(shared_assembly: Callable):
                 reached |= {a, b}
                 frontier = True
     assert len(reached) == 62
+
+
+def test_a_line_is_a_contact_with_a_warning(beam_on_ridge: Assembly, tmp_path: Path):
+    assert beam_on_ridge.warnings == ("parts roof and beam touch along a line only: verdicts may hang on it",)
+    assert beam_on_ridge.contacts.dimension.tolist() == [2, 1]
+    save_assembly(beam_on_ridge, tmp_path / "beam")
+    with pytest.warns(ContactWarning, match="parts roof and beam touch along a line only"):
+        again = load_assembly(tmp_path / "beam")
+    assert again.identity == beam_on_ridge.identity
+    assert again.contacts.points == pytest.approx(beam_on_ridge.contacts.points)
+    way = beam_on_ridge.clearance.exit_direction(np.array([2, 2, 1], np.uint8), 2)
+    assert way is not None
+    assert way[2] >= 0, "it can leave, and not through the ridge"

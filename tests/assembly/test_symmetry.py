@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from falsework.assembly import Assembly, load_structure
+from falsework.assembly.model import ContactWarning
 from falsework.assembly.symmetry import _motions, _same_contacts, symmetries
 from falsework.geometry.mesh import TriangleMesh
 from falsework.stability import Stability
+from falsework.stability.settings import EQUILIBRIUM
 
 
 def moved(assembly: Assembly, turn: float, shift: tuple[float, float, float], scale: float = 1.0) -> Assembly:
@@ -99,10 +101,36 @@ def test_contacts_matter() -> None:
     assert kept == 2
 
 
+def test_lines_matter() -> None:
+    """Two boxes on a slab are mirror images until the edge of a fixed wedge, or a pair of them, touches."""
+    faces = np.array([(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)])
+    faces = np.concatenate([faces, [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]])
+
+    def box(name: str, low: tuple[float, ...], high: tuple[float, ...]) -> TriangleMesh:
+        corners = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+        return TriangleMesh.from_arrays(name, corners, faces)
+
+    def wedge(name: str, side: float) -> TriangleMesh:
+        points = [(x, y, z) for y in (-0.5, 0.5) for x, z in ((2, 0.5), (3, 0.2), (3, 0.8))]
+        turned = np.array(points) * (side, side, 1)
+        prism = [(0, 1, 2), (3, 5, 4), (0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2), (2, 5, 3), (2, 3, 0)]
+        return TriangleMesh.from_arrays(name, turned, prism)
+
+    slab = box("slab", (-5, -2, -1), (5, 2, 0))
+    pair = [slab, box("left", (-2, -1, 0), (-1, 1, 1)), box("right", (1, -1, 0), (2, 1, 1))]
+    assert symmetries(Assembly.from_meshes(pair, boundary=[0]))[:, 1].max() == 2
+    for wedges in (1, 2):
+        parts = [*pair, wedge("east", 1.0), *([wedge("west", -1.0)] if wedges == 2 else [])]
+        with pytest.warns(ContactWarning):
+            assembly = Assembly.from_meshes(parts, boundary=[0, *range(3, len(parts))])
+        assert (assembly.contacts.dimension == 1).sum() == wedges
+        assert (symmetries(assembly)[:, 1].max() == 2) == (wedges == 2)
+
+
 def test_images_of_states_stand_if_the_states_do() -> None:
     """Verdicts on random states of a dome and on their images under every symmetry."""
     assembly = load_structure("dome:rings=3,blocks=8,stagger=0")
-    oracle, rng = Stability(assembly), np.random.default_rng(0)
+    oracle, rng = Stability(assembly, EQUILIBRIUM), np.random.default_rng(0)
     states = rng.choice([0, 1, 2], p=[0.3, 0.6, 0.1], size=(60, assembly.part_count)).astype(np.uint8)
     states[:, assembly.boundary] = 2
     verdicts = oracle.judge(states).verdict

@@ -43,6 +43,62 @@ def test_plan_and_check(falsework: Run, tmp_path: Path) -> None:
     assert "all 15 states are stable" in people.out
 
 
+def test_the_replay_is_printed_step_by_step(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    planned = falsework("plan", "arch:blocks=7", "--out", out, "--json")
+    (record,) = planned.records
+    assert record["criterion"] == "contact"
+    assert record["replay"]["stands"] is True
+    assert 0 < record["replay"]["moved"] < 1e-3
+    people = falsework("check", out, "--replay")
+    assert people.code == 0, people.error
+    lines = people.out.splitlines()
+    assert len(lines) == 1 + 15 + 1
+    assert all("stands" in line for line in lines[1:16])
+    records = falsework("check", out, "--replay", "--json").records
+    assert records[0]["criterion"] == "contact"
+    assert [entry["replay"] for entry in records[1:16]] == ["stands"] * 15
+    assert records[16]["replay"] == "stands"
+    assert len(records[16]["variations"]) == 10
+
+
+def test_a_plan_in_equilibrium_is_not_one_that_stands(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    assert falsework("plan", "arch:blocks=7", "--criterion", "equilibrium", "--out", out).code == 0
+    assert falsework("check", out, "--criterion", "equilibrium").code == 0
+    refused_claim = falsework("check", out)
+    assert refused_claim.code == 1
+    assert "claims equilibrium only" in refused_claim.error
+    refused(falsework("check", out, "--criterion", "equilibrium", "--replay"), "--replay")
+    refused(falsework("check", out, "--by", "lmgc90"), "--replay")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "hint"),
+    [("tolerance", 1e6, "tolerance"), ("gravity", 1e-6, "gravity"), ("force_bound", 1e9, "force")],
+)
+def test_a_plan_does_not_choose_what_stable_means(
+    falsework: Run, tmp_path: Path, key: str, value: float, hint: str
+) -> None:
+    """The keystone first, by one robot, with a file that asks for less: refused, and bad if the claim is corrected."""
+    out = tmp_path / "plan.json"
+    assert falsework("plan", "arch:blocks=7", "--out", out).code == 0
+    content = json.loads(out.read_text())
+    parts = [step["part"] for step in content["steps"] if step["do"] == "hold"]
+    middle = (min(parts) + max(parts)) / 2
+    parts = sorted(parts, key=lambda part: abs(part - middle))
+    steps = [{**content["steps"][0], "do": word, "part": part} for part in parts for word in ("hold", "remove")]
+    forged = content | {"steps": steps, "stability": content["stability"] | {key: value}}
+    out.write_text(json.dumps(forged))
+    finished = falsework("check", out)
+    assert finished.code == 1
+    assert hint in finished.error
+    out.write_text(json.dumps(content | {"steps": steps}))
+    corrected = falsework("check", out)
+    assert corrected.code == 1
+    assert "unstable after step" in corrected.error
+
+
 def test_order_of_assembly(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     assert falsework("plan", "arch:blocks=5", "--out", out, "--assembly-order").code == 0
@@ -241,8 +297,8 @@ def test_truncated_plan(falsework: Run, plan_of_stack: Path) -> None:
 
 
 def test_plan_of_another_version(falsework: Run, plan_of_stack: Path) -> None:
-    plan_of_stack.write_text(plan_of_stack.read_text().replace("falsework.plan/1", "falsework.plan/2"))
-    refused(falsework("check", plan_of_stack), "falsework.plan/2")
+    plan_of_stack.write_text(plan_of_stack.read_text().replace("falsework.plan/2", "falsework.plan/3"))
+    refused(falsework("check", plan_of_stack), "falsework.plan/3")
 
 
 def test_no_plan_file(falsework: Run, tmp_path: Path) -> None:

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework.assembly import Assembly, load_structure
+from falsework.assembly.library.blocks import box, gather
+from falsework.assembly.store import save_assembly
 from falsework.search import Plan
 from falsework.search.task import Direction
 
@@ -172,3 +174,26 @@ def test_run_and_options_of_structures(falsework: Run, run: Path) -> None:
     finished = falsework("replan", run, "--friction", 0.3)
     assert finished.code == 2
     assert "leave the option out" in finished.error
+
+
+def test_a_state_that_slides_is_no_beginning_under_contact(falsework: Run, tmp_path: Path) -> None:
+    """A cube between two walls, with nothing below it: equilibrium has a plan, contact says what moves."""
+    made = gather(
+        [
+            box("cube", (0, 0, 0), (1, 1, 1)),
+            box("left", (-1, 0, -1), (0, 1, 2), fixed=True),
+            box("right", (1, 0, -1), (2, 1, 2), fixed=True),
+        ]
+    )
+    save_assembly(Assembly.from_meshes(made.meshes, boundary=made.boundary), tmp_path / "clamp")
+    out = tmp_path / "new.json"
+    refused = falsework("replan", tmp_path / "clamp", "--out", out, "--json")
+    assert refused.code == 1
+    (record,) = refused.records
+    assert record["criterion"] == "contact"
+    assert [(motion["part"], motion["words"]) for motion in record["moving"]] == [(0, "falls")]
+    assert not out.exists()
+    found = falsework("replan", tmp_path / "clamp", "--out", out, "--json", "--criterion", "equilibrium")
+    assert found.code == 0, found.error
+    assert found.records[0]["criterion"] == "equilibrium"
+    assert Plan.load(out).claim.criterion == "equilibrium"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework.assembly import Assembly, load_structure, save_assembly
 
 Run = Callable[..., Any]
 Write = Callable[..., Path]
@@ -48,13 +48,21 @@ def slope(folder: Path, degrees: float, write_structure: Write) -> Path:
     return turned(folder, boxes, write_structure, ("y", degrees))
 
 
+def test_a_beam_on_a_ridge_is_judged_with_a_warning(falsework: Run, beam_on_ridge: Assembly, tmp_path: Path) -> None:
+    folder = save_assembly(beam_on_ridge, tmp_path / "beam")
+    finished = falsework("stability", folder)
+    assert finished.code == 0
+    line = "falsework: warning: parts roof and beam touch along a line only: verdicts may hang on it\n"
+    assert finished.error == line
+
+
 def test_a_block_slips_past_the_angle_of_friction(falsework: Run, write_structure: Write, tmp_path: Path) -> None:
     folder = slope(tmp_path / "slope", 20.0, write_structure)
     limit = math.tan(math.radians(20.0))
     stable = falsework("stability", folder, "--friction", limit * 1.02, "--json")
     assert stable.code == 0
     assert stable.records[0]["verdict"] == "stable"
-    assert stable.records[0]["proof"] == "forces"
+    assert (stable.records[0]["proof"], stable.records[0]["criterion"]) == ("displacement", "contact")
     assert stable.records[0]["residual"] <= 1e-4
     assert stable.records[0]["moving"] == []
     slips = falsework("stability", folder, "--friction", limit * 0.98, "--json")
@@ -157,3 +165,23 @@ def test_a_gpu_that_is_not_there_gets_one_line(falsework: Run, monkeypatch: pyte
     assert result.code == 2
     assert "no GPU here" in result.error
     assert falsework("stability", "arch", "--solver", "auto").code == 0
+
+
+def test_a_block_between_two_walls_slides(falsework: Run, write_structure: Write, tmp_path: Path) -> None:
+    """Forces in equilibrium exist, since walls may press as hard as they like, and nothing makes them press."""
+    boxes = {"wall-1": ((0, 0, 0), (1, 1, 1)), "block": ((1, 0, 0.2), (2, 1, 0.8)), "wall-2": ((2, 0, 0), (3, 1, 1))}
+    folder = tmp_path / "clamp"
+    folder.mkdir()
+    for number, (low, high) in enumerate(boxes.values()):
+        corners = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+        faces = ["1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4"]
+        lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {face}" for face in faces]
+        (folder / f"{number}.obj").write_text("\n".join(lines) + "\n")
+    (folder / "assembly.json").write_text('{"boundary": [0, 2]}')
+    found = falsework("stability", folder, "--json")
+    assert found.code == 1
+    (record,) = found.records
+    assert (record["verdict"], record["proof"], record["criterion"]) == ("slides", "forces", "contact")
+    paper = falsework("stability", folder, "--criterion", "equilibrium", "--json")
+    assert paper.code == 0
+    assert paper.records[0]["verdict"] == "stable"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from falsework.assembly import Assembly, load_structure
+from falsework.assembly.model import ContactWarning
 from falsework.cli.main import main
 from falsework.errors import AssemblyError, InputError, MeshError
 from falsework.interop.compas_read import is_compas, load_compas
@@ -59,6 +60,16 @@ def test_compas_assembly_sees_blocks_supports_and_interfaces(compas: Any, arch: 
         assert interface.size == pytest.approx(arch.contacts.areas[number])
         assert interface.polygon.area == pytest.approx(arch.contacts.areas[number])
         assert np.allclose(interface.frame.zaxis, arch.contacts.normals[number])
+
+
+def test_a_line_is_an_interface_of_two_points(compas: Any, beam_on_ridge: Assembly, tmp_path: Path) -> None:
+    pytest.importorskip("compas_assembly")
+    write_compas(tmp_path / "out.json", beam_on_ridge, "assembly")
+    (interface,) = compas.json_load(tmp_path / "out.json").graph.edge_attribute((1, 2), "interfaces")
+    assert np.allclose(interface.points, beam_on_ridge.contacts.points[-2:])
+    assert interface.size == pytest.approx(beam_on_ridge.contacts.areas[1])
+    with pytest.warns(ContactWarning):
+        assert load_compas(tmp_path / "out.json").identity == beam_on_ridge.identity
 
 
 def test_compas_dem_finds_the_same_contacts(compas: Any, arch: Assembly, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import errno
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,17 @@ def test_a_run_comes_back_as_it_was(arch: Any, run: Path) -> None:
     assert all(torch.equal(tensor, expected[name]) for name, tensor in loaded.policy.state_dict().items())
     assert not loaded.policy.training
     assert load_run(run, assembly=arch).assembly is arch
+
+
+def test_a_run_names_its_criterion(arch: Any, run: Path) -> None:
+    """One from before there was a choice was trained under equilibrium."""
+    assert load_run(run).settings.criterion == "contact"
+    settings = as_json(SETTINGS)
+    del settings["criterion"]
+    change(run, settings=settings)
+    assert load_run(run).settings == replace(SETTINGS, criterion="equilibrium")
+    with pytest.raises(InputError, match="unknown criterion 'good'; choose contact or equilibrium"):
+        TrainSettings(criterion="good")  # type: ignore[arg-type]
 
 
 def test_a_structure_on_disk_is_found_beside_the_run(arch: Any, tmp_path: Path) -> None:

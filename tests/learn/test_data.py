@@ -15,9 +15,13 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.cli.main import main  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.data import FORMAT, Dataset, DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.settings import TrainSettings  # noqa: E402
+from falsework.learn.train import train  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
-from falsework.stability import Stability  # noqa: E402
+from falsework.search.archive import read_archive, write_archive  # noqa: E402
+from falsework.search.tensor_judge import HostOracle  # noqa: E402
+from falsework.stability import Stability, StabilitySettings  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +57,20 @@ def test_same_seed_same_data(arch: Any, data: Dataset) -> None:
     assert np.array_equal(again.train, data.train)
     assert np.array_equal(again.more, data.more)
     assert not np.array_equal(other.train, data.train)
+
+
+def test_a_file_names_its_criterion(arch: Any, data: Dataset, tmp_path: Path) -> None:
+    """One from before there was a choice is of equilibrium."""
+    assert data.criterion == "contact"
+    path = tmp_path / "data.npz"
+    data.save(path)
+    header, arrays = read_archive(path, FORMAT)
+    assert header.pop("criterion") == "contact"
+    write_archive(path, header.pop("format"), header, arrays)
+    assert Dataset.load(path, arch).criterion == "equilibrium"
+    settings = TrainSettings(steps=1, method="imitation", criterion="equilibrium")
+    with pytest.raises(InputError, match="criterion contact, and the run is of equilibrium"):
+        train(arch, settings, folder=None, device="cpu", logs=(), dataset=data)
 
 
 def test_saved_and_loaded(arch: Any, data: Dataset, tmp_path: Path) -> None:
@@ -105,6 +123,8 @@ def test_the_command_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.Ca
 def test_a_real_structure_has_as_many_states_as_in_the_paper(shared_assembly: Callable[[str], Path]) -> None:
     """Table 3 of the paper: 1,077 and 1,159."""
     assembly = load_structure(str(shared_assembly("bottle-12")))
-    data = build_dataset(assembly, task_for(assembly, 2), device="cpu")
+    oracle = HostOracle(Stability(assembly, StabilitySettings(criterion="equilibrium")))
+    data = build_dataset(assembly, task_for(assembly, 2), oracle=oracle, device="cpu")
+    assert data.criterion == "equilibrium"
     assert 950 < len(data.train) < 1250
     assert 950 < len(data.test) < 1350

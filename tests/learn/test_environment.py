@@ -15,15 +15,19 @@ from falsework.learn.environment import Environment  # noqa: E402
 from falsework.learn.rollout import Rollouts, choose_actions, play  # noqa: E402
 from falsework.search import Direction, StateGraph, Task, find_plans, task_of  # noqa: E402
 from falsework.search.tensor_judge import DeviceOracle, HostOracle, without_exact  # noqa: E402
-from falsework.stability import Stability, Verdicts  # noqa: E402
+from falsework.stability import Stability, StabilitySettings, Verdict, Verdicts  # noqa: E402
 from falsework.stability.exact import ExactSolver  # noqa: E402
+
+EQUILIBRIUM = StabilitySettings(criterion="equilibrium")
+"""The criterion that the exact solver decides."""
 
 
 class Counting:
     """Passes questions on and writes down what was asked."""
 
-    def __init__(self, assembly: Assembly) -> None:
-        self.oracle = Stability(assembly)
+    def __init__(self, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> None:
+        self.oracle = Stability(assembly, settings)
+        self.holds_keep_stable = self.oracle.holds_keep_stable
         self.asked: list[bytes] = []
 
     def judge(self, states: np.ndarray, *, parents: np.ndarray | None = None) -> Verdicts:
@@ -67,6 +71,7 @@ def bottle() -> Assembly:
 
 
 def random_rollouts(assembly: Assembly, count: int, seed: int = 0, **options) -> tuple[Environment, Rollouts]:
+    options = {"oracle": Stability(assembly, EQUILIBRIUM), **options}
     environment = Environment(assembly, 2, device="cpu", **options)
     starts = environment.rules.complete(count)
     generator = environment.generator(seed)
@@ -103,8 +108,7 @@ def test_random_rollouts_obey_rules_and_exact_solver(arch: Assembly) -> None:
 
 
 def test_random_rollouts_with_targets(bottle: Assembly) -> None:
-    environment = Environment(bottle, 2, device="cpu")
-    _, free = random_rollouts(bottle, 30)
+    environment, free = random_rollouts(bottle, 30)
     last = free.length - free.unstable.long()
     targets = free.states[last, torch.arange(30)]
     starts = free.states[last // 3, torch.arange(30)]
@@ -161,9 +165,10 @@ def test_a_state_without_legal_action_has_failed() -> None:
 
 
 def test_only_removals_are_judged_and_every_state_once(bottle: Assembly) -> None:
-    oracle = Counting(bottle)
+    """Under equilibrium, where a hold does no harm."""
+    oracle = Counting(bottle, EQUILIBRIUM)
     environment, first = random_rollouts(bottle, 300, oracle=oracle)
-    assert len(oracle.asked) == len(set(oracle.asked)) == environment.counters.removals_asked
+    assert len(oracle.asked) == len(set(oracle.asked)) == environment.counters.states_asked
     removed = first.actions >= environment.part_count
     assert set(oracle.asked) == {state.numpy().tobytes() for state in first.states[1:][removed]}
     asked = len(oracle.asked)
@@ -176,6 +181,46 @@ def test_only_removals_are_judged_and_every_state_once(bottle: Assembly) -> None
     assert abs(sum(value for name, value in shares.items() if name.startswith("share_")) - 1) < 1e-9
 
 
+def test_under_contact_every_action_is_judged(bottle: Assembly) -> None:
+    oracle = Counting(bottle)
+    environment, first = random_rollouts(bottle, 100, oracle=oracle)
+    assert len(oracle.asked) == len(set(oracle.asked)) == environment.counters.states_asked
+    assert set(oracle.asked) == {state.numpy().tobytes() for state in first.states[1:][first.actions >= 0]}
+    # The last state of a rollout is one that is not proven stable exactly if it is called so; all others stand.
+    stands = oracle.oracle.check(first.last.numpy()).stable
+    assert np.array_equal(stands, ~first.unstable.numpy())
+    passed = np.unique(first.states[first.passed()].numpy(), axis=0)
+    assert oracle.oracle.check(passed).stable.all()
+
+
+def test_a_hold_after_which_a_part_slides_ends_a_rollout(bottle: Assembly) -> None:
+    """A robot that takes over a part takes its weight off the neighbours, and one that leant on it slides."""
+    slides = np.array([1, 0, 1, 0, 0, 2, 1, 1, 0, 1, 2, 2], dtype=np.uint8)
+    contact = Stability(bottle)
+    taken = next(part for part in (5, 10) if contact.stable(np.where(np.arange(12) == part, 1, slides)[None])[0])
+    before = np.where(np.arange(12) == taken, 1, slides).astype(np.uint8)
+    assert contact.check(slides).slides[0]
+    assert ExactSolver(bottle).check(slides[None]).stable[0]
+
+    def eager(states, targets=None):
+        logits = torch.zeros(len(states), 2 * bottle.part_count)
+        logits[:, taken] = 50.0
+        return logits, torch.zeros(len(states))
+
+    environment = Environment(bottle, 2, oracle=contact, device="cpu")
+    for _ in range(2):  # the second time the verdict is known
+        rollouts = environment.rollout(eager, torch.from_numpy(before)[None])
+        assert rollouts.unstable.all()
+        assert rollouts.length.tolist() == [1]
+        assert np.array_equal(rollouts.states[rollouts.passed()].numpy(), before[None])
+        assert environment.counters.states_asked == 1
+    assert (environment._known._verdict == Verdict.SLIDES).sum() == 1
+    balanced = Environment(bottle, 2, oracle=Stability(bottle, EQUILIBRIUM), device="cpu")
+    step = balanced.step(torch.from_numpy(before)[None], torch.tensor([taken]), check=True)
+    assert not step.unstable.any()
+    assert balanced.counters.states_asked == 0
+
+
 def test_verdicts_are_right_when_slots_are_fought_over(bottle: Assembly) -> None:
     """A table with few slots forgets; what it says stays true."""
     from falsework.learn.verdict_table import VerdictTable
@@ -185,7 +230,7 @@ def test_verdicts_are_right_when_slots_are_fought_over(bottle: Assembly) -> None
     states = states[torch.randperm(len(states), generator=torch.Generator().manual_seed(0))]
     environment._known = VerdictTable(environment.rules, memory=1)
     environment._known._slots = 32
-    truth = torch.from_numpy(Stability(bottle).stable(states.numpy()))
+    truth = torch.from_numpy(Stability(bottle, EQUILIBRIUM).stable(states.numpy()))
     for begin in range(0, len(states), 700):
         rows = slice(begin, begin + 700)
         assert torch.equal(environment.stable(states[rows]), truth[rows])
@@ -195,7 +240,7 @@ class HalfBlind:
     """A solver on a GPU that leaves every other state of a batch open."""
 
     def __init__(self, assembly: Assembly) -> None:
-        self.oracle = Stability(assembly)
+        self.oracle = Stability(assembly, EQUILIBRIUM)
         self.asked = 0
 
     def check_tensor(self, states):
@@ -207,18 +252,18 @@ class HalfBlind:
 
 def half_blind_oracle(assembly: Assembly) -> DeviceOracle:
     oracle = DeviceOracle.__new__(DeviceOracle)
-    oracle._solver, oracle._settle = HalfBlind(assembly), Stability(assembly).settle  # type: ignore[assignment]
+    oracle._solver, oracle._settle = HalfBlind(assembly), Stability(assembly, EQUILIBRIUM).settle  # type: ignore[assignment]
     return oracle
 
 
 def test_states_left_open_go_to_the_exact_solver_unless_they_may_be_given_up(arch: Assembly) -> None:
     """Given up they count as not proven, and are not remembered as such."""
-    environment = Environment(arch, 2, device="cpu")
+    environment = Environment(arch, 2, oracle=Stability(arch, EQUILIBRIUM), device="cpu")
     oracle = half_blind_oracle(arch)
     environment._on_device = oracle
     _, rollouts = random_rollouts(arch, 60)
     states = torch.unique(rollouts.states.flatten(0, 1), dim=0)
-    truth = torch.from_numpy(Stability(arch).stable(states.numpy()))
+    truth = torch.from_numpy(Stability(arch, EQUILIBRIUM).stable(states.numpy()))
     assert truth.any()
     assert not truth.all()
     solver: Any = oracle._solver
@@ -356,7 +401,7 @@ def test_bad_input_is_one_clear_line(arch: Assembly) -> None:
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no GPU")
 def test_rollouts_on_a_gpu_obey_rules_and_exact_solver(arch: Assembly) -> None:
-    environment = Environment(arch, 2, device="cuda")
+    environment = Environment(arch, 2, oracle=Stability(arch, EQUILIBRIUM), device="cuda")
 
     def indifferent(states, targets=None):
         return torch.zeros(len(states), 2 * states.shape[1], device=states.device), torch.zeros(

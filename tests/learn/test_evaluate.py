@@ -23,6 +23,7 @@ from falsework.learn.policy import make_policy  # noqa: E402
 from falsework.learn.policy_settings import PolicySettings  # noqa: E402
 from falsework.learn.settings import ImitationSettings, TrainSettings  # noqa: E402
 from falsework.learn.train import train  # noqa: E402
+from falsework.search import StateGraph  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
 WIDE = "arch:blocks=13"
@@ -98,6 +99,22 @@ def test_the_command_reports_one_object(run: Path, capsys: pytest.CaptureFixture
     assert json.loads(capsys.readouterr().out)["test"]["states"] == 7
     assert main(["evaluate", str(run), "--states", "7", "--device", "cpu"]) == 0
     assert "states succeed" in capsys.readouterr().out
+
+
+def test_the_criterion_is_that_of_the_run_unless_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "run")
+    words = ["train", "arch:blocks=9", "--method", "imitation", "--steps", "5", "--out", out, "--device", "cpu"]
+    assert main([*words, "--criterion", "equilibrium", "--json"]) == 0
+    capsys.readouterr()
+    for extra, expected in ((), "equilibrium"), (("--criterion", "contact"), "contact"):
+        assert main(["evaluate", out, "--json", "--states", "3", "--device", "cpu", *extra]) == 0
+        assert json.loads(capsys.readouterr().out)["criterion"] == expected
+    for command in ("dataset", "graph"):
+        for criterion in ("contact", "equilibrium"):
+            file = str(tmp_path / f"{command}.npz")
+            assert main([command, "arch:blocks=5", "--json", "--out", file, "--criterion", criterion]) == 0
+            assert json.loads(capsys.readouterr().out)["criterion"] == criterion
+    assert StateGraph.load(file).criterion == "equilibrium"
 
 
 def test_a_policy_is_asked_about_another_structure(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

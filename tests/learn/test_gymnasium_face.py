@@ -17,7 +17,7 @@ from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError, StateError  # noqa: E402
 from falsework.learn.gymnasium_face import ID, DisassemblyEnv  # noqa: E402
 from falsework.search import BeamSearch, BeamSettings, StateGraph, Task, find_plans, task_of  # noqa: E402
-from falsework.stability import Stability  # noqa: E402
+from falsework.stability import Stability, StabilitySettings  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +93,23 @@ def test_it_agrees_with_the_environment_on_tensors(graph: StateGraph, arch: Asse
             assert (step.success.item(), step.unstable.item()) == (info["success"], info["unstable"])
         endings.add(reward)
     assert endings == {-1.0, 1.0}
+
+
+def test_its_criterion_is_that_of_the_graph() -> None:
+    """Under contact a hold may bring a neighbour to slide, and ends the episode; under equilibrium it never does."""
+    bottle = load_structure("bottle")
+    before = np.array([1, 0, 1, 0, 0, 2, 1, 1, 0, 1, 2, 2], dtype=np.uint8)
+    contact = Stability(bottle)
+    taken = next(part for part in (5, 10) if contact.stable(np.where(np.arange(12) == part, 1, before)[None])[0])
+    before[taken] = 1
+    for criterion in ("contact", "equilibrium"):
+        beam = BeamSearch(task_of(bottle), Stability(bottle, StabilitySettings(criterion=criterion)), BeamSettings(4))
+        beam.run()
+        face = DisassemblyEnv(bottle, starts=StateGraph.build(beam.task, beam.states()))
+        face.reset(options={"start": before})
+        _, reward, over, _, info = face.step(taken)
+        assert info["unstable"] == over == (criterion == "contact")
+        assert reward == (-1.0 if criterion == "contact" else 0.0)
 
 
 def test_starts_are_drawn_from_the_graph_by_the_seed(arch: Assembly, graph: StateGraph) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,8 @@ from falsework.learn.replan import Decider, Replanner, ReplanSettings, Request, 
 from falsework.search import ExhaustiveSearch, Outcome, find_plans
 from falsework.search.planner import Planner
 from falsework.search.task import Direction
-from falsework.stability import Stability
+from falsework.stability import Proof, Stability, StabilitySettings
+from falsework.stability.contact.replay import History, Replay, Replayer
 
 ARCH = load_structure("arch:blocks=5")
 COMPLETE = complete_state(ARCH.boundary)
@@ -46,6 +49,36 @@ def guided(alone: Replanner) -> Replanner:
 @pytest.fixture(scope="module")
 def two_states(alone: Replanner) -> Replanner:
     return Replanner(ARCH, make("mlp", two_states=True), alone.oracle)
+
+
+class Falling:
+    """Replays like another replayer, but every sequence falls in some states."""
+
+    def __init__(self, inner: Replayer, falls: Callable[[States], bool], seconds: float = 0.0) -> None:
+        self.inner, self.falls, self.seconds = inner, falls, seconds
+        self.problem = inner.problem
+
+    def replay(self, states: States, history: History | None = None) -> Replay:
+        time.sleep(self.seconds * (len(states) - 1))
+        rows = [row for row, state in enumerate(states) if self.falls(state)]
+        found = self.inner.replay(states, history)
+        if not rows:
+            return found
+        stands = found.stands.copy()
+        stands[rows[0] :] = 0
+        return dataclasses.replace(found, stands=stands)
+
+    def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
+        stands, history = self.inner.step(history, before, after)
+        return stands and not self.falls(after), history
+
+
+def falling(falls: Callable[[States], bool], seconds: float = 0.0) -> Stability:
+    """An oracle of the arch whose replays fall."""
+    oracle = Stability(ARCH)
+    assert oracle.replayer is not None
+    oracle.__dict__["replayer"] = Falling(oracle.replayer, falls, seconds)
+    return oracle
 
 
 def any_state() -> st.SearchStrategy[States]:
@@ -303,6 +336,130 @@ def test_a_perfect_policy_decides_alone(alone: Replanner) -> None:
     assert answer.confidences[0][np.arange(len(plan)), plan.actions].min() > 0.99
     assert {"policy", "verdicts", "proofs"} <= set(answer.spent)
     assert sum(answer.spent.values()) <= answer.seconds
+
+
+def test_a_plan_is_replayed(alone: Replanner) -> None:
+    """The answer names its criterion, says how the replay went, and rests on displacements."""
+    answer = alone.replan(COMPLETE, alternatives=2)
+    assert answer.criterion == "contact"
+    assert len(answer.replays) == len(answer.plans) == 2
+    for plan, replayed in zip(answer.plans, answer.replays, strict=True):
+        assert (plan.proofs == Proof.DISPLACEMENT).all()
+        assert alone.oracle.replayer is not None
+        whole = alone.oracle.replayer.replay(plan.route.states[::-1])
+        assert replayed.stands is whole.good is True
+        assert replayed.steps == replayed.of == len(plan)
+        # Replayed a few steps at a time, and in one go.
+        assert replayed.moved == pytest.approx(whole.largest, rel=1e-9)
+        assert replayed.moved > 0
+    record = answer.record()
+    assert record["criterion"] == "contact"
+    assert record["replay"] == record["replays"][0]
+    assert record["replay"]["stands"] is True
+    assert record["replay"]["steps"] == answer.steps
+
+
+def test_equilibrium_knows_no_history() -> None:
+    answer = Replanner(ARCH, oracle=Stability(ARCH, StabilitySettings(criterion="equilibrium"))).replan(COMPLETE)
+    assert answer.criterion == answer.record()["criterion"] == "equilibrium"
+    assert answer.replays == ()
+    assert "replay" not in answer.record()
+    assert (answer.plans[0].proofs == Proof.FORCES).all()
+
+
+@pytest.mark.parametrize("policy", [False, True])
+@pytest.mark.parametrize("alternatives", [1, 3])
+def test_a_plan_whose_replay_falls_is_not_delivered(policy: bool, alternatives: int, alone: Replanner) -> None:
+    """Whatever is proposed first is forbidden in its middle, twice; another plan is found."""
+    bad: set[bytes] = set()
+    oracle = falling(lambda state: state.tobytes() in bad)
+    for _ in range(2):
+        replanner = Replanner(ARCH, make() if policy else None, oracle)
+        answer = replanner.replan(COMPLETE, alternatives=alternatives)
+        assert answer.found
+        assert len(answer.plans) == alternatives
+        for plan, replayed in zip(answer.plans, answer.replays, strict=True):
+            assert replayed.stands is True
+            assert plan.validate(ARCH).good
+            assert not {state.tobytes() for state in plan.states} & bad
+        bad |= {answer.plans[0].states[4].tobytes(), answer.plans[0].states[5].tobytes()}
+    assert len(bad) == 4
+
+
+def test_a_policy_whose_plan_falls_does_not_decide(alone: Replanner) -> None:
+    import torch
+
+    plan = find_plans(ARCH, oracle=alone.oracle, forces=False).plans[0]
+    book = {state.tobytes(): int(action) for state, action in zip(plan.states, plan.actions, strict=False)}
+
+    class Knowing(torch.nn.Module):
+        def forward(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> Any:
+            logits = torch.zeros(len(states), 2 * ARCH.part_count)
+            for row, state in enumerate(states.numpy()):
+                if state.tobytes() in book:
+                    logits[row, book[state.tobytes()]] = 50.0
+            return logits, torch.zeros(len(states))
+
+    oracle = falling(lambda state: state.tobytes() == plan.states[4].tobytes())
+    answer = Replanner(ARCH, Knowing(), oracle).replan(COMPLETE)
+    assert answer.found
+    assert answer.decided_by is not Decider.GREEDY
+    assert answer.replays[0].stands is True
+    assert not (answer.plans[0].states == plan.states[4]).all(axis=1).any()
+
+
+@pytest.mark.parametrize("policy", [False, True])
+@pytest.mark.parametrize("end", [COMPLETE, EMPTY])
+def test_where_every_replay_falls_nothing_is_proved(policy: bool, end: States) -> None:
+    """Even if it is an end that falls, which no search can go round: the work ends, and with an honest no."""
+    oracle = falling(lambda state: np.array_equal(state, end))
+    answer = Replanner(ARCH, make() if policy else None, oracle).replan(COMPLETE)
+    assert answer.outcome is Outcome.NOT_FOUND
+    assert answer.decided_by is Decider.NOBODY
+    assert answer.plans == answer.replays == ()
+    assert "when it is replayed" in answer.reason
+    # One step, which has nothing but ends.
+    last = find_plans(ARCH, oracle=Stability(ARCH), forces=False).plans[0].states[-2]
+    answer = Replanner(ARCH, make() if policy else None, falling(lambda _: True)).replan(last)
+    assert answer.outcome is Outcome.NOT_FOUND
+
+
+@pytest.mark.parametrize("policy", [False, True])
+def test_a_replay_goes_as_far_as_the_deadline_allows(policy: bool) -> None:
+    """The plan is handed back, and what is not known of it is not claimed."""
+    oracle = falling(lambda _: False, seconds=0.07)
+    replanner = Replanner(ARCH, make() if policy else None, oracle)
+    began = time.perf_counter()
+    answer = replanner.replan(COMPLETE, deadline=0.5)
+    assert time.perf_counter() - began < 0.5 + 0.9
+    assert answer.found
+    assert answer.deadline_passed
+    (replayed,) = answer.replays
+    assert replayed.stands is None
+    assert replayed.steps < replayed.of == len(answer.plans[0])
+    assert answer.record()["replay"]["stands"] is None
+    assert answer.spent["replays"] > 0.3
+
+
+def test_at_the_deadline_a_plan_that_falls_is_said_to_fall() -> None:
+    """No time is left for another one, and every state of it stands."""
+    answer = Replanner(ARCH, oracle=falling(lambda state: np.array_equal(state, EMPTY), seconds=0.07)).replan(
+        COMPLETE, deadline=0.5
+    )
+    assert answer.found
+    assert answer.deadline_passed
+    assert answer.replays[0].stands is False
+    assert answer.replays[0].steps == 0
+    assert answer.record()["replay"]["stands"] is False
+
+
+def test_a_state_that_slides_is_no_proof() -> None:
+    """An end that slides makes looking vain, but does not prove that there is no plan."""
+    bottle = load_structure("bottle")
+    slides = np.array([1, 0, 1, 0, 0, 2, 1, 1, 0, 1, 2, 2], dtype=np.uint8)
+    answer = Replanner(bottle).replan(slides)
+    assert answer.outcome is Outcome.NOT_FOUND
+    assert answer.reason == "the state slides"
 
 
 def test_broken_weights_are_noticed(alone: Replanner) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -109,8 +111,11 @@ def test_actions_and_hashes_are_those_of_arrays() -> None:
     row, action = np.nonzero(task.moves(states, Direction.DISASSEMBLY))
     after = rules.apply(torch.tensor(states[row]), torch.tensor(action.astype(np.int16)))
     assert np.array_equal(after.numpy(), task.follow(states[row], action, Direction.DISASSEMBLY))
-    needed = rules.needs_verdict(torch.tensor(action)).numpy()
-    assert np.array_equal(needed, task.needs_verdict(action, Direction.DISASSEMBLY))
+    for harmless in (False, True):
+        known, same = Rules(assembly, 2, holds_keep_stable=harmless), replace(task, holds_keep_stable=harmless)
+        needed = known.needs_verdict(torch.tensor(action)).numpy()
+        assert np.array_equal(needed, same.needs_verdict(action, Direction.DISASSEMBLY))
+        assert needed.all() == (not harmless)
     words = StateHash.for_parts(assembly.part_count)(states).view(np.int64)
     assert np.array_equal(rules.hashes(torch.tensor(states)).numpy(), words)
     assert rules.complete(2).tolist() == [task.start.tolist()] * 2

@@ -63,6 +63,8 @@ def test_searches_are_read_back(bottle: Assembly, tmp_path: Path) -> None:
     tetris = load_structure("stack:blocks=12")
     with pytest.raises(InputError, match="states of another structure"):
         Searched.load(tmp_path / "searched.npz", task_for(tetris))
+    with pytest.raises(InputError, match="stable under the criterion contact; remove it"):
+        Searched.load(tmp_path / "searched.npz", replace(task, holds_keep_stable=True))
     replace(searched, more=searched.more[:, 1:]).save(tmp_path / "searched.npz", task)
     with pytest.raises(InputError, match="is damaged"):
         Searched.load(tmp_path / "searched.npz", task)

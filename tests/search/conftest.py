@@ -33,11 +33,12 @@ def verdicts_of(stable: NDArray[np.bool_], undecided: NDArray[np.bool_] | None =
 class RuleOracle:
     """An installed part stands if one of its sets of supports is there; a held part needs none.
 
-    So a hold never hurts, which is the one thing that the searches rely on.
+    So a hold never hurts, as under the criterion `equilibrium`.
     """
 
     supports: list[list[frozenset[int]]]
     asked: list[NDArray[np.uint8]] = field(default_factory=list)
+    holds_keep_stable: bool = True
 
     def judge(self, states: NDArray[np.uint8], *, parents: NDArray[np.uint8] | None = None) -> Verdicts:
         assert parents is None or len(parents) == len(states)
@@ -52,15 +53,41 @@ class RuleOracle:
         )
 
 
+@dataclass
+class PressingOracle(RuleOracle):
+    """As under the criterion `contact`: an installed part also slides while a part that presses on it is held."""
+
+    pressed: list[frozenset[int]] = field(default_factory=list)
+    holds_keep_stable: bool = False
+
+    def judge(self, states: NDArray[np.uint8], *, parents: NDArray[np.uint8] | None = None) -> Verdicts:
+        verdicts = super().judge(states, parents=parents)
+        slides = [super(PressingOracle, self).stands(tuple(state.tolist())) for state in states]
+        verdicts.verdict[np.array(slides, dtype=bool) & ~verdicts.stable] = Verdict.SLIDES
+        return verdicts
+
+    def stands(self, state: State) -> bool:
+        pressed = any(
+            value == 1 and any(state[part] == 2 for part in parts)
+            for value, parts in zip(state, self.pressed, strict=True)
+        )
+        return super().stands(state) and not pressed
+
+
 @dataclass(frozen=True)
 class RuleClearance:
     """Part `i` leaves if all of one of its sets of blockers are gone."""
 
     blockers: list[list[frozenset[int]]]
+    complete: bool = True
+    """Whether the sets are all there are, so that a search may rely on them for a proof."""
 
     def can_leave(self, states: NDArray[np.uint8]) -> NDArray[np.bool_]:
         rows = [[self.free(tuple(state.tolist()), part) for part in range(states.shape[1])] for state in states]
         return np.array(rows, dtype=bool).reshape(states.shape)
+
+    def doubt(self, parts: NDArray[np.bool_]) -> str:
+        return "" if self.complete or not parts.any() else "exits may be missing"
 
     def free(self, state: State, part: int) -> bool:
         return any(all(not state[other] for other in way) for way in self.blockers[part])
@@ -82,7 +109,9 @@ class Enumeration:
             if boundary[part] or part in task.fixed:
                 continue
             if value == 1 and goal != 1 and held < task.robots:
-                yield part, (*state[:part], 2, *state[part + 1 :])
+                after = (*state[:part], 2, *state[part + 1 :])
+                if self.oracle.stands(after):
+                    yield part, after
             if value == 2 and goal == 0:
                 if task.clearance is not None and not task.clearance.free(state, part):  # type: ignore[attr-defined]
                     continue
@@ -155,6 +184,14 @@ def random_rules(seed: int, parts: int) -> tuple[RuleOracle, RuleClearance]:
     return RuleOracle(supports), RuleClearance([sets(part, 2) for part in range(parts)])
 
 
+def pressing(seed: int, parts: int) -> PressingOracle:
+    """Random supports, and parts that slide while another one, drawn at random, is held."""
+    rng = np.random.default_rng(seed)
+    supports = random_rules(seed, parts)[0].supports
+    pressed = [frozenset() if rng.random() < 0.5 else frozenset({int(rng.integers(1, parts))}) for _ in range(parts)]
+    return PressingOracle(supports, pressed=[frozenset(), *(pressed[1:])])
+
+
 def ground(parts: int) -> NDArray[np.bool_]:
     """Part 0 is boundary."""
     return np.arange(parts) == 0
@@ -167,7 +204,9 @@ class Rules:
     blocks = staticmethod(blocks)
     arch = staticmethod(arch)
     random = staticmethod(random_rules)
+    pressing = staticmethod(pressing)
     ground = staticmethod(ground)
+    clearance = staticmethod(RuleClearance)
     enumeration = staticmethod(Enumeration)
     verdicts = staticmethod(verdicts_of)
 

@@ -133,3 +133,13 @@ def test_on_real_states(small_arch: Assembly, arch_oracle: Stability) -> None:
         result = DepthFirstSearch(task, arch_oracle, DepthFirstSettings(direction)).run()
         assert result.found
         assert arch_oracle.exact.check(result.routes[0].states).stable.all()
+
+
+def test_sliding_states_are_no_proof_of_impossibility(rules: Any) -> None:
+    oracle = rules.pressing(0, 3)
+    oracle.supports = rules.blocks(3).supports
+    oracle.pressed = [frozenset(), frozenset({2}), frozenset({1})]
+    result = DepthFirstSearch(Task.create(rules.ground(3), 1), oracle).run()
+    assert result.outcome is Outcome.NOT_FOUND
+    assert result.sliding == 2
+    assert result.counters.states == 1

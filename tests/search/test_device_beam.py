@@ -13,7 +13,7 @@ from falsework.assembly import load_structure
 from falsework.errors import InputError
 from falsework.geometry.bits import pack
 from falsework.geometry.clearance import ClearanceTable
-from falsework.search import BeamSearch, BeamSettings, Direction, Outcome, Route, StateGraph, Task
+from falsework.search import BeamSearch, BeamSettings, Direction, ExhaustiveSearch, Outcome, Route, StateGraph, Task
 from falsework.search.clustering import k_means
 from falsework.search.device_beam import DeviceBeam
 from falsework.search.devices import beam_search
@@ -78,6 +78,7 @@ def test_rules_on_tensors_are_those_of_the_task(rules: Any, direction: Direction
     moved = 0
     for _ in range(60):
         task = random_task(rng, rules, 6)
+        task = task.judged_by(rules.blocks(6) if len(task.missing) % 2 else None)
         tensor_rules = TensorRules(task, direction, CPU)
         inside = states[task.contains(states)]
         tensors = put(inside, CPU)
@@ -105,7 +106,13 @@ def test_ways_out_on_tensors_are_those_of_the_table(rules: Any, direction: Direc
     rng = np.random.default_rng(parts)
     ways = rng.integers(0, 4, size=parts)
     blockers = pack(rng.random((ways.sum(), parts)) < 3 / parts)
-    table = ClearanceTable(np.zeros((ways.sum(), 3)), blockers, np.concatenate([[0], np.cumsum(ways)]).astype(np.int32))
+    table = ClearanceTable(
+        np.zeros((ways.sum(), 3)),
+        blockers,
+        np.concatenate([[0], np.cumsum(ways)]).astype(np.int32),
+        np.ones(parts, bool),
+        0,
+    )
     task = Task.create(rules.ground(parts), parts, clearance=table)
     states = rng.choice([0, 0, 1, 2], size=(500, parts)).astype(np.uint8)
     states[:, 0] = 2
@@ -293,3 +300,38 @@ def test_a_real_structure_gives_as_many_states(shared_assembly: Callable[[str], 
     assert len(graph) == len(search.states())
     assert graph.solvable.all()
     assert 950 < len(graph) < 1250
+
+
+@BOTH
+@pytest.mark.parametrize("seed", range(6))
+def test_a_state_that_slides_is_not_entered(rules: Any, direction: Direction, seed: int) -> None:
+    """Where a hold may bring a neighbour to slide, every move is asked about, and nothing but what stands is kept."""
+    oracle = rules.pressing(seed, 7)
+    task = Task.create(rules.ground(7), 2)
+    search = beam(task, oracle, width=3**6, direction=direction, diversity="none")
+    result = search.run()
+    if direction is Direction.DISASSEMBLY:
+        assert rows_of(search.states()) == rules.enumeration(task, oracle).reachable()
+    assert all(oracle.stands(tuple(state)) for state in search.states().tolist())
+    assert result.counters.asked == result.counters.candidates
+    assert result.found == (rules.enumeration(task, oracle).count() > 0)
+    asked = np.unique(np.concatenate(oracle.asked), axis=0)
+    slides = asked[oracle.judge(asked).slides]
+    assert (result.sliding > 0) == (len(slides) > 0)
+    assert not rows_of(slides) & rows_of(search.states())
+
+
+def test_sliding_states_are_no_proof_of_impossibility(rules: Any) -> None:
+    """Two blocks that each slide while the other is held: no plan is found, and none is proved impossible."""
+    oracle = rules.pressing(0, 3)
+    oracle.supports = rules.blocks(3).supports
+    oracle.pressed = [frozenset(), frozenset({2}), frozenset({1})]
+    task = Task.create(rules.ground(3), 1)
+    for direction in Direction:
+        result = beam(task, oracle, width=9, direction=direction).run()
+        assert result.outcome is Outcome.NOT_FOUND
+        assert result.sliding == 2
+        assert "2 states slide" in result.limit
+    census = ExhaustiveSearch(task, oracle).run()
+    assert census.result.outcome is Outcome.NOT_FOUND
+    assert census.graph.criterion == "contact"

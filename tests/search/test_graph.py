@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +93,21 @@ def test_comes_back_from_disk(graph: StateGraph, tmp_path: Path) -> None:
         assert all(data[name].dtype != object for name in data.files)
 
 
+@pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
+def test_a_file_names_its_criterion(graph: StateGraph, tmp_path: Path, criterion: str) -> None:
+    """One from before there was a choice is of equilibrium."""
+    task = replace(graph.task, holds_keep_stable=criterion == "equilibrium")
+    path = tmp_path / "graph.npz"
+    StateGraph.build(task, graph.states).save(path)
+    loaded = StateGraph.load(path)
+    assert loaded.criterion == criterion
+    assert loaded.task.holds_keep_stable == task.holds_keep_stable
+    header, arrays = read_archive(path, FORMAT)
+    assert header.pop("criterion") == criterion
+    write_archive(path, header.pop("format"), header, arrays)
+    assert StateGraph.load(path).criterion == "equilibrium"
+
+
 def damaged(name: str, change: Any) -> Any:
     return pytest.param(name, change, id=name)
 
@@ -114,6 +130,7 @@ def damaged(name: str, change: Any) -> Any:
         (lambda h, a: h.update(robots=1), "break the rules"),
         (lambda h, a: h.update(robots="two"), "damaged"),
         (lambda h, a: h.update(fixed=[99]), "does not exist"),
+        (lambda h, a: h.update(criterion="good"), "its criterion is 'good'"),
     ],
 )
 def test_rejects_what_it_does_not_know(graph: StateGraph, tmp_path: Path, change: Any, message: str) -> None:

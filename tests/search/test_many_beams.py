@@ -125,3 +125,14 @@ def test_counts_are_positive(wrong: dict[str, int]) -> None:
     asked = {"count": 2, "width": 2, "keep": 2} | wrong
     with pytest.raises(InputError, match="give at least 1"):
         bottle_searches(asked["count"], asked["width"], keep=asked["keep"])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_that_slides_is_kept(rules: Any, seed: int) -> None:
+    """Where every move needs a verdict, a search with room for all finds what an enumeration does."""
+    oracle = rules.pressing(seed, 6)
+    task = Task.create(rules.ground(6), 2)
+    found = search_many(task, HostOracle(oracle), 2, 3**5)
+    reached = rules.enumeration(task, oracle).reachable()
+    assert {tuple(state) for state in found.states.tolist()} == reached
+    assert found.found.all() == (rules.enumeration(task, oracle).count() > 0)

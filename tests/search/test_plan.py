@@ -16,6 +16,7 @@ from falsework.assembly import Assembly, load_structure
 from falsework.errors import InputError, PlanError
 from falsework.search import Direction, Plan, Task, find_plans, plan_schema
 from falsework.stability import Stability
+from falsework.stability.settings import EQUILIBRIUM
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +40,27 @@ def same(a: Plan, b: Plan) -> bool:
         and all(getattr(a, name) == getattr(b, name) for name in values)
         and np.allclose(a.residuals, b.residuals, rtol=1e-5)
         and a.removable_only_if_clear == b.removable_only_if_clear
+        and np.array_equal(np.asarray(a.displacement, float), np.asarray(b.displacement, float), equal_nan=True)
     )
 
 
-def test_every_state_is_proven_by_the_exact_solver(plan: Plan, small_arch: Assembly) -> None:
+def test_plans_of_version_1_are_under_equilibrium(small_arch: Assembly, tmp_path: Path) -> None:
+    oracle = Stability(small_arch, EQUILIBRIUM)
+    made = find_plans(small_arch, oracle=oracle).plans[0]
+    assert made.replay is None
+    made.save(tmp_path / "plan.json", proofs=True)
+    content = json.loads((tmp_path / "plan.json").read_text())
+    content["format"] = "falsework.plan/1"
+    del content["stability"]["criterion"], content["stability"]["stiffness_ratio"]
+    content["stability"]["tolerance"] = 1e-3  # m/s2 then
+    (tmp_path / "old.json").write_text(json.dumps(content))
+    old = Plan.load(tmp_path / "old.json")
+    assert old.claim == made.claim
+    assert old.validate_proofs(small_arch, EQUILIBRIUM).good
+    assert "claims equilibrium only" in old.validate(small_arch).reason
+
+
+def test_every_state_is_proven_anew(plan: Plan, small_arch: Assembly) -> None:
     report = plan.validate(small_arch)
     assert report.good
     assert report.checked == report.states == len(plan) + 1 == 2 * 7 + 1
@@ -50,7 +68,7 @@ def test_every_state_is_proven_by_the_exact_solver(plan: Plan, small_arch: Assem
     assert report.bad_step is None
 
 
-def test_every_state_is_proven_by_its_forces(plan: Plan, small_arch: Assembly) -> None:
+def test_every_state_is_proven_by_its_displacement(plan: Plan, small_arch: Assembly) -> None:
     report = plan.validate_proofs(small_arch)
     assert report.good
     assert report.residual == pytest.approx(plan.residuals.max())
@@ -74,11 +92,14 @@ def test_the_reverse_of_the_reverse(plan: Plan, small_arch: Assembly) -> None:
 def test_comes_back_from_disk(plan: Plan, tmp_path: Path, assembly_order: bool) -> None:
     ordered = plan.reverse() if assembly_order else plan
     path = tmp_path / "plan.json"
+    written = replace(ordered, forces=None)  # they follow from the displacements
     ordered.save(path, proofs=True)
-    assert same(Plan.load(path), ordered)
+    assert same(Plan.load(path), written)
+    assert Plan.load(path).claim == ordered.claim
+    assert Plan.load(path).replay == ordered.replay
     ordered.save(path)
-    assert Plan.load(path).forces is None
-    assert same(replace(Plan.load(path), forces=ordered.forces), ordered)
+    assert Plan.load(path).displacement is None
+    assert same(replace(Plan.load(path), displacement=ordered.displacement), written)
     assert [entry.name for entry in tmp_path.iterdir()] == ["plan.json"]
 
 
@@ -105,7 +126,7 @@ def edit(*keys: Any, to: Any) -> Callable[[dict[str, Any]], None]:
 
 
 WRONG_BY_SCHEMA = [
-    (edit("format", to="falsework.plan/2"), "format is 'falsework.plan/2'"),
+    (edit("format", to="falsework.plan/3"), "format is 'falsework.plan/3'"),
     (edit("format", to=...), 'no "format"'),
     (edit("surprise", to=1), "unknown entry 'surprise'"),
     (edit("steps", 2, "surprise", to=1), "step 3 has an unknown entry 'surprise'"),
@@ -135,7 +156,7 @@ WRONG_BY_SCHEMA = [
     (edit("start", "state", 1, to=3), "start.state"),
     (edit("end", 1, to="0"), "end is no list of 0, 1, 2"),
     (edit("needs", to=[{"part": 1}]), "needs"),
-    (edit("forces", "zlib_base64", to=3), "cannot be unpacked"),
+    (edit("displacements", "zlib_base64", to=3), "cannot be unpacked"),
 ]
 WRONG_BY_CONTENT = [
     (edit("structure", "boundary", to=[99]), "structure.boundary"),
@@ -148,9 +169,9 @@ WRONG_BY_CONTENT = [
     (edit("end", to=[2, 1]), "end has 2 values for 9 parts"),
     (edit("start", "residual", to=0.5), "above the tolerance"),
     (edit("needs", to=[{"part": 1, "after_steps": 1, "after_parts": 1}]), "needs do not agree"),
-    (edit("forces", "points", to=5), "does not hold 5 forces"),
-    (edit("forces", "zlib_base64", to="eJwDAAAAAAE="), "does not hold"),
-    (edit("forces", "zlib_base64", to="rubbish!"), "cannot be unpacked"),
+    (edit("displacements", "parts", to=5), "does not hold displacements of 5 parts"),
+    (edit("displacements", "zlib_base64", to="eJwDAAAAAAE="), "does not hold"),
+    (edit("displacements", "zlib_base64", to="rubbish!"), "cannot be unpacked"),
     (edit("rules", "fixed", to=[3]), "which is fixed"),
 ]
 
@@ -252,18 +273,18 @@ def test_broken_rules_are_found(plan: Plan, small_arch: Assembly) -> None:
     assert "against the rules: the part is installed" in early.validate(small_arch).reason
 
 
-def test_wrong_forces_are_found(plan: Plan, small_arch: Assembly) -> None:
-    assert plan.forces is not None
-    half = replace(plan, forces=0.5 * plan.forces)
+def test_wrong_displacements_are_found(plan: Plan, small_arch: Assembly) -> None:
+    assert plan.displacement is not None
+    half = replace(plan, displacement=0.5 * plan.displacement)
     report = half.validate_proofs(small_arch)
     assert not report.good
     assert report.checked == 0
-    with pytest.raises(PlanError, match="carries no contact forces"):
-        replace(plan, forces=None).validate_proofs(small_arch)
-    with pytest.raises(PlanError, match="forces of shape"):
-        replace(plan, forces=plan.forces[:, 1:]).validate_proofs(small_arch)
-    with pytest.raises(PlanError, match="carries no contact forces"):
-        replace(plan, forces=None).save("plan.json", proofs=True)
+    with pytest.raises(PlanError, match="carries no displacements"):
+        replace(plan, displacement=None).validate_proofs(small_arch)
+    with pytest.raises(PlanError, match="displacements of shape"):
+        replace(plan, displacement=plan.displacement[:, 1:]).validate_proofs(small_arch)
+    with pytest.raises(PlanError, match="carries no displacements"):
+        replace(plan, displacement=None).save("plan.json", proofs=True)
 
 
 def test_ways_out_are_checked(small_arch: Assembly, arch_oracle: Stability) -> None:

@@ -94,9 +94,12 @@ def walk(task: Task, oracle: Any, direction: Direction) -> set[tuple[tuple[int, 
 
 
 def test_which_moves_need_a_verdict(rules: Any) -> None:
-    """Taking apart, removals do; putting together, releases do (DESIGN, section 2)."""
-    task = Task.create(rules.ground(4), 2)
+    """Where holds keep stable states stable, removals do, and releases when putting together; else all moves."""
     hold, remove = np.array([1, 2]), np.array([5, 6])
+    asked = Task.create(rules.ground(4), 2)
+    task = asked.judged_by(rules.blocks(4))
+    for direction in Direction:
+        assert asked.needs_verdict(np.concatenate([hold, remove]), direction).all()
     assert not task.needs_verdict(hold, Direction.DISASSEMBLY).any()
     assert task.needs_verdict(remove, Direction.DISASSEMBLY).all()
     assert task.needs_verdict(hold, Direction.ASSEMBLY).all()

@@ -21,7 +21,7 @@ REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35",
 
 def compare(assembly: Assembly, states: NDArray[np.uint8], cone: str, *, exact: bool = True) -> NDArray[np.int8]:
     """Check that the fast solver decides every state with a proof, as the exact solver does; return the verdicts."""
-    settings = StabilitySettings(cone=cone)  # type: ignore[arg-type]
+    settings = StabilitySettings(criterion="equilibrium", cone=cone)  # type: ignore[arg-type]
     stability = Stability(assembly, settings)
     verdicts = stability.check(states)
     assert not verdicts.undecided.any()
@@ -48,7 +48,7 @@ def test_three_methods_agree(scenes: Any, simplex: Callable[..., float], structu
     states = mixed_states(scenes, assembly, 8, seed=11)
     verdict = compare(assembly, states, "octagon")
     assert {Verdict.STABLE, Verdict.UNSTABLE} == set(verdict.tolist())
-    residual = Stability(assembly).check(states).residual
+    residual = Stability(assembly, StabilitySettings(criterion="equilibrium")).check(states).residual
     for state, value, proven in zip(states, verdict, residual, strict=True):
         least = simplex(assembly, state)
         assert value == (Verdict.STABLE if least <= TOLERANCE else Verdict.UNSTABLE)
@@ -96,7 +96,7 @@ def test_parts_of_very_different_weight(scenes: Any, cone: str) -> None:
 def test_any_tolerance(scenes: Any, simplex: Callable[..., float], tolerance: float) -> None:
     assembly = library.build("stack:blocks=3,overhang=1.001")
     states = mixed_states(scenes, assembly, 8, seed=15)
-    verdicts = Stability(assembly, StabilitySettings(tolerance=tolerance)).check(states)
+    verdicts = Stability(assembly, StabilitySettings(criterion="equilibrium", tolerance=tolerance)).check(states)
     assert not verdicts.undecided.any()
     for state, verdict in zip(states, verdicts.verdict, strict=True):
         assert verdict == (Verdict.STABLE if simplex(assembly, state) <= tolerance else Verdict.UNSTABLE)

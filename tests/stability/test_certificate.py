@@ -28,7 +28,7 @@ def case(request: pytest.FixtureRequest, scenes: Any) -> tuple[Assembly, NDArray
     assembly = library.build("arch:blocks=7,thickness=0.25")
     states = np.unique(scenes.few_changes(assembly, 40, seed=1), axis=0)
     states = states[(states == 1).any(axis=1)]
-    settings = StabilitySettings(cone=request.param)
+    settings = StabilitySettings(criterion="equilibrium", cone=request.param)
     verdicts = Stability(assembly, settings).check(states)
     assert verdicts.stable.sum() > 3
     assert verdicts.unstable.sum() > 3
@@ -50,7 +50,7 @@ def test_every_certificate_is_accepted(case: tuple) -> None:
 
 def test_exact_certificates_are_accepted(case: tuple) -> None:
     assembly, states, verdicts, claim = case
-    exact = ExactSolver(assembly, StabilitySettings(cone=claim.cone)).check(states)
+    exact = ExactSolver(assembly, StabilitySettings(criterion="equilibrium", cone=claim.cone)).check(states)
     np.testing.assert_array_equal(exact.verdict, verdicts.verdict)
     assert accept(assembly, states, exact, claim).all()
 
@@ -81,7 +81,7 @@ def test_perturbed_forces_are_rejected(case: tuple) -> None:
 
 def test_a_single_force_that_is_not_a_number_is_rejected(case: tuple) -> None:
     assembly, states, verdicts, claim = case
-    problem = Stability(assembly).problem
+    problem = Stability(assembly, StabilitySettings(criterion="equilibrium")).problem
     for row in np.flatnonzero(verdicts.stable):
         forces = verdicts.forces.copy()
         forces[row, np.flatnonzero(problem.active(states)[row])[0], 1] = np.nan
@@ -91,7 +91,7 @@ def test_a_single_force_that_is_not_a_number_is_rejected(case: tuple) -> None:
 def test_forces_where_nothing_touches_count_for_nothing(case: tuple) -> None:
     """Forces on contacts that do not act in a state are ignored, so they can neither help nor spoil."""
     assembly, states, verdicts, claim = case
-    idle = ~Stability(assembly).problem.active(states)
+    idle = ~Stability(assembly, StabilitySettings(criterion="equilibrium")).problem.active(states)
     tampered = with_forces(verdicts, np.where(idle[:, :, None], 1e3, verdicts.forces))
     assert accept(assembly, states, tampered, claim).all()
     only_idle = with_forces(verdicts, np.where(idle[:, :, None], 1e3, 0.0 * verdicts.forces))
@@ -101,7 +101,7 @@ def test_forces_where_nothing_touches_count_for_nothing(case: tuple) -> None:
 def test_forces_of_another_state_are_rejected(scenes: Any) -> None:
     """What carries a tower of three does not balance the tower without its base, nor with another block free."""
     tower = scenes.tower(3)
-    verdicts = Stability(tower).check([1, 1, 1, 2])
+    verdicts = Stability(tower, StabilitySettings(criterion="equilibrium")).check([1, 1, 1, 2])
     assert verdicts.stable[0]
     for state, expected in (([1, 1, 1, 2], True), ([0, 1, 1, 2], False), ([1, 1, 0, 2], False), ([2, 1, 1, 2], True)):
         # With the base held, its forces stay those of a state in which it needs none.
@@ -130,7 +130,7 @@ def test_random_velocities_are_rejected(case: tuple) -> None:
 
 def test_a_velocity_of_a_part_that_is_held_proves_nothing(scenes: Any) -> None:
     tower = scenes.tower(2)
-    verdicts = Stability(tower).check([0, 1, 2])
+    verdicts = Stability(tower, StabilitySettings(criterion="equilibrium")).check([0, 1, 2])
     assert verdicts.unstable[0]
     assert accept(tower, np.array([[0, 1, 2]], np.uint8), verdicts)[0]
     assert not accept(tower, np.array([[0, 2, 2]], np.uint8), verdicts)[0]
@@ -192,7 +192,7 @@ def test_the_octagon_is_the_narrower_cone(scenes: Any) -> None:
 def test_forces_above_the_bound_are_rejected(scenes: Any) -> None:
     """Walls may press harder on a clamped cube without disturbing it, up to the bound on all normal forces."""
     clamp = scenes.clamp(friction=1.0)
-    verdicts = Stability(clamp).check([1, 2, 2])
+    verdicts = Stability(clamp, StabilitySettings(criterion="equilibrium")).check([1, 2, 2])
     assert verdicts.stable[0]
     assert verdicts.forces is not None
     weight = 9.81 * clamp.mass.mass[0]
@@ -207,7 +207,7 @@ def test_forces_above_the_bound_are_rejected(scenes: Any) -> None:
 
 def test_certificates_must_be_there_and_fit(scenes: Any) -> None:
     tower = scenes.tower(1)
-    stability = Stability(tower)
+    stability = Stability(tower, StabilitySettings(criterion="equilibrium"))
     state = np.array([[1, 2]], np.uint8)
     with pytest.raises(InputError, match="no certificates"):
         accept(tower, state, stability.judge(state))
@@ -227,7 +227,7 @@ def test_no_state_passes_both_checks(seed: int, cone: str, push: float, blend: f
     random = np.random.default_rng(seed)
     state = random.choice(3, (1, assembly.part_count), p=[0.15, 0.7, 0.15]).astype(np.uint8)
     state[:, assembly.boundary] = 2
-    exact = ExactSolver(assembly, StabilitySettings(cone=cone)).check(state)  # type: ignore[arg-type]
+    exact = ExactSolver(assembly, StabilitySettings(criterion="equilibrium", cone=cone)).check(state)  # type: ignore[arg-type]
     assert exact.forces is not None
     assert exact.velocity is not None
     weight = 9.81 * assembly.mass.mass[~assembly.boundary].sum()
@@ -259,10 +259,11 @@ def test_rounding_that_is_forgiven_carries_nothing(scenes: Any, cone: str) -> No
         [*slope.meshes, heavy, table], boundary=[1, 3], friction=0.5, density=[1e-3, 2400.0, 2400.0, 2400.0]
     )
     claim = Claim(cone=cone)
-    verdicts = Stability(assembly, StabilitySettings(cone=cone)).check(complete_state(assembly.boundary))  # type: ignore[arg-type]
+    settings = StabilitySettings(criterion="equilibrium", cone=cone)  # type: ignore[arg-type]
+    verdicts = Stability(assembly, settings).check(complete_state(assembly.boundary))
     assert verdicts.unstable[0]
     # The forces that would hold the plate, were its cone only a little wider.
     wider = assembly.replace(friction=0.5 + 1e-3)
-    held = Stability(wider, StabilitySettings(cone=cone)).check(complete_state(assembly.boundary))  # type: ignore[arg-type]
+    held = Stability(wider, settings).check(complete_state(assembly.boundary))
     assert held.stable[0]
     assert not accept(assembly, complete_state(assembly.boundary)[None], held, claim)[0]

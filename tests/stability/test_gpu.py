@@ -1,4 +1,4 @@
-"""The GPU's kernels of the equilibrium problem, compiled as plain C++ with one thread a block, agree with the processor."""
+"""The GPU's kernels for equilibrium, compiled as plain C++ with one thread a block, agree with the processor."""
 
 from __future__ import annotations
 
@@ -19,9 +19,8 @@ from falsework.stability.cpu import CpuSolver
 from falsework.stability.gpu import GpuSolver, MemoryWarning
 from falsework.stability.gpu_driver import KERNELS, CudaDriver, compile_kernel
 from falsework.stability.gpu_layout import build_layout
-from falsework.stability.settings import GpuSettings
+from falsework.stability.settings import EQUILIBRIUM, GpuSettings
 
-EQUILIBRIUM = StabilitySettings(criterion="equilibrium")
 SMALL = ("arch:blocks=7", "wall:bricks=3,courses=3", "corbel", "bottle", "polycube")
 
 

@@ -30,7 +30,7 @@ def gurobi() -> None:
 )
 def test_it_agrees_with_clarabel(scenes: Any, structure: str, cone: str) -> None:
     assembly = library.build(structure)
-    settings = StabilitySettings(cone=cone, solver="gurobi")  # type: ignore[arg-type]
+    settings = StabilitySettings(criterion="equilibrium", cone=cone, solver="gurobi")  # type: ignore[arg-type]
     states = np.unique(scenes.few_changes(assembly, 12, seed=31), axis=0)
     stability = Stability(assembly, settings)
     verdicts = stability.check(states)
@@ -45,7 +45,7 @@ def test_it_agrees_with_clarabel(scenes: Any, structure: str, cone: str) -> None
 def test_a_licence_that_is_too_small_is_named(cone: str) -> None:
     """The licence that comes with the package stops at 2,000 rows; a full one solves this structure."""
     vault = library.build("vault")
-    solver = GurobiSolver(vault, StabilitySettings(cone=cone))  # type: ignore[arg-type]
+    solver = GurobiSolver(vault, StabilitySettings(criterion="equilibrium", cone=cone))  # type: ignore[arg-type]
     message = ""
     try:
         assert solver.check(complete_state(vault.boundary)).stable[0]
@@ -60,4 +60,4 @@ def test_a_licence_that_is_too_small_is_named(cone: str) -> None:
 def test_a_missing_package_is_named(scenes: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gurobipy", None)
     with pytest.raises(DependencyError, match=r"pip install falsework\[gurobi\]"):
-        Stability(scenes.tower(1), StabilitySettings(solver="gurobi"))
+        Stability(scenes.tower(1), StabilitySettings(criterion="equilibrium", solver="gurobi"))

@@ -38,7 +38,7 @@ def states(scenes: Any, arch: Assembly) -> NDArray[np.uint8]:
 
 @pytest.fixture(scope="module")
 def expected(arch: Assembly, states: NDArray[np.uint8]) -> NDArray[np.int8]:
-    verdict = ExactSolver(arch).check(states).verdict
+    verdict = ExactSolver(arch, StabilitySettings(criterion="equilibrium")).check(states).verdict
     assert {-1, 1} == set(verdict.tolist())
     return verdict
 
@@ -61,7 +61,7 @@ def balanced(stability: Stability) -> bool:
 
 
 def test_check_returns_proofs_that_hold(arch: Assembly, states: NDArray, expected: NDArray) -> None:
-    stability = Stability(arch)
+    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
     verdicts = stability.check(states)
     np.testing.assert_array_equal(verdicts.verdict, expected)
     assert accept(arch, states, verdicts).all()
@@ -76,15 +76,17 @@ def test_check_returns_proofs_that_hold(arch: Assembly, states: NDArray, expecte
 
 
 def test_judge_agrees_and_carries_no_proofs(arch: Assembly, states: NDArray, expected: NDArray) -> None:
-    verdicts = Stability(arch).judge(states)
+    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).judge(states)
     np.testing.assert_array_equal(verdicts.verdict, expected)
     assert verdicts.forces is None
     assert verdicts.velocity is None
-    np.testing.assert_array_equal(Stability(arch).stable(states), expected == 1)
+    np.testing.assert_array_equal(
+        Stability(arch, StabilitySettings(criterion="equilibrium")).stable(states), expected == 1
+    )
 
 
 def test_asking_again_costs_nothing(arch: Assembly, states: NDArray, expected: NDArray) -> None:
-    stability = Stability(arch)
+    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
     unique = len(np.unique(states, axis=0))
     first = stability.judge(states)
     solved = stability.counters.cpu + stability.counters.exact
@@ -100,7 +102,7 @@ def test_asking_again_costs_nothing(arch: Assembly, states: NDArray, expected: N
 
 
 def test_the_rules_answer_without_solving(arch: Assembly) -> None:
-    stability = Stability(arch)
+    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
     complete = complete_state(arch.boundary)
     assert stability.stable(complete)[0]
     held = children(arch, complete)[1::2]
@@ -121,7 +123,7 @@ def test_the_rules_answer_without_solving(arch: Assembly) -> None:
 
 
 def test_what_was_checked_is_known_to_judge(arch: Assembly, states: NDArray) -> None:
-    stability = Stability(arch)
+    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
     stability.check(states)
     before = stability.counters.cpu + stability.counters.exact
     stability.judge(states)
@@ -132,7 +134,10 @@ def test_what_was_checked_is_known_to_judge(arch: Assembly, states: NDArray) -> 
 def test_warm_starts_change_no_verdict(structure: str) -> None:
     """Children that start from their parent's forces get the verdicts that they get on their own."""
     assembly = library.build(structure)
-    warm, cold = Stability(assembly), Stability(assembly)
+    warm, cold = (
+        Stability(assembly, StabilitySettings(criterion="equilibrium")),
+        Stability(assembly, StabilitySettings(criterion="equilibrium")),
+    )
     parent = complete_state(assembly.boundary)
     assert warm.stable(parent, parents=parent)[0]
     random = np.random.default_rng(0)
@@ -154,7 +159,7 @@ def test_parents_may_be_anything(arch: Assembly, states: NDArray, expected: NDAr
     """A parent only says where to look first: even a wrong one, never judged or unstable, changes no verdict."""
     random = np.random.default_rng(5)
     for parents in (states[::-1], states[random.permutation(len(states))], np.where(arch.boundary, 2, 0 * states)):
-        stability = Stability(arch)
+        stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
         np.testing.assert_array_equal(stability.judge(states, parents=parents).verdict, expected)
 
 
@@ -162,7 +167,7 @@ def test_parents_may_be_anything(arch: Assembly, states: NDArray, expected: NDAr
 def test_a_proof_found_near_a_change_proves_the_whole(structure: str) -> None:
     """What falls near the change falls in the whole state, and the same velocity proves it to the checker."""
     assembly = library.build(structure)
-    settings = StabilitySettings()
+    settings = StabilitySettings(criterion="equilibrium")
     stability = Stability(assembly, settings)
     parent = complete_state(assembly.boundary)
     states = children(assembly, parent)[::2]
@@ -181,7 +186,8 @@ def test_a_proof_found_near_a_change_proves_the_whole(structure: str) -> None:
 
 def test_threads_change_nothing(arch: Assembly, states: NDArray) -> None:
     one, two, again = (
-        Stability(arch, StabilitySettings(cpu=CpuSettings(threads=threads))).check(states) for threads in (1, 2, 2)
+        Stability(arch, StabilitySettings(criterion="equilibrium", cpu=CpuSettings(threads=threads))).check(states)
+        for threads in (1, 2, 2)
     )
     for other in (two, again):
         np.testing.assert_array_equal(one.verdict, other.verdict)
@@ -192,15 +198,18 @@ def test_threads_change_nothing(arch: Assembly, states: NDArray) -> None:
 
 
 def test_order_changes_nothing(arch: Assembly, states: NDArray) -> None:
-    stability = Stability(arch)
+    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
     order = np.random.default_rng(1).permutation(len(states))
-    straight, shuffled = stability.check(states), Stability(arch).check(states[order])
+    straight, shuffled = (
+        stability.check(states),
+        Stability(arch, StabilitySettings(criterion="equilibrium")).check(states[order]),
+    )
     np.testing.assert_array_equal(straight.verdict[order], shuffled.verdict)
     np.testing.assert_array_equal(straight.residual[order], shuffled.residual)
 
 
 def test_an_empty_batch(arch: Assembly) -> None:
-    stability = Stability(arch)
+    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
     nothing = np.zeros((0, arch.part_count), np.uint8)
     for verdicts in (stability.check(nothing), stability.judge(nothing), stability.judge(nothing, parents=nothing)):
         assert len(verdicts) == 0
@@ -209,13 +218,13 @@ def test_an_empty_batch(arch: Assembly) -> None:
 
 
 def test_one_state_is_a_batch_of_one(arch: Assembly) -> None:
-    verdicts = Stability(arch).check(complete_state(arch.boundary))
+    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).check(complete_state(arch.boundary))
     assert len(verdicts) == 1
     assert verdicts.stable[0]
 
 
 def test_verdicts_can_be_taken_apart(arch: Assembly, states: NDArray) -> None:
-    verdicts = Stability(arch).check(states)
+    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).check(states)
     assert len(verdicts[3]) == 1
     assert verdicts[3].verdict[0] == verdicts.verdict[3]
     assert verdicts[-1].verdict[0] == verdicts.verdict[-1]
@@ -230,7 +239,7 @@ def test_verdicts_can_be_taken_apart(arch: Assembly, states: NDArray) -> None:
 
 
 def test_the_exact_solver_can_be_asked_alone(arch: Assembly, states: NDArray, expected: NDArray) -> None:
-    stability = Stability(arch, StabilitySettings(solver="exact"))
+    stability = Stability(arch, StabilitySettings(criterion="equilibrium", solver="exact"))
     verdicts = stability.check(states[:20])
     np.testing.assert_array_equal(verdicts.verdict, expected[:20])
     assert (verdicts.decided_by == Solver.EXACT).all()
@@ -243,7 +252,7 @@ def test_what_the_fast_solver_leaves_goes_to_the_exact_one(arch: Assembly, state
     """With next to no iterations nothing is decided fast, yet everything is decided."""
     cpu = CpuSettings(iterations=1, interior_steps=0)
     for ask in (Stability.check, Stability.judge):
-        stability = Stability(arch, StabilitySettings(cpu=cpu))
+        stability = Stability(arch, StabilitySettings(criterion="equilibrium", cpu=cpu))
         verdicts = ask(stability, states)
         np.testing.assert_array_equal(verdicts.verdict, expected)
         assert stability.counters.exact > 0
@@ -254,7 +263,7 @@ def test_a_proof_that_is_rejected_goes_to_the_exact_solver(
     arch: Assembly, states: NDArray, expected: NDArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Were the fast solver wrong, the checker would see it and the exact solver decide."""
-    stability = Stability(arch)
+    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
     assert stability._cpu is not None
     solve = stability._cpu.check
 
@@ -288,20 +297,20 @@ def test_a_proof_that_is_rejected_goes_to_the_exact_solver(
 )
 def test_bad_states_are_named(arch: Assembly, method: str, state: Any, message: str) -> None:
     with pytest.raises(StateError, match=message) as caught:
-        getattr(Stability(arch), method)(state)
+        getattr(Stability(arch, StabilitySettings(criterion="equilibrium")), method)(state)
     assert "\n" not in str(caught.value)
 
 
 def test_bad_states_do_not_reach_the_exact_solver(arch: Assembly) -> None:
     with pytest.raises(StateError, match="one value a part"):
-        ExactSolver(arch).check([1, 1])
+        ExactSolver(arch, StabilitySettings(criterion="equilibrium")).check([1, 1])
 
 
 @pytest.mark.parametrize("name", ["gravity", "tolerance", "force_bound"])
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
 def test_bad_settings_are_named(name: str, value: float) -> None:
     with pytest.raises(InputError, match=name):
-        StabilitySettings(**{name: value})  # type: ignore[arg-type]
+        StabilitySettings(criterion="equilibrium", **{name: value})  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -323,6 +332,6 @@ def test_bad_numbers_for_the_solver_are_named(name: str, value: float) -> None:
 
 def test_unknown_choices_are_named() -> None:
     with pytest.raises(InputError, match=r"unknown solver .magic.; choose .*cpu.*exact"):
-        StabilitySettings(solver="magic")  # type: ignore[arg-type]
+        StabilitySettings(criterion="equilibrium", solver="magic")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="octagon or quadratic"):
-        StabilitySettings(cone="pyramid")  # type: ignore[arg-type]
+        StabilitySettings(criterion="equilibrium", cone="pyramid")  # type: ignore[arg-type]

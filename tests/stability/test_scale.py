@@ -39,7 +39,7 @@ def solver(request: pytest.FixtureRequest) -> Callable[[Assembly, StabilitySetti
     if request.param == "exact":
         return ExactSolver
     return lambda assembly, settings: CpuSolver(
-        build_problem(assembly, cone=settings.cone, gravity=settings.gravity), settings
+        build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity), settings
     )
 
 
@@ -53,7 +53,7 @@ def solve(
 
 
 def settings_of(cone: str, gravity: float = EARTH) -> StabilitySettings:
-    return StabilitySettings(cone=cone, gravity=gravity, cpu=CpuSettings(threads=1))  # type: ignore[arg-type]
+    return StabilitySettings(criterion="equilibrium", cone=cone, gravity=gravity, cpu=CpuSettings(threads=1))  # type: ignore[arg-type]
 
 
 @lru_cache

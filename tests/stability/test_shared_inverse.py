@@ -89,7 +89,7 @@ def transcription(assembly: Assembly, state: NDArray[np.uint8], iterations: int,
 @pytest.mark.parametrize("iterations", [1, 7, 60])
 def test_its_iterates_are_the_papers(scenes: Any, inverse: Any, iterations: int) -> None:
     assembly = library.build("arch:blocks=3")
-    settings = StabilitySettings(tolerance=1e-12)  # never met, so that all iterations are done
+    settings = StabilitySettings(criterion="equilibrium", tolerance=1e-12)  # never met, so that all iterations are done
     method = SharedInverseSettings(inverse=inverse, iterations=iterations, check_every=4, penalty=0.3)
     states = scenes.few_changes(assembly, 4, seed=41, most=2)
     states = states[(states == 1).any(axis=1)]
@@ -105,7 +105,9 @@ def test_it_agrees_with_the_exact_solver_on_small_structures(scenes: Any, struct
     assembly = library.build(structure)
     states = np.unique(scenes.few_changes(assembly, 16, seed=42, most=2), axis=0)
     verdicts = SharedInverse(assembly).check(states)
-    np.testing.assert_array_equal(verdicts.verdict, ExactSolver(assembly).check(states).verdict)
+    np.testing.assert_array_equal(
+        verdicts.verdict, ExactSolver(assembly, StabilitySettings(criterion="equilibrium")).check(states).verdict
+    )
     assert (verdicts.proof == Proof.NONE).all()
     assert (verdicts.decided_by == Solver.SHARED_INVERSE).all()
     assert (verdicts.residual[verdicts.stable] <= 1e-4).all()
@@ -177,7 +179,7 @@ def test_bad_input_is_named(scenes: Any) -> None:
     with pytest.raises(StateError, match="one value a part"):
         SharedInverse(tower).check([1])
     with pytest.raises(InputError, match="octagon"):
-        SharedInverse(tower, StabilitySettings(cone="quadratic"))
+        SharedInverse(tower, StabilitySettings(criterion="equilibrium", cone="quadratic"))
     with pytest.raises(InputError, match="compute on abacus"):
         SharedInverse(tower, method=SharedInverseSettings(device="abacus"))
 

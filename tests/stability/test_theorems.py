@@ -20,7 +20,7 @@ def verdict_of(assembly: Assembly, state: Any = None, **settings: Any) -> Verdic
     """Verdict of one state, by default the complete structure; the oracle has checked its certificate."""
     if state is None:
         state = complete_state(assembly.boundary)
-    verdicts = Stability(assembly, StabilitySettings(**settings)).check(state)
+    verdicts = Stability(assembly, StabilitySettings(criterion="equilibrium", **settings)).check(state)
     assert not verdicts.undecided.any()
     return Verdict(int(verdicts.verdict[0]))
 
@@ -137,7 +137,7 @@ def test_walls_can_clamp_what_nothing_supports(scenes: Any, cone: str) -> None:
 def test_a_held_part_is_never_asked_to_balance(scenes: Any) -> None:
     """Held blocks stand anywhere, carry others, and only what is not held can fall."""
     tower = scenes.tower(3)
-    stability = Stability(tower)
+    stability = Stability(tower, StabilitySettings(criterion="equilibrium"))
     for state, expected in (
         ([0, 2, 0, 2], Verdict.STABLE),  # held in the air
         ([0, 2, 1, 2], Verdict.STABLE),  # a held block carries another
@@ -150,7 +150,7 @@ def test_a_held_part_is_never_asked_to_balance(scenes: Any) -> None:
 
 def test_the_empty_structure_stands() -> None:
     arch = library.build("arch")
-    verdicts = Stability(arch).check(empty_state(arch.boundary))
+    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).check(empty_state(arch.boundary))
     assert verdicts.verdict[0] == Verdict.STABLE
     assert verdicts.residual[0] == 0
 
@@ -158,7 +158,7 @@ def test_the_empty_structure_stands() -> None:
 def test_a_part_that_floats_falls_straight_down(scenes: Any) -> None:
     """Its certificate is the fall itself: down, without turning, and nothing else moves."""
     tower = scenes.tower(3)
-    verdicts = Stability(tower).check([1, 0, 1, 2])
+    verdicts = Stability(tower, StabilitySettings(criterion="equilibrium")).check([1, 0, 1, 2])
     assert verdicts.verdict[0] == Verdict.UNSTABLE
     assert verdicts.proof[0] == Proof.VELOCITY
     assert verdicts.velocity is not None
@@ -181,7 +181,10 @@ def test_a_part_without_any_contact_falls(scenes: Any) -> None:
         areas=contacts.areas[:0],
     )
     alone = dataclasses.replace(tower, contacts=nothing)
-    for settings in (StabilitySettings(), StabilitySettings(solver="exact")):
+    for settings in (
+        StabilitySettings(criterion="equilibrium"),
+        StabilitySettings(criterion="equilibrium", solver="exact"),
+    ):
         verdicts = Stability(alone, settings).check([[1, 2], [2, 2], [0, 2]])
         assert verdicts.verdict.tolist() == [Verdict.UNSTABLE, Verdict.STABLE, Verdict.STABLE]
 
@@ -208,7 +211,7 @@ def held_forces(assembly: Assembly, state: np.ndarray, verdicts: Verdicts) -> np
 def test_supports_carry_the_weight(structure: str, cone: str) -> None:
     """Newton's third law: forces between free parts cancel, so the supports carry what is free, and nothing else."""
     assembly = library.build(structure)
-    stability = Stability(assembly, StabilitySettings(cone=cone))  # type: ignore[arg-type]
+    stability = Stability(assembly, StabilitySettings(criterion="equilibrium", cone=cone))  # type: ignore[arg-type]
     states = [complete_state(assembly.boundary)]
     states.append(states[0].copy())
     states[1][0] = 2
@@ -224,7 +227,7 @@ def test_supports_carry_the_weight(structure: str, cone: str) -> None:
 def test_monotone_rules(scenes: Any, structure: str, cone: str) -> None:
     """On the same parts, holding one more keeps a stable state stable; letting one go keeps an unstable one so."""
     assembly = library.build(structure)
-    settings = StabilitySettings(cone=cone)  # type: ignore[arg-type]
+    settings = StabilitySettings(criterion="equilibrium", cone=cone)  # type: ignore[arg-type]
     states = scenes.few_changes(assembly, 40, seed=3)
     verdicts = Stability(assembly, settings).check(states)
     assert verdicts.stable.any()
@@ -246,10 +249,12 @@ def test_verdicts_do_not_depend_on_units(scenes: Any, length: float, density: fl
     meshes = [dataclasses.replace(mesh, vertices=length * mesh.vertices) for mesh in base.meshes]
     scaled = Assembly.from_meshes(meshes, boundary=base.boundary, density=density)
     states = scenes.few_changes(base, 40, seed=1)
-    expected = Stability(base).check(states)
+    expected = Stability(base, StabilitySettings(criterion="equilibrium")).check(states)
     assert expected.stable.any()
     assert expected.unstable.any()
-    np.testing.assert_array_equal(Stability(scaled).check(states).verdict, expected.verdict)
+    np.testing.assert_array_equal(
+        Stability(scaled, StabilitySettings(criterion="equilibrium")).check(states).verdict, expected.verdict
+    )
 
 
 @pytest.mark.parametrize("angle", [0.3, 2.0, 4.5])
@@ -259,7 +264,7 @@ def test_verdicts_do_not_depend_on_the_compass(scenes: Any, angle: float) -> Non
     meshes = [dataclasses.replace(mesh, vertices=mesh.vertices @ scenes.about_z(angle).T) for mesh in base.meshes]
     turned = Assembly.from_meshes(meshes, boundary=base.boundary)
     states = scenes.few_changes(base, 40, seed=2)
-    settings = StabilitySettings(cone="quadratic")
+    settings = StabilitySettings(criterion="equilibrium", cone="quadratic")
     expected = Stability(base, settings).check(states)
     assert expected.stable.any()
     assert expected.unstable.any()
@@ -269,7 +274,9 @@ def test_verdicts_do_not_depend_on_the_compass(scenes: Any, angle: float) -> Non
 def test_gravity_scales_forces_and_changes_no_verdict(scenes: Any) -> None:
     assembly = library.build("arch:blocks=7")
     states = scenes.few_changes(assembly, 30, seed=4)
-    earth, moon = (Stability(assembly, StabilitySettings(gravity=g)).check(states) for g in (9.81, 1.62))
+    earth, moon = (
+        Stability(assembly, StabilitySettings(criterion="equilibrium", gravity=g)).check(states) for g in (9.81, 1.62)
+    )
     np.testing.assert_array_equal(earth.verdict, moon.verdict)
 
 
@@ -278,10 +285,11 @@ def test_the_cones_lie_in_each_other(scenes: Any, structure: str) -> None:
     """The octagon lies inside the quadratic cone, and reaches a quadratic cone of friction `mu cos(22.5)`."""
     assembly = library.build(structure).replace(friction=0.35)
     states = scenes.few_changes(assembly, 40, seed=5)
-    octagon = Stability(assembly).check(states)
-    wide = Stability(assembly, StabilitySettings(cone="quadratic")).check(states)
-    narrow = Stability(assembly.replace(friction=0.35 * np.cos(np.pi / 8)), StabilitySettings(cone="quadratic")).check(
-        states
-    )
+    octagon = Stability(assembly, StabilitySettings(criterion="equilibrium")).check(states)
+    wide = Stability(assembly, StabilitySettings(criterion="equilibrium", cone="quadratic")).check(states)
+    narrow = Stability(
+        assembly.replace(friction=0.35 * np.cos(np.pi / 8)),
+        StabilitySettings(criterion="equilibrium", cone="quadratic"),
+    ).check(states)
     assert not (octagon.stable & wide.unstable).any()
     assert not (narrow.stable & octagon.unstable).any()

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from falsework.assembly.model import Assembly
+from falsework.assembly.model import Assembly, ContactWarning
 from falsework.assembly.store import load_assembly, save_assembly
 from falsework.errors import InputError
 
-__all__ = ["Assembly", "load_assembly", "load_structure", "save_assembly"]
+__all__ = ["Assembly", "ContactWarning", "load_assembly", "load_structure", "save_assembly"]
 
 
 def load_structure(structure: str | Path, **options: Any) -> Assembly:

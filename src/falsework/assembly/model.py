@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from dataclasses import replace as _replace
@@ -21,6 +22,14 @@ DENSITY = 2400.0
 """Default density, kg/m3: concrete."""
 FRICTION = 0.55
 """Default coefficient of friction, that of the paper's structures."""
+
+
+_WARNED = 3
+"""Pairs of parts that are named in warnings when an assembly is made; the rest is counted."""
+
+
+class ContactWarning(UserWarning):
+    """Parts touch in a way that real ones may not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +61,8 @@ class Assembly:
         ground: bool = False,
     ) -> Assembly:
         """Find contacts and masses, and check that the parts make an assembly.
+
+        Pairs of parts that touch along a line or at a point only are reported as `ContactWarning`, see `warnings`.
 
         Args:
             meshes: closed meshes that face outwards, metres.
@@ -88,7 +99,36 @@ class Assembly:
         _check_touching(parts, fixed, contacts)
         fixed.setflags(write=False)
         densities.setflags(write=False)
-        return Assembly(name, parts, fixed, densities, friction, contacts, mass, settings)
+        assembly = Assembly(name, parts, fixed, densities, friction, contacts, mass, settings)
+        found = assembly.warnings
+        for line in found[:_WARNED]:
+            warnings.warn(line, ContactWarning, stacklevel=2)
+        if len(found) > _WARNED:
+            more = len(found) - _WARNED
+            warnings.warn(
+                f"{more} more pairs of parts touch along lines or at points only", ContactWarning, stacklevel=2
+            )
+        return assembly
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One line for each pair of parts that touch along lines or at points only.
+
+        Real edges and corners have a width, which the meshes do not say, and may be chipped off. Pairs of boundary
+        parts are left out: nothing hangs on them.
+        """
+        pairs, pair = np.unique(self.contacts.parts, axis=0, return_inverse=True)
+        widest = np.zeros(len(pairs), dtype=np.int8)
+        np.maximum.at(widest, pair.ravel(), self.contacts.dimension)
+        lines = []
+        for number in np.flatnonzero((widest < 2) & ~self.boundary[pairs].all(axis=1)).tolist():
+            a, b = (self.names[part] for part in pairs[number].tolist())
+            count = int(np.sum(pair.ravel() == number))
+            where = ("at a point", "along a line")[widest[number]]
+            if count > 1:
+                where = ("at points", "along lines")[widest[number]]
+            lines.append(f"parts {a} and {b} touch {where} only: verdicts may hang on it")
+        return tuple(lines)
 
     @property
     def part_count(self) -> int:

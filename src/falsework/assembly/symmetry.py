@@ -41,10 +41,14 @@ def symmetries(assembly: Assembly) -> NDArray[np.intp]:
     axis = np.average(centre[movable, :2], axis=0, weights=mass[movable])
     place = centre - [*axis, 0.0]
     push = assembly.contacts.pushes(parts)
+    # Lines and points hardly weigh by their area, and yet a part may rest on them: they have to agree by themselves.
+    narrow = assembly.contacts.narrow_pushes(parts)
     found = {tuple(identity): identity}
     for turn in _motions(place[movable], mass[movable], size):
         image = _image(place, place @ turn.T, mass, fixed, size)
-        if image is not None and _same_contacts(push, turn, image):
+        if image is None:
+            continue
+        if _same_contacts(push, turn, image) and _same_contacts(narrow, turn, image):
             found.setdefault(tuple(image), image)
     return np.array(list(found.values()), dtype=np.intp)
 

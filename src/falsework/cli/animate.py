@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 class Animate(Command):
     """Play a plan as a film, MP4 or GIF, as the ending of the file says.
 
-    Needs no display and no graphics driver.
+    Needs no display and no graphics driver. With --verdicts every state is judged anew: parts that slide are marked,
+    and states that do not stand are named.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -36,6 +37,11 @@ class Animate(Command):
     """Length of a step."""
     rate: float = 10.0
     """Pictures a second."""
+    verdicts: bool = False
+    """Judge every state, and show what does not stand."""
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """What stable means: compliant contacts without prestress bring every part to rest; or, as in the paper, contact
+    forces in balance exist."""
     width: int = 800
     """Pixels across."""
     azimuth: float = -58.0
@@ -57,6 +63,7 @@ class Animate(Command):
         subject = self.subject.open()
         if len(subject.timeline) == 0:
             raise InputError(f"{self.subject.spec} has no steps to play; give a plan, as `falsework plan` writes it")
+        proofs = subject.proofs(range(len(subject.timeline) + 1), self.criterion) if self.verdicts else {}
         camera = Camera(self.azimuth, self.elevation, self.width, 2 * round(0.35 * self.width), 0.95)
         with output.bar("drawing") as show:
             count = write_film(
@@ -66,8 +73,12 @@ class Animate(Command):
                 rate=self.rate,
                 camera=camera,
                 arms=subject.arms,
+                proofs=proofs,
                 progress=lambda done, total: show(done, total, f"picture {done} of {total}"),
             )
-        output.record({"out": str(self.out), "pictures": count, "steps": len(subject.timeline)})
-        output.say(f"{self.out}: {len(subject.timeline)} steps in {count} pictures")
+        fallen = [place for place, proof in proofs.items() if not proof.stable]
+        record = {"out": str(self.out), "pictures": count, "steps": len(subject.timeline)}
+        output.record(record | ({"criterion": self.criterion, "not_standing": fallen} if self.verdicts else {}))
+        note = f"; {len(fallen)} of {len(proofs)} states do not stand" if self.verdicts else ""
+        output.say(f"{self.out}: {len(subject.timeline)} steps in {count} pictures{note}")
         return Exit.DONE

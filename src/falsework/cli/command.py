@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 UNSET = ""
 """Shown in place of a default where leaving an option out is the default."""
+CONE_HINT = "(default: quadratic under contact, octagon under equilibrium)"
+"""Shown as the default of options for the friction cone."""
 
 
 class Exit(IntEnum):

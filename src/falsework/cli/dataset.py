@@ -35,6 +35,8 @@ class MakeDataset(Command):
     """Parts that are neither held nor removed, such as 7."""
     removable_only_if_clear: bool = False
     """Remove a part only if it has a straight way out."""
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """What stable means: compliant contacts bring parts to rest, or forces in balance exist, as in the paper."""
     train_width: int = 64
     """Width of the search for the training set."""
     test_width: int = 128
@@ -51,7 +53,8 @@ class MakeDataset(Command):
         from falsework.cli.arguments import parse_parts
         from falsework.learn.door import check_torch
         from falsework.search.shards import joined
-        from falsework.stability import Stability
+        from falsework.search.tensor_judge import oracle_on
+        from falsework.stability import Stability, StabilitySettings
 
         check_torch()
         from falsework.learn.data import DataSettings, build_dataset, task_for
@@ -61,13 +64,15 @@ class MakeDataset(Command):
         assembly = self.structure.load()
         fixed = () if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names)
         task = task_for(assembly, self.robots, self.removable_only_if_clear, fixed)
-        if refuse_unstable(assembly, Stability(assembly), task, output):
+        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
+        if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
         with joined(self.device) as (shards, device), output.bar("searching") as show:
             dataset = build_dataset(
                 assembly,
                 task,
                 settings,
+                oracle=oracle_on(oracle, device),
                 device=str(device),
                 shards=shards,
                 report=lambda text: show(0, 0, text),
@@ -81,6 +86,7 @@ class MakeDataset(Command):
                 "out": str(self.out),
                 "structure": assembly.name,
                 "robots": task.robots,
+                "criterion": dataset.criterion,
                 "train": len(dataset.train),
                 "test": len(dataset.test),
                 "more": len(dataset.more),

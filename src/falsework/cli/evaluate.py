@@ -13,13 +13,15 @@ from falsework.cli.command import UNSET, Command, Exit
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
+    import torch
+
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.learn.checkpoint import Run
     from falsework.learn.data import Dataset
-    from falsework.learn.environment import Environment
     from falsework.learn.evaluate import Sets
     from falsework.learn.policy import Policy
+    from falsework.search.tensor_judge import TensorOracle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +46,10 @@ class Evaluate(Command):
     targets: bool = False
     """Go to other target states than the empty structure. A policy that was not trained with two states is not told;
     the rules alone then keep what the target keeps."""
+    criterion: Annotated[
+        Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: that of the run)")
+    ] = None
+    """What stable means. Under another criterion than that of the run, other states are searched for."""
     states: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """States of each set, a fixed sample."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -62,6 +68,8 @@ class Evaluate(Command):
         from falsework.learn.hindsight import OneState
         from falsework.learn.imitation import Network
         from falsework.search.shards import joined
+        from falsework.search.tensor_judge import oracle_on
+        from falsework.stability import Stability, StabilitySettings
 
         if self.states is not None and self.states < 1:
             raise InputError(f"--states {self.states} leaves nothing to evaluate; give at least 1")
@@ -69,16 +77,18 @@ class Evaluate(Command):
         with joined(self.device) as (shards, device):
             trained = load_run(self.folder, device)
             settings = trained.settings
+            criterion = self.criterion or settings.criterion
             assembly, policy = self._subject(trained)
+            oracle = Stability(assembly, StabilitySettings(criterion=criterion))
             environment = Environment(
-                assembly, settings.robots, device=device, clearance=settings.removable_only_if_clear
+                assembly, settings.robots, oracle=oracle, device=device, clearance=settings.removable_only_if_clear
             )
             network: Any = Network(policy, settings.precision if device.type == "cuda" else "float32")
             if self.targets:
-                sets = self._pairs(trained, assembly, environment)
+                sets = self._pairs(trained, assembly, oracle_on(oracle, device), device)
                 network = network if settings.policy.two_states else OneState(network)
             else:
-                data = self._data(trained, assembly, str(device))
+                data = self._data(trained, assembly, oracle_on(oracle, device), device)
                 sets = {"train": (data.train, None), "test": (data.test, None)}
             options = EvaluateSettings(states=self.states or 0, search=self.search, seed=self.seed)
             with output.bar("evaluating") as show:
@@ -90,6 +100,7 @@ class Evaluate(Command):
             "structure": assembly.name,
             "trained_on": trained.assembly.name,
             "robots": settings.robots,
+            "criterion": criterion,
             "method": settings.method,
             "policy": settings.policy.kind,
             "two_states": settings.policy.two_states,
@@ -122,26 +133,23 @@ class Evaluate(Command):
         policy = transfer(trained.policy.state_dict(), trained.settings.policy, assembly, device)
         return assembly, policy.eval()
 
-    def _pairs(self, trained: Run, assembly: Assembly, environment: Environment) -> Sets:
+    def _pairs(self, trained: Run, assembly: Assembly, oracle: TensorOracle, device: torch.device) -> Sets:
         """Pairs of states and targets, the same for all runs of a structure."""
         from dataclasses import replace
 
         from falsework.learn.material import find_pairs
-        from falsework.search.tensor_judge import oracle_on
-        from falsework.stability import Stability
 
-        device = environment.device
         settings = replace(trained.settings, data="width64")  # what only serves to learn from is not needed
-        pairs = find_pairs(assembly, settings, oracle_on(Stability(assembly), device), device=device)
+        pairs = find_pairs(assembly, settings, oracle, device=device)
         return {"train": (pairs.train.states, pairs.train.targets), "test": (pairs.test.states, pairs.test.targets)}
 
-    def _data(self, trained: Run, assembly: Assembly, device: str) -> Dataset:
-        """States of the run if they are there and of this structure, else found by the same searches."""
+    def _data(self, trained: Run, assembly: Assembly, oracle: TensorOracle, device: torch.device) -> Dataset:
+        """States of the run if they are there and of this structure and criterion, else found by the same searches."""
         from falsework.learn.checkpoint import DATA
         from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
 
-        if self.structure is None and (self.folder / DATA).is_file():
-            return Dataset.load(self.folder / DATA, assembly)
         settings: Any = trained.settings
+        if self.structure is None and self.criterion in (None, settings.criterion) and (self.folder / DATA).is_file():
+            return Dataset.load(self.folder / DATA, assembly)
         task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
-        return build_dataset(assembly, task, DataSettings(seed=settings.data_seed), device=device)
+        return build_dataset(assembly, task, DataSettings(seed=settings.data_seed), oracle=oracle, device=str(device))

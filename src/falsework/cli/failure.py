@@ -36,6 +36,8 @@ class Failure:
     """What moves in the states where the search broke off, the parts that move in most of them first."""
     reason: str
     """Why the search is no proof, where it is none."""
+    sliding: int
+    """States that the search refused because they slide."""
     text: str
     """All of it in one line."""
 
@@ -48,6 +50,7 @@ class Failure:
             "steps": self.steps,
             "direction": "disassembly" if self.disassembly else "assembly",
             "reason": self.reason,
+            "sliding": self.sliding,
             "moving": [motion.record(assembly) for motion in self.moving],
         }
 
@@ -75,20 +78,24 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
         parts.append("there the rules allow no further step")
     if not proven and result.limit:
         parts.append(result.limit)
-    return Failure(proven, result.reached, result.steps, disassembly, moving, result.limit, "; ".join(parts))
+    if result.sliding:
+        parts.append(f"{result.sliding} states on the way slide; another robot or more friction may help")
+    text = "; ".join(parts)
+    return Failure(proven, result.reached, result.steps, disassembly, moving, result.limit, result.sliding, text)
 
 
 def common_motions(assembly: Assembly, oracle: Stability, states: States) -> list[Motion]:
-    """What moves in some unstable states: each part once, those that move in most states first."""
+    """What moves in some states that do not stand: each part once, those that move in most states first."""
     if not len(states):
         return []
+    from falsework.stability.motion import motion_of
+
     verdicts = oracle.check(states)
     count: Counter[int] = Counter()
     fastest: dict[int, Motion] = {}
-    for index in np.flatnonzero(verdicts.unstable):
-        if verdicts.velocity is None:
-            break
-        for motion in motions(assembly, verdicts.velocity[index]):
+    for index in np.flatnonzero(verdicts.unstable | verdicts.slides):
+        moved = motion_of(assembly, verdicts, int(index))
+        for motion in [] if moved is None else motions(assembly, moved):
             count[motion.part] += 1
             if motion.part not in fastest or motion.speed > fastest[motion.part].speed:
                 fastest[motion.part] = motion

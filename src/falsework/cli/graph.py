@@ -30,6 +30,8 @@ class MakeGraph(Command):
     """File to write, a NumPy archive."""
     task: TaskOptions
     search: SearchOptions
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """What stable means: compliant contacts bring parts to rest, or forces in balance exist, as in the paper."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
 
@@ -38,12 +40,12 @@ class MakeGraph(Command):
         from falsework.cli.failure import explain
         from falsework.search.devices import beam_search
         from falsework.search.graph import StateGraph
-        from falsework.stability import Stability
+        from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)
         assembly = self.structure.load()
-        task = self.task.task(assembly)
-        oracle = Stability(assembly)
+        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
+        task = self.task.task(assembly).judged_by(oracle)
         if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
         with beam_search(task, oracle, self.search.settings(), self.device) as (search, first):
@@ -59,6 +61,7 @@ class MakeGraph(Command):
         output.record(
             {
                 "out": str(self.out),
+                "criterion": graph.criterion,
                 "states": len(graph),
                 "actions": len(graph.source),
                 "solvable": int(graph.solvable.sum()),

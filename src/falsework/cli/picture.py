@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg
 
@@ -16,7 +16,6 @@ from falsework.errors import InputError
 if TYPE_CHECKING:
     from falsework.assembly.state import States
     from falsework.cli.output import Output
-    from falsework.viewer.arrows import Arrows
     from falsework.viewer.model import Model
     from falsework.viewer.render import Camera
 
@@ -27,7 +26,8 @@ class MakePicture(Command):
 
     Needs no display and no graphics driver. A two-dimensional structure, such as an arch, can be drawn as lines
     (--svg). With --forces the proof of a state is drawn in: contact forces in blue, friction in red, gravity in
-    orange, and where the state does not stand, the motion of the parts.
+    orange, and where the state does not stand, the motion of the parts. With --verdicts every state that is drawn is
+    judged: parts that slide are marked, and states that do not stand are named.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -45,6 +45,11 @@ class MakePicture(Command):
     """Line drawing of a two-dimensional structure, or the state graph, as SVG."""
     forces: bool = False
     """Draw the proof of a single state."""
+    verdicts: bool = False
+    """Judge the states that are drawn, and show what does not stand."""
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """What stable means: compliant contacts without prestress bring every part to rest; or, as in the paper, contact
+    forces in balance exist."""
     policy: Annotated[str | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Run whose policy colours the parts of a single state, or whose states are marked in a state graph."""
     frames: int = 12
@@ -64,6 +69,8 @@ class MakePicture(Command):
         """Open, draw, write."""
         if not (self.width == 0 or 80 <= self.width <= 8000):
             raise InputError(f"a picture {self.width} pixels across cannot be drawn; give 80 to 8000")
+        if self.frames < 1 or self.columns < 1:
+            raise InputError(f"{self.frames} pictures in {self.columns} columns show nothing; give at least 1 of each")
         writable(self.out)
         out = self.out.with_suffix(".svg") if self.svg and self.out == Path("picture.png") else self.out
         if self.svg != (out.suffix.lower() == ".svg"):
@@ -76,7 +83,7 @@ class MakePicture(Command):
 
     def _draw(self, subject: Subject, out: Path) -> dict[str, Any]:
         from falsework.viewer.drawing import drawing, write_svg
-        from falsework.viewer.sheet import check_places, contact_sheet, one_state, write_png
+        from falsework.viewer.sheet import caption, check_places, contact_sheet, legend, one_state, write_png
         from falsework.viewer.timeline import interesting
 
         timeline, policy = subject.timeline, subject.policy
@@ -97,33 +104,47 @@ class MakePicture(Command):
             raise InputError("forces are drawn for one state at a time; name it with --step")
         if single is not None:
             check_places(timeline, [single])
-        arrows, note, key = self._proof(subject, single) if single is not None and self.forces else ([], "", None)
+        places = [single] if single is not None else list(interesting(timeline, self.frames))
+        proofs = subject.proofs(places, self.criterion) if self.forces or self.verdicts else {}
+        shown = list(proofs[single].arrows.items()) if single is not None and self.forces else []
+        arrows = [some for _, some in shown if len(some)]
+        key = [(some.color, kind) for kind, some in shown if len(some)] if self.forces else None
         if self.svg:
-            places = [single] if single is not None else list(interesting(timeline, self.frames))
             columns = min(self.columns, len(places))
             width = float(self.width or (260 if single is None else 640))
-            write_svg(out, drawing(timeline, places, columns=columns, width=width, arrows=arrows, key=key))
+            write_svg(
+                out, drawing(timeline, places, columns=columns, width=width, arrows=arrows, key=key, proofs=proofs)
+            )
         elif single is not None:
+            proof = proofs.get(single)
             image = one_state(
                 timeline,
                 single,
                 self._camera(1200, 2 / 3),
                 arrows=arrows,
-                key=key,
-                words=self.title or None,
+                key=legend(timeline, proof is not None and proof.slides) if key is None else key,
+                words=self.title or caption(timeline, single, proof),
+                marks=None if proof is None else proof.marks,
                 arms=subject.arms,
                 chances=None if policy is None else self._model(subject, single).chances(),
             )
             write_png(out, image)
-            places = [single]
         else:
             sheet = contact_sheet(
-                timeline, frames=self.frames, columns=self.columns, camera=self._camera(480, 5 / 8), title=self.title
+                timeline,
+                places=places,
+                columns=self.columns,
+                camera=self._camera(480, 5 / 8),
+                title=self.title,
+                proofs=proofs,
             )
             write_png(out, sheet)
-            places = list(interesting(timeline, self.frames))
         shows = f"{len(places)} of {len(timeline) + 1} states" if len(timeline) else f"{subject.assembly.name}"
-        return {"shows": shows + note, "steps": places}
+        if not proofs:
+            return {"shows": shows, "steps": places}
+        fallen = [place for place, proof in proofs.items() if not proof.stable]
+        note = proofs[single].words if single is not None else f"{len(fallen)} of them do not stand"
+        return {"shows": f"{shows}; {note}", "steps": places, "criterion": self.criterion, "not_standing": fallen}
 
     def _model(self, subject: Subject, place: int) -> Model:
         from falsework.viewer.model import Model
@@ -140,15 +161,3 @@ class MakePicture(Command):
 
         across = self.width or width
         return Camera(self.azimuth, self.elevation, across, round(across * share), 0.96)
-
-    def _proof(self, subject: Subject, place: int) -> tuple[list[Arrows], str, list[tuple[str, str]]]:
-        """Arrows of one state, what to say about them, and the legend."""
-        from falsework.stability import Stability
-        from falsework.viewer.proof import proof_of_state
-
-        timeline = subject.timeline
-        row = timeline.row(place)
-        proof = proof_of_state(Stability(subject.assembly), timeline.states[row])
-        arrows = [some for some in proof.arrows.values() if len(some)]
-        key = [(some.color, kind) for kind, some in proof.arrows.items() if len(some)]
-        return arrows, f"; {proof.words}", key

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import Command, Exit, StructureOptions
+from falsework.cli.command import CONE_HINT, Command, Exit, StructureOptions
 from falsework.cli.planning import TaskOptions, refuse_unstable, writable
 from falsework.errors import InputError
 
@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 class MakePlan(Command):
     """Plan how robots take a structure apart, and so, played backwards, how they build it.
 
-    Narrow and quick searches come first, wider ones where they fail. Every state of the plan is proven stable. Exit
-    code 1 if there is no plan or none was found; the report says which, how far the search came, and what would move.
+    Narrow and quick searches come first, wider ones where they fail. Every state of the plan is proven stable, and the
+    plan stands when it is replayed in the order of assembly with contact history. Exit code 1 if there is no plan or
+    none was found; the report says which, how far the search came, and what would move.
     An interrupted search is kept beside the plan; the same command with --resume goes on with it.
     """
 
@@ -46,14 +47,17 @@ class MakePlan(Command):
     """Ends from which to search: the empty structure, the complete one, or both in turn."""
     seed: int = 0
     """Same seed, same machine, same result."""
-    cone: Literal["octagon", "quadratic"] = "octagon"
-    """Friction cone: eight-sided as in the paper, or round."""
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """What stable means: compliant contacts without prestress bring every part to rest, and the whole plan stands when
+    it is replayed; or, as in the paper, contact forces in balance exist."""
+    cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
+    """Friction cone: round, or eight-sided as in the paper."""
     solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
     """Who judges; `auto` takes a GPU where there is one and it is faster."""
     assembly_order: bool = False
     """Write the plan in the order of assembly: insert and release instead of hold and remove."""
     proofs: bool = False
-    """Write the contact forces that prove each state into the plan too."""
+    """Write what proves each state into the plan too: displacements, or under `equilibrium` contact forces."""
     resume: bool = False
     """Go on with the search that was interrupted."""
 
@@ -67,7 +71,7 @@ class MakePlan(Command):
         settings, checkpoint = self._settings(), self._checkpoint()
         assembly = self.structure.load()
         task = self.task.task(assembly)
-        oracle = Stability(assembly, StabilitySettings(cone=self.cone, solver=self.solver))
+        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver))
         if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
         with output.search_progress() as report:
@@ -89,6 +93,8 @@ class MakePlan(Command):
             failure = explain(assembly, oracle, result)
             output.record(failure.record(assembly))
             output.note(f"falsework: {failure.text}")
+            if planning.fallen is not None:
+                self._show_fallen(planning.fallen, output)
             return Exit.NO
         return Exit.INTERRUPTED if result.interrupted else Exit.DONE
 
@@ -119,19 +125,33 @@ class MakePlan(Command):
             saved.append((path, plan))
         return saved
 
+    def _show_fallen(self, plan: Plan, output: Output) -> None:
+        """Save the plan whose replay comes farthest, and say where it falls."""
+        (path, saved), *_ = self._save([plan])
+        assert saved.replay is not None
+        assert saved.replay.falls_at is not None
+        step = saved.replay.falls_at
+        action = (saved if self.assembly_order else saved.reverse()).describe(max(step - 1, 0))
+        output.record({"plan": str(path), "replay": asdict(saved.replay)})
+        output.note(f"falsework: the best plan is in {path}: its replay falls at step {step} of assembly ({action})")
+
     def _report(self, plans: list[tuple[Path, Plan]], planning: Planning, output: Output) -> None:
         seconds, asked, found = planning.result.seconds, planning.result.counters.asked, planning.alternatives
         for number, (path, plan) in enumerate(plans):
             record: dict[str, Any] = {"plan": str(path), "steps": len(plan), "robots": plan.robots}
             record["needs"] = [asdict(need) for need in plan.needs]
+            record["criterion"] = plan.claim.criterion
+            record["replay"] = None if plan.replay is None else asdict(plan.replay)
             if self.alternatives > 1:
                 record["distances"] = [round(float(distance), 4) for distance in found.distance[number]]
             output.record({**record, "verdicts": asked, "seconds": seconds})
         path, first = plans[0]
         output.say(
             f"{path}: {len(first)} steps with {first.robots} robots, every state proven stable "
-            f"({seconds:.1f} s, {asked} verdicts)"
+            f"(criterion {first.claim.criterion}, {seconds:.1f} s, {asked} verdicts)"
         )
+        if first.replay is not None:
+            output.say(f"the replay stands; parts move by at most {first.replay.moved * 1e3:.3g} mm")
         for need in first.needs:
             output.say(f"{first.part_names[need.part]} is needed after {need.after_parts} other parts are placed")
         if len(plans) > 1:

@@ -36,7 +36,7 @@ class TaskOptions:
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts that are neither held nor removed, such as 7."""
     removable_only_if_clear: bool = False
-    """Remove a part only if it has a straight way out."""
+    """Remove a part only if it has a straight way out, in whatever direction."""
 
     def task(self, assembly: Assembly) -> Task:
         """Check the rules against a structure.
@@ -101,6 +101,7 @@ def refuse_unstable(assembly: Assembly, oracle: Stability, task: Task, output: O
 
     from falsework.assembly.state import complete_state
     from falsework.cli.motion import describe, motions
+    from falsework.stability.motion import motion_of
 
     for name, state in (("start", task.start), ("target", task.target)):
         verdicts = oracle.check(state)
@@ -108,14 +109,14 @@ def refuse_unstable(assembly: Assembly, oracle: Stability, task: Task, output: O
             continue
         complete = np.array_equal(state, complete_state(assembly.boundary))
         subject = "complete structure" if complete else f"{name} state"
-        moving = (
-            motions(assembly, verdicts.velocity[0]) if verdicts.unstable[0] and verdicts.velocity is not None else []
-        )
-        text = (
-            f"no plan exists: the {subject} is unstable"
-            if verdicts.unstable[0]
-            else f"no plan was found: the {subject} could be proven neither stable nor unstable"
-        )
+        motion = motion_of(assembly, verdicts, 0)
+        moving = [] if motion is None else motions(assembly, motion)
+        if verdicts.unstable[0]:
+            text = f"no plan exists: the {subject} is unstable"
+        elif verdicts.slides[0]:
+            text = f"no plan was found: the {subject} slides"
+        else:
+            text = f"no plan was found: the {subject} could be proven neither stable nor unstable"
         output.record({"plan": None, "outcome": text, "moving": [motion.record(assembly) for motion in moving]})
         output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")
         return True

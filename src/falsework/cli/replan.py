@@ -72,6 +72,9 @@ class MakeReplan(Command):
     """File to write; alternatives get -2, -3, ... added to its name."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"
     """Where the policy of a run is asked; `auto` takes a GPU if there is one."""
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """What stable means: compliant contacts without prestress bring every part to rest; or, as in the paper, contact
+    forces in balance exist."""
     solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
     """Who judges; `auto` takes a GPU where there is one and it is faster."""
 
@@ -91,13 +94,14 @@ class MakeReplan(Command):
             raise InputError("--confidences needs a policy: give a run, the folder that falsework train wrote")
         request = self._request(assembly, robots, clear)
         request.task(assembly)  # refuse bad input before anything is loaded
-        oracle = Stability(assembly, StabilitySettings(solver=self.solver))
+        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion, solver=self.solver))
         answer = Replanner(assembly, policy, oracle).replan_many([request])[0]
         if not answer.found:
             self._refuse(assembly, oracle, request, answer, output)
             return Exit.NO
         paths = self._save(answer, source)
         record = {"plan": str(paths[0]), "alternatives": [str(path) for path in paths[1:]], **answer.record()}
+        record["criterion"] = answer.plans[0].claim.criterion
         if self.confidences:
             record["confidences"] = [_probabilities(row, assembly) for row in answer.confidences[0]]
         changes = None if old is None else difference(old, answer.plans[0])
@@ -164,7 +168,8 @@ class MakeReplan(Command):
         plan = answer.plans[0]
         output.say(
             f"{paths[0]}: {len(plan)} steps of {answer.direction.value} with {plan.robots} robots, every state proven "
-            f"stable (decided by {answer.decided_by.value}, {answer.seconds:.2f} s, {answer.verdicts} verdicts)"
+            f"stable (criterion {plan.claim.criterion}, decided by {answer.decided_by.value}, {answer.seconds:.2f} s, "
+            f"{answer.verdicts} verdicts)"
         )
         output.say(_first_steps(plan))
         for need in plan.needs:
@@ -182,24 +187,25 @@ class MakeReplan(Command):
         """Say why there is no plan, and what moves where the search broke off."""
         from falsework.cli.failure import explain
         from falsework.cli.motion import describe, motions
-        from falsework.learn.answer import Decider
         from falsework.search.result import Outcome
+        from falsework.stability.motion import motion_of
 
         moving = []
         word = "no plan exists" if answer.outcome is Outcome.PROVED_IMPOSSIBLE else "no plan was found"
         text = f"{word}: {answer.reason}"
-        if answer.decided_by is Decider.RULES:
+        if answer.search is None:  # one of the two ends may not stand, which ends the work before any search
             task = request.task(assembly)
             verdicts = oracle.check(np.stack([task.start, task.target]))
             row = int(np.argmin(verdicts.stable))
-            if verdicts.velocity is not None and verdicts.unstable[row]:
-                moving = motions(assembly, verdicts.velocity[row])
-        elif answer.search is not None and not answer.deadline_passed:
+            motion = motion_of(assembly, verdicts, row)
+            moving = [] if motion is None else motions(assembly, motion)
+        elif not answer.deadline_passed:
             failure = explain(assembly, oracle, answer.search)
             moving, text = failure.moving, failure.text
-        record = {**answer.record(), "plan": None, "moving": [motion.record(assembly) for motion in moving]}
+        record = {**answer.record(), "plan": None, "criterion": self.criterion}
+        record["moving"] = [motion.record(assembly) for motion in moving]
         output.record(record)
-        if moving and answer.decided_by is Decider.RULES:
+        if moving and answer.search is None:
             text = f"{text}; {describe(assembly, moving, limit=3)}"
         output.note(f"falsework: {text}")
 

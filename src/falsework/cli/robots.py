@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 class PlanRobots(Command):
     """Plan how the arms of a cell take a structure apart, and so, played backwards, how they build it.
 
-    Actions and motions are planned together: every state is proven stable, every motion is free of collisions, one
-    robot moves at a time. Exit code 1 if no plan was found; the report says which parts no robot reaches, what is in
-    the way, and how far it came, and what was found is saved all the same.
+    Actions and motions are planned together: every state stands, and so does a replay of them in the order of assembly,
+    every motion is free of collisions, one robot moves at a time. Exit code 1 if no plan was found; the report says
+    which parts no robot reaches, what is in the way, and how far it came, and what was found is saved all the same.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -59,12 +59,15 @@ class PlanRobots(Command):
     """Write the motions in the order of assembly."""
     proofs: bool = False
     """Write the contact forces that prove each state into the plan too."""
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """What stable means: compliant contacts without prestress bring every part to rest, and the whole plan stands when
+    it is replayed; or, as in the paper, contact forces in balance exist."""
 
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
         from falsework.robots.cell_file import load_cell
         from falsework.robots.hybrid import HybridSettings, plan_robots
-        from falsework.stability import Stability
+        from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)
         settings = HybridSettings(seed=self.robots_seed, deadline=self.deadline, forces=self.proofs)
@@ -77,7 +80,7 @@ class PlanRobots(Command):
                 assembly,
                 cell,
                 task=task,
-                oracle=Stability(assembly),
+                oracle=Stability(assembly, StabilitySettings(criterion=self.criterion)),
                 guide=guide,
                 settings=settings,
                 progress=lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}"),
@@ -119,10 +122,13 @@ class PlanRobots(Command):
                 }
             )
             if result.found:
+                replay = saved.plan.replay
                 output.say(
                     f"{self.out}: {len(saved)} steps for {len(saved.robots)} robots, {saved.seconds:.0f} s of motion, "
-                    f"every state proven stable ({result.statistics['seconds']:.1f} s)"
+                    f"every state proven stable (criterion {self.criterion}, {result.statistics['seconds']:.1f} s)"
                 )
+                if replay is not None:
+                    output.say(f"the replay stands; parts move by at most {replay.moved * 1e3:.3g} mm")
                 return Exit.DONE
             output.note(f"the {len(saved)} steps that were found are in {self.out}")
         else:

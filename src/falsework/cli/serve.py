@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
@@ -43,6 +43,9 @@ class Serve(Command):
     """What clients must show. Others on this machine can read it here; better put it into the environment."""
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one a core)")] = None
     """Processes that plan."""
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """What stable means: compliant contacts without prestress bring every part to rest; or, as in the paper, contact
+    forces in balance exist."""
 
     def run(self, output: Output) -> Exit:
         """Load, listen, serve."""
@@ -54,7 +57,8 @@ class Serve(Command):
         assembly, run = self._load()
 
         def started(address: str) -> None:
-            output.record({"url": address, "structure": assembly.name, "policy": None if run is None else str(run)})
+            policy = None if run is None else str(run)
+            output.record({"url": address, "structure": assembly.name, "policy": policy, "criterion": self.criterion})
             output.say(f"{assembly.name} is served at {address}, described at {address}/docs; Ctrl-C stops")
 
         run_service(assembly, settings, run=run, started=started)
@@ -64,10 +68,8 @@ class Serve(Command):
         from falsework.service.settings import TOKEN_VARIABLE, ServiceSettings
 
         token = self.token or os.environ.get(TOKEN_VARIABLE) or None
-        settings = ServiceSettings(host=self.host, port=self.port, token=token)
-        if self.workers is None:
-            return settings
-        return ServiceSettings(host=self.host, port=self.port, token=token, workers=self.workers)
+        settings = ServiceSettings(host=self.host, port=self.port, token=token, criterion=self.criterion)
+        return settings if self.workers is None else replace(settings, workers=self.workers)
 
     def _load(self) -> tuple[Assembly, Path | None]:
         """The structure, and the run if there is one."""

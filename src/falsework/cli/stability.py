@@ -8,18 +8,20 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, Command, Exit, StructureOptions
+from falsework.cli.command import CONE_HINT, UNSET, Command, Exit, StructureOptions
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
+    from falsework.stability import StabilitySettings
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckStability(Command):
     """Say whether a structure or states of it are stable, with a proof.
 
-    A state has one value a part: 0 removed, 1 installed, 2 held; boundary parts are always 2. For an unstable
-    state, the parts that would move are named, and how they would. Exit code 1 if any state is unstable.
+    A state has one value a part: 0 removed, 1 installed, 2 held; boundary parts are always 2. For a state that is
+    unstable or slides, the parts that would move are named, and how they would. Exit code 1 if any state does not
+    stand.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -30,8 +32,11 @@ class CheckStability(Command):
     structure: StructureOptions
     states: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
     """JSON list of states, or a .npy array; the complete structure if not given."""
-    cone: Literal["octagon", "quadratic"] = "octagon"
-    """Friction cone: eight-sided as in the paper, or round."""
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """What stable means: compliant contacts without prestress bring every part to rest, or, as in the paper, contact
+    forces in balance exist."""
+    cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
+    """Friction cone: round, or eight-sided as in the paper."""
     solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
     """Who judges; `auto` takes a GPU where there is one and it is faster."""
 
@@ -42,23 +47,24 @@ class CheckStability(Command):
         from falsework.assembly.state import as_states, complete_state
         from falsework.cli.arguments import read_states
         from falsework.cli.motion import describe, motions, part_name
-        from falsework.stability import Proof, Stability, StabilitySettings, Verdict
+        from falsework.stability import Proof, Stability, Verdict
+        from falsework.stability.motion import motion_of
 
         assembly = self.structure.load()
         wanted = complete_state(assembly.boundary) if self.states is None else read_states(self.states)
         states = as_states(wanted, assembly.boundary)
-        verdicts = Stability(assembly, StabilitySettings(cone=self.cone, solver=self.solver)).check(states)
+        verdicts = Stability(assembly, self._settings()).check(states)
         for index in range(len(states)):
             verdict, proof = Verdict(verdicts.verdict[index]), Proof(verdicts.proof[index])
             residual = float(verdicts.residual[index])
-            moving = []
-            if verdict is Verdict.UNSTABLE and verdicts.velocity is not None:
-                moving = motions(assembly, verdicts.velocity[index])
+            motion = motion_of(assembly, verdicts, index)
+            moving = [] if motion is None else motions(assembly, motion)
             output.record(
                 {
                     "state": index,
                     "verdict": verdict.name.lower(),
                     "proof": proof.name.lower(),
+                    "criterion": self.criterion,
                     "residual": residual if np.isfinite(residual) else None,
                     "moving": [motion.record(assembly) for motion in moving],
                 }
@@ -72,3 +78,8 @@ class CheckStability(Command):
             )
             output.say(f"{line}; {describe(assembly, moving)}" if moving else line)
         return Exit.DONE if bool(np.all(verdicts.stable)) else Exit.NO
+
+    def _settings(self) -> StabilitySettings:
+        from falsework.stability import StabilitySettings
+
+        return StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver)

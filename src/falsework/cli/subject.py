@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.search.graph import StateGraph
     from falsework.search.plan import Plan
+    from falsework.stability.verdict import Criterion
     from falsework.viewer.arms import Arms
+    from falsework.viewer.proof import StateProof
     from falsework.viewer.timeline import Timeline
 
 
@@ -49,6 +52,16 @@ class Subject:
         from falsework.learn.checkpoint import load_run
 
         return replace(self, policy=load_run(run, assembly=self.assembly).policy)
+
+    def proofs(self, places: Iterable[int], criterion: Criterion) -> dict[int, StateProof]:
+        """Verdicts on some states of the timeline, by place."""
+        from falsework.stability import Stability, StabilitySettings
+        from falsework.viewer.proof import proofs_of_states
+
+        asked = list(places)
+        oracle = Stability(self.assembly, StabilitySettings(criterion=criterion))
+        states = self.timeline.states[[self.timeline.row(place) for place in asked]]
+        return dict(zip(asked, proofs_of_states(oracle, states), strict=True))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from falsework.cli.command import UNSET, Command, Exit, StructureOptions
 from falsework.cli.planning import refuse_unstable
 from falsework.errors import InputError
 from falsework.learn.policy_settings import Kind, recommended
-from falsework.learn.settings import Method, TrainSettings
+from falsework.learn.settings import Criterion, Method, TrainSettings
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -60,6 +60,8 @@ class Train(Command):
     """Tell the policy a target state."""
     removable_only_if_clear: bool = False
     """Remove a part only if it has a straight way out."""
+    criterion: Criterion = _DEFAULTS.criterion
+    """What stable means: compliant contacts bring parts to rest, or forces in balance exist, as in the paper."""
     data: Literal["wide", "width64"] = "wide"
     """Learn from wide searches, or from the paper's training set alone."""
     seed: int = 0
@@ -76,7 +78,7 @@ class Train(Command):
         check_torch()
         from falsework.learn.data import task_for
         from falsework.learn.train import train
-        from falsework.stability import Stability
+        from falsework.stability import Stability, StabilitySettings
 
         for name, given in (("--minutes", self.minutes), ("--steps", self.steps)):
             if given is not None and not given > 0:
@@ -87,13 +89,15 @@ class Train(Command):
             robots=self.robots,
             policy=recommended(assembly.part_count, two_states=self.two_states, kind=self.policy),
             removable_only_if_clear=self.removable_only_if_clear,
+            criterion=self.criterion,
             data=self.data,
             minutes=self.minutes or 0.0,
             steps=self.steps or 0,
             seed=self.seed,
         )
         task = task_for(assembly, self.robots, self.removable_only_if_clear)
-        if not self.resume and refuse_unstable(assembly, Stability(assembly), task, output):
+        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
+        if not self.resume and refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
         first = os.environ.get("RANK", "0") == "0"  # of several processes one shows how far it is
         with output.bar("training") as show:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import webbrowser
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
@@ -40,6 +40,9 @@ class View(Command):
     """Robots, where no plan says how many."""
     deadline: float = 60.0
     """Seconds that a new plan may take."""
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """What stable means: compliant contacts without prestress bring every part to rest; or, as in the paper, contact
+    forces in balance exist."""
     browser: bool = False
     """Open the page in the browser."""
 
@@ -64,6 +67,7 @@ class View(Command):
             policy=subject.policy,
             graph=subject.graph,
             arms=subject.arms,
+            criterion=self.criterion,
             deadline=self.deadline,
         )
         page = Page(model, host=host, port=self.port)

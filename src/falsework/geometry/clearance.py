@@ -13,6 +13,7 @@ from falsework.errors import InputError
 from falsework.geometry.bits import pack, unpack
 from falsework.geometry.contact import Contacts
 from falsework.geometry.directions import exit_directions
+from falsework.geometry.exhaustion import all_ways
 from falsework.geometry.mesh import TriangleMesh
 from falsework.geometry.sweep import Sweeper
 
@@ -25,7 +26,9 @@ class ClearanceTable:
 
     A way whose blockers include all blockers of another way of the same part is never needed and is left
     out: whenever it is free the other is free too. So the few that remain answer whether a part can leave
-    exactly as all directions would.
+    as all directions that were tried would, and for a part that is `exact` as all directions there are. What is
+    exact is the answer for the parts as modelled: a contact stops every move more than three degrees into it,
+    and parts that do not touch block each other where they overlap by more than the tolerance.
     """
 
     directions: Array
@@ -34,6 +37,10 @@ class ClearanceTable:
     """Parts that block each way, one bit a part, lowest bit first, shape (ways, words)."""
     start: NDArray[np.int32]
     """Part `i` owns the ways `start[i]:start[i + 1]`, shape (parts + 1,)."""
+    exact: NDArray[np.bool_]
+    """Parts for which every direction was proved to be no better than a way that is listed, shape (parts,)."""
+    sampled: int
+    """Directions that were tried for each of the other parts."""
 
     def can_leave(self, states: NDArray[np.uint8]) -> NDArray[np.bool_]:
         """Whether each part has a straight way out past the parts that are present.
@@ -60,6 +67,16 @@ class ClearanceTable:
         present = unpack(self.blockers[ways] & self._pack(np.asarray(state)[None]))
         return np.flatnonzero(present[np.argmin(present.sum(axis=1))])
 
+    def doubt(self, parts: NDArray[np.bool_]) -> str:
+        """Why some of the parts, shape (parts,), may have ways out that are not listed; empty if all are exact."""
+        unsure = np.flatnonzero(parts & ~self.exact)
+        if not len(unsure):
+            return ""
+        return (
+            f"for {len(unsure)} parts, {unsure[0]} the first, ways out were sought along {self.sampled} directions, "
+            "and none was found that other parts do not block; another direction may be free"
+        )
+
     def _pack(self, states: NDArray[np.uint8]) -> NDArray[np.uint64]:
         parts = len(self.start) - 1
         if states.ndim != 2 or states.shape[1] != parts:
@@ -70,16 +87,17 @@ class ClearanceTable:
 def clearance_table(
     meshes: Sequence[TriangleMesh], contacts: Contacts, directions: int = 1000, *, tolerance: float
 ) -> ClearanceTable:
-    """Sweep every part along sampled directions to infinity and note which parts it would hit.
+    """Sweep every part along straight lines to infinity and note which parts it would hit.
 
-    Directions are those of `exit_directions`. Parts are shrunk by a little more than the tolerance between the
-    two of a pair, so that parts that touch can slide along each other; a way is blocked where more than
-    that is in it.
+    The first directions are those of `exit_directions`. More follow until all that are left are proved to be no
+    better than a way that is known (`all_ways`); a part for which that fails is not `exact`. Parts are shrunk by a
+    little more than the tolerance between the two of a pair, so that parts that touch can slide along each
+    other; a way is blocked where more than that is in it.
 
     Args:
         meshes: closed meshes that face outwards.
         contacts: their contacts; a contact blocks all directions into it, without a sweep.
-        directions: how many to try for each part.
+        directions: how many to try for each part before the proof.
         tolerance: overlap of touching parts that modelling may leave, metres.
 
     Raises:
@@ -88,21 +106,20 @@ def clearance_table(
     if directions < 1:
         raise InputError(f"{directions} directions lead nowhere; give at least 1")
     sweeper = Sweeper(meshes, contacts, tolerance)
-    ways, blockers, counts = [], [], []
+    ways, exact = [], np.zeros(len(meshes), dtype=bool)
     for part in range(len(meshes)):
-        tried = exit_directions(contacts, part, directions)
-        least, blocked = sweeper.least_blocked(part, tried)
-        ways.append(tried[least])
-        blockers.append(pack(blocked))
-        counts.append(len(least))
+        sampled = sweeper.least_blocked(part, exit_directions(contacts, part, directions))
+        found, exact[part] = all_ways(sweeper, part, sampled)
+        ways.append(found)
     arrays = (
-        np.concatenate(ways),
-        np.concatenate(blockers),
-        np.concatenate([[0], np.cumsum(counts)]).astype(np.int32),
+        np.concatenate([found.directions for found in ways]),
+        np.concatenate([pack(found.blockers) for found in ways]),
+        np.concatenate([[0], np.cumsum([len(found.directions) for found in ways])]).astype(np.int32),
+        exact,
     )
     for array in arrays:
         array.setflags(write=False)
-    return ClearanceTable(*arrays)
+    return ClearanceTable(*arrays, sampled=directions)
 
 
 @numba.njit(cache=True)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.geometry.grouping import curved_groups, planes, segment_mean, segment_sum
 from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.narrow import Narrow, Reach, merged, narrow_places
 from falsework.geometry.overlap import check_overlap
 from falsework.geometry.patches import Patches, face_patches, frames_of
 
@@ -21,18 +22,25 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Planar contacts between pairs of parts; a curved interface is several contacts."""
+    """Contacts between pairs of parts: planar ones, of which a curved interface is several, and lines and points.
+
+    Lines and points are what is left where parts touch by an edge or a corner. Real ones have some width, which the
+    meshes do not say; `areas` gives them that of the contact tolerance, so that whatever weights contacts by their
+    area sees them, and sees little of them.
+    """
 
     parts: NDArray[np.int32]
     """Shape (contacts, 2): part `a` and part `b`, `a < b`, sorted."""
     frames: NDArray[np.float64]
     """Shape (contacts, 3, 3): rows are normal (from `a` to `b`), first and second tangent; right-handed."""
     points: NDArray[np.float64]
-    """Contact points, shape (points, 3), metres: per contact the corners of its convex hull."""
+    """Contact points, shape (points, 3), metres: per contact the corners of its convex hull, at least three; the two
+    ends of a line; or one point."""
     start: NDArray[np.int32]
     """Shape (contacts + 1,): contact `k` owns `points[start[k]:start[k + 1]]`."""
     areas: NDArray[np.float64]
-    """Shape (contacts,), m2."""
+    """Shape (contacts,), m2, above zero. Nominal for a line, its length times the contact tolerance, and for a point,
+    the square of the tolerance."""
 
     def __len__(self) -> int:
         return len(self.parts)
@@ -43,15 +51,27 @@ class Contacts:
         return np.repeat(np.arange(len(self.parts), dtype=np.int32), np.diff(self.start))
 
     @property
+    def dimension(self) -> NDArray[np.int8]:
+        """2 for contacts with an area, 1 for lines, 0 for points; shape (contacts,)."""
+        return np.minimum(np.diff(self.start) - 1, 2).astype(np.int8)
+
+    @property
     def normals(self) -> NDArray[np.float64]:
         """Unit normals from part `a` to part `b`, shape (contacts, 3)."""
         return self.frames[:, 0]
 
     def pushes(self, part_count: int) -> NDArray[np.float64]:
         """Area times normal into part `i` of all its contacts with part `j`, m2, shape (parts, parts, 3)."""
+        return self._pushes(part_count, self.areas)
+
+    def narrow_pushes(self, part_count: int) -> NDArray[np.float64]:
+        """Normals into part `i` of all its lines and points with part `j`, shape (parts, parts, 3); as `pushes`."""
+        return self._pushes(part_count, (self.dimension < 2).astype(np.float64))
+
+    def _pushes(self, part_count: int, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         push = np.zeros((part_count, part_count, 3))
         first, second = self.parts.T
-        weighted = self.areas[:, None] * self.normals
+        weighted = weights[:, None] * self.normals
         np.add.at(push, (first, second), -weighted)
         np.add.at(push, (second, first), weighted)
         return push
@@ -111,13 +131,18 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
     patches whose normals differ by at most `settings.curvature` from that of the largest among them become
     one contact, with the mean normal and the true positions of its points.
 
+    Where parts touch by a convex edge or corner alone, the contact is a line or a point: see `narrow_places`. One
+    that lies in the hull of a planar contact of the same pair is an edge of that contact, and is left out; so is
+    one where other parts lie against both sides of the edge.
+
     Args:
         meshes: closed meshes that face outwards.
         settings: tolerances.
 
     Returns:
-        Contacts sorted by their parts; their order and points depend on the geometry alone, not on how
-        faces are cut into triangles. What is narrower than the tolerance is left out.
+        Contacts sorted by their parts, of one pair planar ones first, then lines, then points; their order and
+        points depend on the geometry alone, not on how faces are cut into triangles. Of strips narrower than the
+        tolerance, those along the rims of both faces are left out; others are lines.
 
     Raises:
         AssemblyError: two parts pass through each other; names them and how deep.
@@ -129,11 +154,16 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
     patches = face_patches(meshes, gap=gap, overlap=overlap, angle=settings.angle)
     group = planes(patches, settings.coplanar, tolerance)
     group = curved_groups(patches, group, settings.curvature, settings.curved_from, tolerance)
-    return _contacts(patches, group, tolerance)
+    contacts, slivers = _contacts(patches, group, tolerance)
+    places = narrow_places(meshes, Reach(gap, overlap, settings.angle), slivers)
+    if not len(places.parts):
+        return contacts
+    places = merged(places, settings.coplanar, tolerance)
+    return _with_narrow(contacts, places, settings.angle, tolerance)
 
 
-def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> Contacts:
-    """One contact a group of patches: mean frame, hull corners counter-clockwise, slivers left out."""
+def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> tuple[Contacts, Narrow]:
+    """One contact a group of patches: mean frame, hull corners counter-clockwise; and the slivers left out."""
     count = int(group.max()) + 1 if len(group) else 0
     normals = segment_sum(patches.normals * patches.areas[:, None], group, count)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -176,6 +206,88 @@ def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> C
         np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
         areas[index],
     )
+    slivers = _slivers(hulls[~keep], tolerance)
+    rows = np.flatnonzero(~keep)
+    ends = origin[rows, None] + np.einsum("pji,pkj->pki", frames[rows], slivers)
+    extent = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    return _frozen(*arrays), Narrow(parts[rows], normals[rows], ends, extent)
+
+
+def _slivers(hulls: NDArray, tolerance: float) -> Array:
+    """The two points of each hull farthest apart, or twice its middle if it is a dot; shape (hulls, 2, 3)."""
+    ends = np.zeros((len(hulls), 2, 3))
+    for row, hull in enumerate(hulls):
+        corners = shapely.get_coordinates(hull, include_z=True)[:, [2, 0, 1]]
+        apart = np.linalg.norm(corners[:, None] - corners, axis=2)
+        far = np.unravel_index(apart.argmax(), apart.shape)
+        ends[row] = corners[list(far)] if apart.max() > tolerance else corners[list(far)].mean(axis=0)
+    return ends
+
+
+def _with_narrow(contacts: Contacts, places: Narrow, angle: float, tolerance: float) -> Contacts:
+    """Add lines and points, but for those inside a contact with an area."""
+    if len(contacts):
+        places = places.take(~_adds_nothing(contacts, places, angle, tolerance))
+    if not len(places.parts):
+        return contacts
+    lines = places.extent > 0
+    points = np.split(contacts.points, contacts.start[1:-1]) if len(contacts) else []
+    points += [ends if line else ends[:1] for ends, line in zip(places.ends, lines.tolist(), strict=True)]
+    parts = np.concatenate([contacts.parts, places.parts])
+    frames = np.concatenate([contacts.frames, frames_of(places.normals)])
+    areas = np.concatenate([contacts.areas, np.where(lines, places.extent * tolerance, tolerance**2)])
+    kind = np.concatenate([np.zeros(len(contacts)), np.where(lines, 1, 2)])
+    middle = np.round(np.concatenate([np.zeros((len(contacts), 3)), places.ends.mean(axis=1)]) / tolerance)
+    order = np.lexsort((*middle.T[::-1], kind, *parts.T[::-1]))
+    sizes = [len(points[index]) for index in order]
+    return _frozen(
+        parts[order],
+        np.ascontiguousarray(frames[order]),
+        np.concatenate([np.zeros((0, 3)), *(points[index] for index in order)]),
+        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
+        areas[order],
+    )
+
+
+def _adds_nothing(contacts: Contacts, places: Narrow, angle: float, tolerance: float) -> NDArray[np.bool_]:
+    """Which lines and points planar contacts stand for already, shape (places,).
+
+    Those are edges of a contact of the same parts, and edges of one part with other parts against both sides (three
+    for a point): stones that meet around a line fill all space there, and none of them protrudes.
+    """
+    first = contacts.start[:-1]
+    low = np.minimum.reduceat(contacts.points, first) - tolerance
+    high = np.maximum.reduceat(contacts.points, first) + tolerance
+    probes = np.concatenate([places.ends, places.ends.mean(axis=1, keepdims=True)], axis=1)
+    middle = probes[:, None, 2]
+    row, near = np.nonzero(((low <= middle) & (high >= middle)).all(axis=2))
+    of_part = (contacts.parts[near][:, :, None] == places.parts[row][:, None]).any(axis=1)
+    row, near, of_part = row[of_part.any(axis=1)], near[of_part.any(axis=1)], of_part[of_part.any(axis=1)]
+
+    owner = contacts.contact_of_point
+    flat = np.einsum("pij,pj->pi", contacts.frames[owner], contacts.points - contacts.points[first][owner])
+    hulls: Any = shapely.polygons(shapely.linearrings(flat[:, 1:], indices=owner))
+    local = np.einsum("nij,nkj->nki", contacts.frames[near], probes[row] - contacts.points[first][near][:, None])
+    away = shapely.distance(hulls[near][:, None], shapely.points(local[:, :, 1:]))
+    # A contact that stands for a curved interface is not flat.
+    deep = np.maximum.reduceat(np.abs(flat[:, 0]), first)[near, None] + 2 * tolerance
+    held = (away <= tolerance) & (np.abs(local[:, :, 0]) <= deep)
+
+    known = np.zeros(len(places.parts), dtype=bool)
+    known[row[of_part.all(axis=1) & held.all(axis=1)]] = True
+    limit = np.cos(np.radians(angle))
+    for side in (0, 1):
+        mine = np.flatnonzero(of_part[:, side] & held[:, 2] & ~known[row])
+        for group in np.split(mine, np.flatnonzero(np.diff(row[mine])) + 1):
+            part = places.parts[row[group], side, None]
+            normals = contacts.normals[near[group]] * np.where(contacts.parts[near[group], :1] == part, 1.0, -1.0)
+            apart = normals @ normals.T < limit
+            sides = sum(bool(apart[one, :one].all()) for one in range(len(group)))
+            known[row[group]] |= sides >= np.where(places.extent[row[group]] > 0, 2, 3)
+    return known
+
+
+def _frozen(*arrays: Any) -> Contacts:
     for array in arrays:
         array.setflags(write=False)
     return Contacts(*arrays)

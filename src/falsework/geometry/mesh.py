@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -61,7 +62,7 @@ class TriangleMesh:
         local = self.triangles - self.vertices[0]
         return float(np.einsum("ij,ij->i", local[:, 0], np.cross(local[:, 1], local[:, 2])).sum() / 6.0)
 
-    @property
+    @cached_property
     def thickness(self) -> float:
         """Twice the volume by the surface, metres: the thickness of a plate, a third of the edge of a cube."""
         corners = self.triangles

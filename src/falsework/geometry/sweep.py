@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from falsework.geometry.bits import intersect, pack
 from falsework.geometry.boxes import box_pairs
 from falsework.geometry.collision import Body, shrink
+from falsework.geometry.cones import Cones, Pieces, cones_between
 from falsework.geometry.contact import Contacts
 from falsework.geometry.directions import sphere_directions
 from falsework.geometry.mesh import TriangleMesh
@@ -27,6 +29,16 @@ _PLANES = 1000
 """Normals of planes that are tried to separate parts before any collision is computed."""
 _BATCH = 125
 """Directions that are looked at together; the first ones often settle a part."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """Ways out of one part, with what is in the way."""
+
+    directions: Array
+    """Unit vectors, shape (ways, 3)."""
+    blockers: Mask
+    """Shape (ways, parts)."""
 
 
 class Sweeper:
@@ -45,6 +57,7 @@ class Sweeper:
         self._tolerance = tolerance
         self._edges = [_Edges(mesh.faces) for mesh in meshes]
         self._shapes: dict[tuple[int, int], _Shape] = {}
+        self._convex: dict[tuple[int, int], Pieces] = {}
         points = np.concatenate([self._shape(part, 0).vertices for part in range(len(meshes))])
         first = np.concatenate([[0], np.cumsum([len(mesh.vertices) for mesh in meshes])[:-1]])
         self._reach = 2.0 * float(np.linalg.norm(np.ptp(points, axis=0)))
@@ -69,40 +82,74 @@ class Sweeper:
                 hit[way, other] = self._meets(part, other, directions[way], walls)
         return hit
 
-    def least_blocked(self, part: int, directions: Array) -> tuple[NDArray[np.int64], Mask]:
+    def least_blocked(self, part: int, directions: Array, known: Ways | None = None) -> Ways:
         """The directions that no other beats: those whose blockers do not include all blockers of another.
 
         A direction is given up as soon as the blockers that are known include those of one already found, so
         that most sweeps are never made; of directions with the same blockers one is kept.
 
+        Args:
+            part: the part that leaves.
+            directions: unit vectors, shape (directions, 3).
+            known: ways that were found before.
+
         Returns:
-            Their indices, ascending, shape (ways,), and their blockers, shape (ways, parts).
+            Those that are left of the known ways, then the new ones, in the order given.
         """
-        found: list[int] = []
-        rows = np.zeros((0, len(self._meshes)), dtype=bool)
+        found = Ways(np.zeros((0, 3)), np.zeros((0, len(self._meshes)), dtype=bool)) if known is None else known
+        rank = np.arange(-len(found.directions), 0)
+        rows = found.blockers
+        ways = found.directions
         for start in range(0, len(directions), _BATCH):
-            free, hit = self._known(part, directions[start : start + _BATCH])
+            batch = directions[start : start + _BATCH]
+            free, hit = self._known(part, batch)
             for way in np.argsort(hit.sum(axis=1), kind="stable").tolist():
                 row = hit[way]
                 walls: dict[int, Body] = {}
-                beaten = _includes_one(row, rows)
+                beaten = includes_one(row, rows)
                 others = np.flatnonzero(~free[way] & ~row)
                 # First what blocks the ways already found: it is most likely to show that this one is no better.
                 for other in others[np.argsort(-rows.sum(axis=0)[others], kind="stable")].tolist():
                     if beaten:
                         break
-                    if self._meets(part, other, directions[start + way], walls):
+                    if self._meets(part, other, batch[way], walls):
                         row[other] = True
-                        beaten = _includes_one(row, rows)
+                        beaten = includes_one(row, rows)
                 if beaten:
                     continue
                 kept = ~(rows | ~row).all(axis=1)
-                found = [*np.asarray(found, dtype=np.int64)[kept].tolist(), start + way]
+                rank = np.append(rank[kept], start + way)
+                ways = np.concatenate([ways[kept], batch[way, None]])
                 rows = np.concatenate([rows[kept], row[None]])
                 if not row.any():
-                    return np.array(found), rows
-        order = np.argsort(found)
-        return np.array(found, dtype=np.int64)[order], rows[order]
+                    return Ways(ways, rows)
+        order = np.argsort(rank)
+        return Ways(ways[order], rows[order])
+
+    def cones(self, part: int, others: NDArray[np.integer]) -> Cones:
+        """Cones of directions in which the part is blocked by some of the other parts.
+
+        In each direction of a cone the part moves into a contact, or collides with the shrunken other part; a
+        direction in no cone need not be free.
+        """
+        several = []
+        for side, sign in ((0, 1.0), (1, -1.0)):
+            mine = np.flatnonzero(
+                (self._contacts.parts[:, side] == part) & np.isin(self._contacts.parts[:, 1 - side], others)
+            )
+            several.append(
+                Cones.half_spaces(sign * self._contacts.normals[mine], _INTO, self._contacts.parts[mine, 1 - side])
+            )
+        for other in others.tolist():
+            level = self._level.get((part, other), 0)
+            several.append(cones_between(self._pieces(part, level), self._pieces(other, level), other))
+        return Cones.joined(several)
+
+    def _pieces(self, part: int, level: int) -> Pieces:
+        if (part, level) not in self._convex:
+            vertices = self._shape(part, level).vertices
+            self._convex[part, level] = Pieces.of(self._meshes[part], vertices, 0.5 * self._tolerance)
+        return self._convex[part, level]
 
     def _known(self, part: int, directions: Array) -> tuple[Mask, Mask]:
         """Pairs known to be free and known to be blocked, each of shape (directions, parts)."""
@@ -172,7 +219,7 @@ class Sweeper:
         return levels
 
 
-def _includes_one(row: NDArray[np.bool_], rows: Mask) -> bool:
+def includes_one(row: NDArray[np.bool_], rows: Mask) -> bool:
     """Whether a set includes at least one of the others."""
     return bool((~rows | row).all(axis=1).any())
 

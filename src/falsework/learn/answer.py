@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.learn.replays import Replayed
 from falsework.search.plan import Plan
 from falsework.search.result import Outcome, SearchResult
 from falsework.search.task import Direction
+from falsework.stability.verdict import Criterion
 
 
 class Decider(StrEnum):
@@ -65,6 +67,10 @@ class Replan:
     confidences: tuple[NDArray[np.float32], ...] = ()
     """For each plan what the policy thinks of every action of disassembly in every state of the plan: probabilities,
     shape (steps + 1, 2 parts), illegal actions exactly zero. Only where they were asked for and there is a policy."""
+    criterion: Criterion = "contact"
+    """What stable means for the states of the plans."""
+    replays: tuple[Replayed, ...] = ()
+    """For each plan how its replay in the order of assembly went; none under `equilibrium`, which knows no history."""
     search: SearchResult | None = None
     """How the last search ended, if there was one."""
 
@@ -91,7 +97,12 @@ class Replan:
             "spent": {name: round(seconds, 6) for name, seconds in self.spent.items()},
             "verdicts": self.verdicts,
             "deadline_passed": self.deadline_passed,
+            "criterion": self.criterion,
         }
+        if self.replays:
+            record["replay"] = self.replays[0].record()
+            if len(self.replays) > 1:
+                record["replays"] = [replayed.record() for replayed in self.replays]
         if self.plans:
             record["actions"] = [self.plans[0].describe(step) for step in range(len(self.plans[0]))]
             record["needs"] = [asdict(need) for need in self.plans[0].needs]

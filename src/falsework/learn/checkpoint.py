@@ -112,6 +112,18 @@ def read_run(folder: Path) -> dict[str, Any]:
     return content
 
 
+def settings_of(metadata: Mapping[str, Any]) -> TrainSettings:
+    """Settings of a run; one from before there was a choice of criterion was trained under `equilibrium`.
+
+    Raises:
+        InputError: they are none.
+    """
+    settings = metadata["settings"]
+    if isinstance(settings, Mapping):
+        settings = {"criterion": "equilibrium", **settings}
+    return from_json(TrainSettings, settings)
+
+
 def load_structure_of(folder: Path, metadata: Mapping[str, Any]) -> Assembly:
     """The structure that a run was trained for, loaded from where the run says it is.
 
@@ -169,7 +181,7 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
         assembly = load_structure_of(folder, metadata)
     else:
         check_structure(folder, metadata, assembly)
-    settings = from_json(TrainSettings, metadata["settings"])
+    settings = settings_of(metadata)
     policy = make_policy(assembly, settings.policy, where)
     load_weights(policy, folder / WEIGHTS)
     return Run(folder, assembly, settings, policy.eval(), metadata)

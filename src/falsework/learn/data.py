@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,11 +17,13 @@ from falsework.errors import InputError
 from falsework.search.archive import read_archive, write_archive
 from falsework.search.beam import BeamSettings
 from falsework.search.device_beam import DeviceBeam
+from falsework.search.graph import criterion_of, read_criterion
 from falsework.search.hashing import StateIndex
 from falsework.search.shards import Shards
 from falsework.search.task import Direction, Task
 from falsework.search.tensor_judge import TensorOracle, oracle_on
 from falsework.search.tensors import choose_device
+from falsework.stability.verdict import Criterion
 
 if TYPE_CHECKING:
     import torch
@@ -75,6 +77,11 @@ class Dataset:
     seconds: dict[str, float] = field(default_factory=dict)
     """What each search took."""
 
+    @property
+    def criterion(self) -> Criterion:
+        """What stable means for its states."""
+        return criterion_of(self.task)
+
     def levels(self) -> dict[str, list[int]]:
         """States of each set at each number of steps from the start, from the complete structure on."""
         count = self.task.steps + 1
@@ -93,6 +100,7 @@ class Dataset:
             "fixed": list(self.task.fixed),
             "train_width": self.settings.train_width,
             "test_width": self.settings.test_width,
+            "criterion": self.criterion,
         }
         arrays = {"train": self.train, "test": self.test, "more": self.more, "boundary": self.task.boundary}
         write_archive(path, FORMAT, header, arrays)
@@ -105,12 +113,14 @@ class Dataset:
             InputError: no such file, a damaged one, one of another version, or one of another structure.
         """
         header, arrays = read_archive(path, FORMAT, _ARRAYS)
+        criterion = read_criterion(path, header, "make it anew")
         if set(header) != _KEYS:
             odd = ", ".join(sorted(set(header) ^ _KEYS))
             raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent header entries {odd}")
         if header["identity"] != assembly.identity:
             raise InputError(f"{path} is a data set of {header['name']}, not of {assembly.name}; make one for it")
         task = task_for(assembly, header["robots"], header["removable_only_if_clear"], header["fixed"])
+        task = replace(task, holds_keep_stable=criterion == "equilibrium")
         found = {name: arrays[name] for name in ("train", "test", "more")}
         check_states(path, found, task.part_count, "make it anew")
         settings = DataSettings(header["train_width"], header["test_width"])
@@ -208,7 +218,7 @@ def build_dataset(
         assembly: the structure.
         task: what is to be learned, as of `task_for`.
         settings: widths and seed.
-        oracle: verdicts; made if not given.
+        oracle: verdicts, whose criterion the data set then names; made if not given.
         device: `auto`, `cpu` or `cuda`.
         shards: processes that search together.
         report: told what is going on.
@@ -221,6 +231,7 @@ def build_dataset(
 
     where = choose_device(device)
     asked = oracle_on(Stability(assembly), where) if oracle is None else oracle
+    task = task.judged_by(asked)
     seconds: dict[str, float] = {}
     found: list[States] = []
     complete = True

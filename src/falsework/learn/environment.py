@@ -37,7 +37,8 @@ class Step:
     success: torch.Tensor
     """Target reached. `bool`, shape (batch,)."""
     unstable: torch.Tensor
-    """Ended by a removal after which stability is not proven. `bool`, shape (batch,)."""
+    """Ended by an action after which stability is not proven: the state is unstable, slides or is open. `bool`, shape
+    (batch,)."""
     mask: torch.Tensor
     """Legal actions of the new states, `bool`, shape (batch, 2 parts)."""
 
@@ -51,8 +52,8 @@ class EnvironmentCounters:
 
     steps: int = 0
     """Actions carried out, over all rollouts."""
-    removals_asked: int = 0
-    """States that the oracle was asked about: after removals, each distinct one once, and not known before."""
+    states_asked: int = 0
+    """States that the oracle was asked about: each distinct one once, and not known before."""
     seconds_network: float = 0.0
     """In the policy, choice of the action included."""
     seconds_verdicts: float = 0.0
@@ -74,8 +75,8 @@ class Environment:
 
     Rewards: +1 when all removable parts are out or the target is reached, -1 at the first unstable state, 0 else.
     A rollout that comes to a state without a legal action, which robots that wait for each other or a clearance
-    table can cause, has failed as well and earns -1. A hold never makes a stable state unstable, so only removals
-    are judged; start states are taken as stable.
+    table can cause, has failed as well and earns -1. Every action is judged, under the criterion `equilibrium` only
+    removals, since there a hold never makes a stable state unstable; start states are taken as stable.
     """
 
     def __init__(
@@ -104,8 +105,15 @@ class Environment:
         """
         self.assembly = assembly
         self.device = choose_device(device) if isinstance(device, str) else torch.device(device)
-        self.rules = Rules(assembly, robots, self.device, clearance=clearance, fixed=fixed)
         self.oracle: Oracle = Stability(assembly) if oracle is None else oracle
+        self.rules = Rules(
+            assembly,
+            robots,
+            self.device,
+            clearance=clearance,
+            fixed=fixed,
+            holds_keep_stable=bool(getattr(self.oracle, "holds_keep_stable", False)),
+        )
         self.counters = EnvironmentCounters()
         self.measure = False
         """Wait for the device around each kind of work, so that its seconds are its own."""
@@ -142,7 +150,7 @@ class Environment:
         """
 
         def ask(asked: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
-            self.counters.removals_asked += len(asked)
+            self.counters.states_asked += len(asked)
             oracle = self._on_device if self.exact else without_exact(self._on_device)
             if parents is not None:
                 return oracle(asked.contiguous(), parents[rows].contiguous())
@@ -263,7 +271,7 @@ class Environment:
 
 
 def _tensor_oracle(oracle: Oracle, device: torch.device) -> TensorOracle:
-    """The solver on the device, unless the oracle was told to be exact or is of another kind.
+    """The solver on the device, unless the oracle was told to be exact, or is of another kind.
 
     An oracle for the processor, which is the default, says nothing about where rollouts are to be judged: states would
     leave the device at every step, and a GPU would wait for two cores.

@@ -79,7 +79,7 @@ def greedy_success(
 def throughput(environment: Environment, seconds: float, shards: Shards = Shards()) -> dict[str, Any]:
     """Steps of the environment a second over all processes, and what share of the time went into what."""
     counters = environment.counters.as_dict()
-    steps, asked = summed([float(counters["steps"]), float(counters["removals_asked"])], shards, environment.device)
+    steps, asked = summed([float(counters["steps"]), float(counters["states_asked"])], shards, environment.device)
     shares = {name: round(float(value), 4) for name, value in counters.items() if name.startswith("share_")}
     return {
         "steps": int(steps),

@@ -16,7 +16,7 @@ from falsework.learn.guide import PolicyGuide
 from falsework.learn.job import Job
 from falsework.search.beam import BeamSearch, BeamSettings
 from falsework.search.exhaustive import ExhaustiveSearch
-from falsework.search.find import choose_plans
+from falsework.search.graph import StateGraph
 from falsework.search.guide import Guide
 from falsework.search.planner import Planner, PlannerSettings
 from falsework.search.result import Outcome, SearchResult, Stop
@@ -42,11 +42,23 @@ class _Search(Protocol):
 class _Census:
     """A search through all states, run like the others."""
 
-    def __init__(self, search: ExhaustiveSearch) -> None:
-        self._search = search
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._search = ExhaustiveSearch(job.task, job.oracle, state_limit=job.kit.settings.state_limit)
 
     def run(self, *, stop: Stop | None = None) -> SearchResult:
-        return self._search.run(stop=stop).result
+        job, census = self._job, self._search.run(stop=stop)
+        result, states = census.result, census.graph.states
+        while result.found and not job.stands(result.routes[0], Decider.EXHAUSTIVE):
+            # Each turn rules a state out, so that there is an end; but a route of one step has none to rule out.
+            left = states[~job.oracle.rules_out(states)]
+            graph = StateGraph.build(job.task, left)
+            route = graph.sample_route(np.random.default_rng(job.request.seed)) if len(left) < len(states) else None
+            states = left
+            if route is None:
+                return replace(result, outcome=Outcome.NOT_FOUND, routes=())
+            result = replace(result, routes=(route,))
+        return result
 
 
 class _TimedGuide:
@@ -78,8 +90,7 @@ def search_on(job: Job, guide: Guide) -> Iterator[None]:
     if job.routes and not job.settled:
         yield from _better_plans(job, guide)
     if not job.decided and not job.clock.passed:
-        census = _Census(ExhaustiveSearch(job.task, job.oracle, state_limit=job.kit.settings.state_limit))
-        yield from _finish([_Turns(census, Decider.EXHAUSTIVE, _TURN_LEVELS)], job)
+        yield from _finish([_Turns(_Census(job), Decider.EXHAUSTIVE, _TURN_LEVELS)], job)
 
 
 def _first_plan(job: Job, guide: Guide) -> Iterator[None]:
@@ -113,8 +124,11 @@ def _better_plans(job: Job, guide: Guide) -> Iterator[None]:
         clock.reserve += _CHOOSING * (clock.left - reserve)
     yield from _finish([_Turns(planner, Decider.SEARCH, _TURN_LEVELS)], job)
     clock.reserve = reserve
-    chosen = choose_plans(planner, settings, job.kit.assembly.name, stop=lambda: clock.passed)
-    job.take(list(chosen.routes))
+    if request.alternatives == 1:
+        job.take(planner.routes)
+        return
+    states = np.concatenate([planner.states, *(route.states for route in planner.routes)])
+    job.take(job.choose(planner.task.postpone(planner.postponed), states, planner.routes))
 
 
 def _finish(rivals: list[_Turns], job: Job) -> Iterator[None]:
@@ -128,8 +142,12 @@ def _finish(rivals: list[_Turns], job: Job) -> Iterator[None]:
                 if job.decided:
                     return
             if job.clock.passed:
-                for rest in rivals:
-                    job.ended(rest.search.run(stop=lambda: True), rest.decider)
+                job.busy = True
+                try:
+                    for rest in rivals:
+                        job.ended(rest.search.run(stop=lambda: True), rest.decider)
+                finally:
+                    job.busy = False
                 return
         yield
 
@@ -188,6 +206,12 @@ class _Widening:
                 settings = BeamSettings(width, Direction.DISASSEMBLY, "none", retries=0, seed=seed)
                 self._beam = BeamSearch(self._job.task, self._job.oracle, settings, guide=self._guide)
             result = self._beam.run(stop=stop)
+            if result.found and not self._job.stands(result.routes[0], Decider.GUIDED):
+                states = result.routes[0].states
+                self._beam.forbid(states[self._job.oracle.rules_out(states)])
+                if self._beam.found:  # nothing lies between the ends
+                    return replace(result, outcome=Outcome.NOT_FOUND, routes=())
+                continue
             proved = result.outcome is Outcome.PROVED_IMPOSSIBLE
             if result.interrupted or result.found or proved or self._number == len(widths) - 1:
                 return result

@@ -24,6 +24,7 @@ from falsework.search.graph import StateGraph
 from falsework.search.judge import Oracle
 from falsework.search.task import Direction, Task
 from falsework.stability.oracle import Stability
+from falsework.stability.settings import StabilitySettings
 
 try:
     import gymnasium
@@ -40,7 +41,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
 
     Observation: the value of each part, 0 removed, 1 installed, 2 held (`MultiDiscrete`); with a target, followed by
     the values that the parts have there. Action: `i` holds part `i`, `parts + i` removes it (`Discrete`). Reward: +1
-    when the target is reached, -1 when a removal leaves a state that is not proven stable or no legal action is left,
+    when the target is reached, -1 when an action leaves a state that is not proven stable or no legal action is left,
     else 0; each of these ends the episode. `info["action_mask"]` and `action_masks()` say which actions are legal;
     `info` also has `success`, `unstable` and `illegal`, true for the one that ended the episode.
     """
@@ -71,7 +72,8 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
             clearance: remove a part only if it has a free way out.
             fixed: parts that are never touched.
             illegal: what an illegal action does: `end` the episode with reward -1, or raise an `error`.
-            oracle: decides stability; hand in the one you have, for it remembers what it was asked.
+            oracle: decides stability; hand in the one you have, for it remembers what it was asked. If not given, one
+                of the criterion of the graph, else of the default.
             render_mode: None or `ansi`.
 
         Raises:
@@ -86,9 +88,13 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         self.robots = robots
         self.render_mode = render_mode
         self._illegal = illegal
-        self._oracle: Oracle = Stability(self.assembly) if oracle is None else oracle
+        if oracle is None:
+            known = StabilitySettings(criterion=starts.criterion) if isinstance(starts, StateGraph) else None
+            oracle = Stability(self.assembly, known or StabilitySettings())
+        self._oracle: Oracle = oracle
         table = self.assembly.clearance if clearance else None
         whole = Task.create(self.assembly.boundary, robots, target=target, fixed=fixed, clearance=table)
+        whole = whole.judged_by(oracle)
         self._starts = self._check_starts(starts, whole, target, fixed)
         # Legal moves do not depend on the start, so that one task serves all episodes.
         self._task = whole

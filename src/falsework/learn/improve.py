@@ -97,7 +97,7 @@ def improve(
     """
     if samples < 1 or width < 1:
         raise InputError(f"improving needs at least 1 sample and a width of 1, not {samples} and {width}")
-    begun, asked, known = time.perf_counter(), environment.counters.removals_asked, len(solved)
+    begun, asked, known = time.perf_counter(), environment.counters.states_asked, len(solved)
     tally = _Tally(environment, policy, solved, temperature, generator)
     arrived = torch.zeros(len(starts), dtype=torch.bool, device=starts.device)
     number = torch.arange(len(starts), device=starts.device)
@@ -125,7 +125,7 @@ def improve(
         searched=len(searched),
         found=found,
         new_states=len(solved) - known,
-        verdicts=environment.counters.removals_asked - asked,
+        verdicts=environment.counters.states_asked - asked,
         met=solved.met,
         seconds=time.perf_counter() - begun,
     )
@@ -231,7 +231,7 @@ def solve_all(
         plain_limit: states for which that is tried, at most.
         generator: of drawn actions.
     """
-    begun, asked = time.perf_counter(), environment.counters.removals_asked
+    begun, asked = time.perf_counter(), environment.counters.states_asked
     decided = np.full(len(starts), Decider.NOBODY, dtype=object)
     stages: dict[str, float] = {}
 
@@ -267,7 +267,7 @@ def solve_all(
             _plain(environment, starts[row], None if targets is None else targets[row], plain_width) for row in rows
         ]
         settle(rows, torch.tensor(good, device=starts.device), Decider.SEARCH, since)
-    verdicts = environment.counters.removals_asked - asked
+    verdicts = environment.counters.states_asked - asked
     return SolveAll(decided, time.perf_counter() - begun, verdicts, stages)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,13 +15,14 @@ from falsework.learn.answer import Decider, Replan
 from falsework.learn.clock import Clock, TimedOracle
 from falsework.learn.guide import PolicyGuide
 from falsework.learn.prover import Prover
+from falsework.learn.replays import TimedReplayer
 from falsework.learn.request import Request
 from falsework.search.alternatives import Alternatives, choose_alternatives
 from falsework.search.graph import StateGraph
 from falsework.search.plan import Plan
 from falsework.search.planner import insertion_steps
 from falsework.search.result import Outcome, Route, SearchResult
-from falsework.search.task import Direction
+from falsework.search.task import Direction, Task
 from falsework.stability.verdict import Verdicts
 
 _SAMPLES_GPU, _SAMPLES_CPU = 16, 4
@@ -89,17 +90,19 @@ class Job:
         self.clock = clock
         self.request = request
         self.kit = kit
-        self.task = request.task(kit.assembly)
+        self.task = request.task(kit.assembly).judged_by(kit.prover.oracle)
         self.way = request.way(kit.assembly)
-        self.oracle = TimedOracle(kit.prover.oracle, self.clock, lambda: self.others())
-        needed = _SAFETY * kit.prover.seconds_for(self.task.steps // 2 + 2)
+        replayer = kit.prover.oracle.replayer
+        self.replayer = None if replayer is None else TimedReplayer(replayer, self.clock, lambda: self.others())
+        self.oracle = TimedOracle(kit.prover.oracle, self.clock, lambda: self.others(), self.replayer)
+        needed = _SAFETY * kit.prover.seconds_for(kit.prover.states_to_prove(self.task.steps))
         self.clock.reserve = min(needed, _PROVING * request.deadline) if request.deadline is not None else 0.0
         self.routes: list[Route] = []
         """The best one first."""
         self.others: Callable[[], None] = lambda: None
         """Called every now and then, so that other requests need not wait for this one beyond their deadlines."""
         self.busy = False
-        """Whether a search for this request is under way, which then ends by itself when the clock has run out."""
+        """Whether a search, a replay or the answer is under way, which ends by itself when the clock has run out."""
         self.decided_by = Decider.NOBODY
         self.outcome = Outcome.NOT_FOUND
         self.result: SearchResult | None = None
@@ -108,6 +111,8 @@ class Job:
         self.hopeless = False
         """Whether one of the ends does not stand, so that looking for a plan is in vain."""
         self._chosen = False
+        self._fell_by: dict[bytes, Decider] = {}
+        """Who proposed the routes whose replays fell."""
         self._unstable: States | None = None
         self._why = ""
 
@@ -123,13 +128,58 @@ class Job:
         return self.outcome is not Outcome.NOT_FOUND
 
     def found(self, routes: list[Route], by: Decider) -> None:
-        """Take plans; the first are those with which missing parts may come latest."""
+        """Take plans unless their replays fall; the first are those with which missing parts may come latest."""
+        routes = [route for route in routes if self.stands(route, by)]
+        if not routes:
+            return
         if not self.routes:
             self.decided_by = by
         known = {route.states.tobytes() for route in self.routes}
         routes = [*self.routes, *(route for route in routes if route.states.tobytes() not in known)]
         self.routes = sorted(routes, key=lambda route: insertion_steps(route, self.task), reverse=True)
         self.outcome = Outcome.FOUND
+
+    def stands(self, route: Route, by: Decider = Decider.SEARCH) -> bool:
+        """Whether a replay of a route stands, as far as there is time for it.
+
+        The state in which it falls is ruled out: the oracle of this job from then on says that it slides.
+        """
+        if self.replayer is None:
+            return True
+        before, self.busy = self.busy, True  # no answer while the route is not among those that are known
+        try:
+            stands = self.replayer.as_time_allows(route.states[::-1]).stands is not False
+            if not stands:
+                self._fell_by[route.states[::-1].tobytes()] = by
+            return stands
+        finally:
+            self.busy = before
+
+    def choose(self, task: Task, states: States, given: Sequence[Route]) -> list[Route]:
+        """As many routes through some states as are wanted, as different as possible, of which no replay falls.
+
+        Args:
+            task: what they are routes of.
+            states: stable, shape (count, parts).
+            given: routes to begin with.
+        """
+        count = len(states) + 1
+        while True:
+            given = [route for route in given if self.stands(route)]
+            states = states[~self.oracle.rules_out(states)]
+            graph = StateGraph.build(task, np.concatenate([states, *(route.states for route in given)]))
+            chosen = choose_alternatives(
+                graph,
+                self.request.alternatives,
+                given=given,
+                seed=self.request.seed,
+                stop=lambda: self.clock.passed,
+            ).routes
+            standing = [route for route in chosen if self.stands(route)]
+            # A state on a route that stands stays in the graph, even if another route falls there.
+            if len(standing) == len(chosen) or len(states) == count or self.clock.passed:
+                return standing
+            count = len(states)
 
     def take(self, chosen: list[Route]) -> None:
         """Put the plans that were chosen among many before all others that are known."""
@@ -140,8 +190,11 @@ class Job:
     def ended(self, result: SearchResult, by: Decider) -> None:
         """Take the end of a search."""
         self.result = result
+        cut = None if self.replayer is None else self.replayer.unfinished
         if result.found:
             self.found(list(result.routes), by)
+        elif cut is not None and by is Decider.SEARCH and not self.routes:
+            self.found([Route.through(cut[::-1].copy())], by)
         elif result.outcome is Outcome.PROVED_IMPOSSIBLE and not self.routes:
             # A search that left nothing out has been through all states, whatever it was meant to be.
             self.outcome, self.decided_by = result.outcome, Decider.EXHAUSTIVE
@@ -150,10 +203,11 @@ class Job:
         """Take the verdicts on start and target."""
         if not verdicts.stable.all():
             row = int(np.argmin(verdicts.stable))
-            proved = bool(verdicts.unstable[row])
+            proved, slides = bool(verdicts.unstable[row]), bool(verdicts.slides[row])
             name = "state" if (row == 0) == (self.way is Direction.DISASSEMBLY) else "target"
             self._unstable = (self.task.start, self.task.target)[row][None]
-            self._why = f"the {name} {'does not stand' if proved else 'could be proved neither stable nor unstable'}"
+            word = "slides" if slides else "could be proved neither stable nor unstable"
+            self._why = f"the {name} {'does not stand' if proved else word}"
             if proved:
                 self.outcome, self.decided_by = Outcome.PROVED_IMPOSSIBLE, Decider.RULES
             self.hopeless = True
@@ -163,7 +217,14 @@ class Job:
     def answer(self) -> Replan:
         """Prove what was found and say it."""
         plans: tuple[Plan, ...]
-        plans, chosen, late = (), self._choose(), self.clock.passed
+        self.busy = True
+        fallen = None if self.replayer is None else self.replayer.fallen
+        if not self.routes and fallen is not None and self.clock.passed:
+            # Every state of it stands, and there was no time for another one; the answer says that its replay falls.
+            self.routes = [Route.through(fallen[::-1].copy())]
+            self.outcome, self.decided_by = Outcome.FOUND, self._fell_by.get(fallen.tobytes(), Decider.SEARCH)
+        plans, chosen = (), self._choose()
+        late = self.clock.passed
         if self.routes:
             with self.clock.spend("proofs"):
                 try:
@@ -175,6 +236,8 @@ class Job:
         if self.way is Direction.ASSEMBLY:
             plans = tuple(plan.reverse() for plan in plans)
         moving = () if plans else self._moving()
+        replayer = self.replayer
+        replays = [] if replayer is None else [replayer.as_time_allows(plan.route.states[::-1]) for plan in plans]
         return Replan(
             plans=plans,
             outcome=self.outcome,
@@ -190,6 +253,8 @@ class Job:
             moving=moving,
             distance=chosen.distance,
             confidences=tuple(self._confidence(plan.states) for plan in plans) if self.request.confidences else (),
+            criterion=self.kit.prover.oracle.settings.criterion,
+            replays=tuple(replays),
             search=self.result,
         )
 
@@ -198,10 +263,8 @@ class Job:
         wanted, routes = self.request.alternatives, self.routes
         if wanted == 1 or len(routes) <= wanted or self._chosen or self.task.missing:
             return Alternatives.of(routes[:wanted])
-        graph = StateGraph.build(self.task, np.concatenate([route.states for route in routes]))
-        return choose_alternatives(
-            graph, wanted, given=routes[:1], seed=self.request.seed, stop=lambda: self.clock.passed
-        )
+        states = np.concatenate([route.states for route in routes])
+        return Alternatives.of(self.choose(self.task, states, routes[:1]))
 
     def _reached(self) -> int:
         result = self.result
@@ -213,6 +276,11 @@ class Job:
             return self._why
         if self.outcome is Outcome.PROVED_IMPOSSIBLE:
             return "every state that can be reached was looked at"
+        if self.replayer is not None and self.replayer.fallen is not None:
+            return (
+                f"no plan was found that stands when it is replayed in the order of assembly: the best of "
+                f"{self.task.steps} steps falls after step {self.replayer.fell_after}"
+            )
         if self.clock.passed:
             return f"the deadline of {self.request.deadline} s passed; more time may find a plan"
         return self.result.limit if self.result is not None and self.result.limit else "the search was limited"

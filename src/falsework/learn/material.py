@@ -12,6 +12,7 @@ import torch
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.symmetry import symmetries
+from falsework.errors import InputError
 from falsework.learn.checkpoint import DATA, SEARCHED
 from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
 from falsework.learn.evaluate import Sets, sample
@@ -71,12 +72,15 @@ def find_material(
         report: told how far a search is.
         note: told what went wrong that does not matter much.
         enough: asked between searches for tasks with targets whether there is no time for more; in all processes alike.
+
+    Raises:
+        InputError: data of another criterion than the run.
     """
     begun = time.perf_counter()
     count = settings.evaluation_states
     if settings.policy.two_states:
         path = None if folder is None else folder / SEARCHED
-        task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
+        task = task_for(assembly, settings.robots, settings.removable_only_if_clear).judged_by(oracle)
         if kept and path is not None and path.exists():
             searched = Searched.load(path, task)
         else:
@@ -101,17 +105,24 @@ def find_material(
         )
     path = None if folder is None else folder / DATA
     if kept and path is not None and path.exists():
-        data = Dataset.load(path, assembly)
+        data, fresh = Dataset.load(path, assembly), False
     else:
         task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
         searches = DataSettings(widths=_widths(settings), seed=settings.data_seed)
-        data = dataset or build_dataset(
-            assembly, task, searches, oracle=oracle, device=str(device), shards=shards, report=report
-        )
+        data, fresh = dataset, True
+        if data is None:
+            data = build_dataset(
+                assembly, task, searches, oracle=oracle, device=str(device), shards=shards, report=report
+            )
         if not data.complete and note is not None:
             note("not every search reached the complete structure, so little is known of it; wider ones may")
-        if shards.first:
-            _keep(path, data.save, note)
+    if data.criterion != settings.criterion:
+        raise InputError(
+            f"the states to learn from are stable under the criterion {data.criterion}, and the run is of "
+            f"{settings.criterion}; choose one of them for both"
+        )
+    if fresh and shards.first:
+        _keep(path, data.save, note)
     return Material(
         put(np.concatenate([data.train, data.more]), device),
         None,
@@ -132,7 +143,7 @@ def find_pairs(
     searched: Searched | None = None,
 ) -> TargetDataset:
     """Pairs of states and targets that a run with targets learns from and is tested on; always the same ones."""
-    task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
+    task = task_for(assembly, settings.robots, settings.removable_only_if_clear).judged_by(oracle)
     searches = _target_searches(settings)
     return target_dataset(assembly, task, searches, oracle=oracle, device=str(device), shards=shards, searched=searched)
 

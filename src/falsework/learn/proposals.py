@@ -52,7 +52,8 @@ def roll_out(
         owner: number of the task of each rollout, ascending, shape (rollouts,).
         rng: draws actions from the probabilities; the most probable are taken if not given.
         temperature: probabilities are raised to the power of one over it; only with `rng`.
-        stable: asked after every removal, and ends rollouts that fall; without it they go to their ends unasked.
+        stable: asked after every action that needs a verdict, and ends rollouts that fall; without it they go to their
+            ends unasked.
         stop: asked before every step for every task that still runs.
 
     Returns:

@@ -16,7 +16,8 @@ from falsework.learn.guide import PolicyGuide
 from falsework.learn.job import Job, Kit
 from falsework.learn.proposals import Rollout, roll_out
 from falsework.search.result import Route
-from falsework.search.task import Task
+from falsework.search.task import Direction, Task
+from falsework.stability.verdict import Verdict
 
 _SHARE = 0.6
 """Share of the time before a deadline that rollouts may take."""
@@ -144,7 +145,7 @@ def _branches(job: Job, count: int) -> list[States]:
 def _proven_steps(owners: Sequence[Job], rollouts: Sequence[Rollout]) -> list[int]:
     """For each rollout how many of its steps lead to states that stand, judged a piece of all at a time."""
     proven = np.array([len(rollout.states) - 1 for rollout in rollouts])
-    steps = [(s, n) for n, r in enumerate(rollouts) for s in _removals(r)]
+    steps = [(s, n) for n, r in enumerate(rollouts) for s in _judged_steps(r, owners[n].task)]
     steps.sort()
     waiting, size = steps, _VERDICTS * len(rollouts)
     while waiting:
@@ -161,10 +162,10 @@ def _proven_steps(owners: Sequence[Job], rollouts: Sequence[Rollout]) -> list[in
     return proven.tolist()
 
 
-def _removals(rollout: Rollout) -> list[int]:
+def _judged_steps(rollout: Rollout, task: Task) -> list[int]:
     """Steps of a rollout after which a verdict is needed."""
-    present = (rollout.states != 0).sum(axis=1)
-    return (np.flatnonzero(present[1:] < present[:-1]) + 1).tolist()
+    actions = Route.through(rollout.states).actions
+    return (np.flatnonzero(task.needs_verdict(actions, Direction.DISASSEMBLY)) + 1).tolist()
 
 
 def _judge(owners: Sequence[Job], states: States, parents: States) -> NDArray[np.int8]:
@@ -186,6 +187,8 @@ def _judge(owners: Sequence[Job], states: States, parents: States) -> NDArray[np
         taken = time.perf_counter() - since
         for row in rows.tolist():
             owners[row].oracle.asked += 1
+            if owners[row].oracle.rules_out(states[row][None])[0]:
+                verdict[row] = Verdict.SLIDES
         for job in {id(owners[row]): owners[row] for row in rows.tolist()}.values():
             job.clock.add("verdicts", taken)
     return verdict

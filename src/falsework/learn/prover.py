@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, States, complete_state
+from falsework.assembly.state import HELD, Mask, States, complete_state
 from falsework.search.find import plan_of
 from falsework.search.plan import Plan
 from falsework.search.result import Route
 from falsework.search.task import Task
 from falsework.stability.oracle import Stability
-from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts
+from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 _REMEMBERED = 200_000
 """States kept with what their proofs left; less than a hundred megabytes."""
@@ -26,7 +26,7 @@ _PIECE = 64
 
 
 class Prover:
-    """Turns routes into plans of which every state is proved stable by contact forces that the checker accepts."""
+    """Turns routes into plans of which every state is proved stable by a certificate that the checker accepts."""
 
     def __init__(self, assembly: Assembly, oracle: Stability) -> None:
         """Prove with `oracle`, which must be one of `assembly`."""
@@ -34,6 +34,10 @@ class Prover:
         self.oracle = oracle
         self._residual: OrderedDict[bytes, float] = OrderedDict()
         self._per_state = 1e-3
+
+    def states_to_prove(self, steps: int) -> int:
+        """States of a plan of so many steps that need a proof of their own."""
+        return steps // 2 + 2 if self.oracle.holds_keep_stable else steps + 1
 
     def seconds_for(self, states: int) -> float:
         """How long proving so many states may take, from the proofs so far."""
@@ -72,14 +76,18 @@ class Prover:
 
     def _unproven(self, route: Route) -> int:
         """States of a route that need a proof and have none yet."""
-        needed = np.concatenate([[True], route.actions >= route.states.shape[1]])
+        needed = self._needed(route.actions, route.states.shape[1])
         return sum(state.tobytes() not in self._residual for state in route.states[needed])
 
-    def prove(self, states: States, actions: NDArray[np.int64]) -> Verdicts:
-        """Prove consecutive states; the verdicts have no forces.
+    def _needed(self, actions: NDArray[np.int64], parts: int) -> Mask:
+        """Which states of a route need a proof of their own, shape (steps + 1,)."""
+        return np.concatenate([[True], (actions >= parts) | (not self.oracle.holds_keep_stable)])
 
-        Forces that balance a state balance it too once a part is held: a hold takes over the proof of the state
-        before, whose residual bounds its own.
+    def prove(self, states: States, actions: NDArray[np.int64]) -> Verdicts:
+        """Prove consecutive states; the verdicts have no certificates.
+
+        Forces that balance a state balance it too once a part is held: under `equilibrium` a hold takes over the proof
+        of the state before, whose residual bounds its own. Under `contact` every state has a displacement of its own.
 
         Args:
             states: in disassembly order, shape (steps + 1, parts).
@@ -87,7 +95,7 @@ class Prover:
         """
         verdicts = Verdicts.blank(len(states))
         keys = [state.tobytes() for state in states]
-        needed = np.concatenate([[True], actions >= states.shape[1]])
+        needed = self._needed(actions, states.shape[1])
         for row in np.flatnonzero(needed):
             if keys[row] in self._residual:
                 self._residual.move_to_end(keys[row])
@@ -106,9 +114,10 @@ class Prover:
         for row in range(len(states)):
             residual = self._residual.get(keys[last[row]])
             if residual is not None:
-                verdicts.verdict[row], verdicts.proof[row] = Verdict.STABLE, Proof.FORCES
+                verdicts.verdict[row] = Verdict.STABLE
                 verdicts.residual[row] = residual
                 verdicts.decided_by[row] = Solver.RULE if verdicts.decided_by[row] == 0 else verdicts.decided_by[row]
+        verdicts.proof[:] = proof_of(verdicts.verdict, self.oracle.settings.criterion)
         while len(self._residual) > _REMEMBERED:
             self._residual.popitem(last=False)
         return verdicts

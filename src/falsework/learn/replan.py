@@ -107,6 +107,8 @@ class Replanner:
         state = complete_state(self.assembly.boundary)[None]
         self.oracle.judge(state, parents=state)
         self.oracle.check(state)
+        if self.oracle.replayer is not None:
+            self.oracle.replayer.replay(state)
         self._kit.prover.practise()
         if self._kit.guide is not None:
             for _ in range(2):  # what the first call takes says nothing about the next

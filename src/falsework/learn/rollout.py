@@ -38,7 +38,7 @@ class Rollouts:
     success: torch.Tensor
     """Target reached. `bool`, shape (batch,)."""
     unstable: torch.Tensor
-    """Ended by a removal after which stability is not proven; the last state is then that one. `bool`, shape (batch,).
+    """Ended by an action after which stability is not proven; the last state is then that one. `bool`, shape (batch,).
     What is neither success nor unstable came to a state without a legal action."""
 
     @property

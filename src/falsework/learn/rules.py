@@ -33,6 +33,7 @@ class Rules:
         *,
         clearance: Clearance | bool | None = None,
         fixed: Sequence[int] = (),
+        holds_keep_stable: bool = False,
     ) -> None:
         """Copy the rules to the device.
 
@@ -42,6 +43,7 @@ class Rules:
             device: where the states are, such as `cpu`, `cuda` or `auto`.
             clearance: where given, a part is removed only if it can leave; True for the table of the assembly.
             fixed: parts that are never touched, whatever a target says.
+            holds_keep_stable: whether a stable state stays stable when a part of it is held, as of the oracle.
 
         Raises:
             InputError: fewer than one robot, no such device, a fixed part that does not exist, or a clearance asked
@@ -59,6 +61,7 @@ class Rules:
         self.part_count = task.part_count
         self.device = choose_device(device) if isinstance(device, str) else torch.device(device)
         self.clearance = clearance or None
+        self.holds_keep_stable = holds_keep_stable
         self._ways = None if self.clearance is None else WaysOut(self.clearance, self.part_count, self.device)
         touchable = ~task.boundary
         touchable[list(task.fixed)] = False
@@ -100,8 +103,8 @@ class Rules:
         return states.scatter(1, (actions % self.part_count)[:, None], value[:, None])
 
     def needs_verdict(self, actions: torch.Tensor) -> torch.Tensor:
-        """Which actions can make a stable state unstable: removals. `bool`, shape (batch,)."""
-        return actions >= self.part_count
+        """Which actions can make a stable state one that is not, as `Task.needs_verdict`. `bool`, shape (batch,)."""
+        return (actions >= self.part_count) | (not self.holds_keep_stable)
 
     def reached(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> torch.Tensor:
         """Which states are their target; without targets, those in which nothing removable is left. Shape (batch,)."""

@@ -14,6 +14,8 @@ from falsework.learn.refine_settings import RefineSettings
 
 Method = Literal["search", "refine", "imitation", "ppo", "imitation+ppo", "ppo-complete"]
 Data = Literal["wide", "width64"]
+Criterion = Literal["contact", "equilibrium"]
+"""As `falsework.stability.verdict.Criterion`, which would load more than the command line needs to show its help."""
 
 METHODS: tuple[str, ...] = get_args(Method)
 
@@ -103,6 +105,8 @@ class TrainSettings:
     """Network; with `two_states`, it is told a target."""
     removable_only_if_clear: bool = False
     """Remove a part only if it has a straight way out."""
+    criterion: Criterion = "contact"
+    """What stable means for the states that the policy learns from and is tested on."""
     data: Data = "wide"
     """`width64`: the paper's training set alone; `wide`: that and the states of wider searches."""
     widths: tuple[int, ...] = ()
@@ -148,6 +152,8 @@ class TrainSettings:
             raise InputError(f"unknown method {self.method!r}; choose {', '.join(METHODS)}")
         if self.data not in get_args(Data):
             raise InputError(f"unknown data {self.data!r}; choose {' or '.join(get_args(Data))}")
+        if self.criterion not in get_args(Criterion):
+            raise InputError(f"unknown criterion {self.criterion!r}; choose {' or '.join(get_args(Criterion))}")
         if self.minutes < 0 or self.steps < 0:
             raise InputError("minutes and steps are not negative; leave them out for the defaults")
         if self.seed < 0 or self.data_seed < 0:

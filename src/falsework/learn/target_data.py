@@ -16,7 +16,7 @@ from falsework.errors import InputError
 from falsework.learn.data import Report, check_states, search_states
 from falsework.learn.pairs import Pairs, PairSource
 from falsework.search.archive import read_archive, write_archive
-from falsework.search.graph import StateGraph
+from falsework.search.graph import StateGraph, criterion_of, read_criterion
 from falsework.search.many_beams import search_many
 from falsework.search.shards import Shards
 from falsework.search.task import Direction, Task
@@ -146,16 +146,20 @@ class Searched:
 
     def save(self, path: Path | str, task: Task) -> None:
         """Write the states as a versioned `.npz`."""
-        write_archive(path, FORMAT, {"identity": task.identity}, {name: getattr(self, name) for name in _ARRAYS})
+        header = {"identity": task.identity, "criterion": criterion_of(task)}
+        write_archive(path, FORMAT, header, {name: getattr(self, name) for name in _ARRAYS})
 
     @classmethod
     def load(cls, path: Path | str, task: Task) -> Searched:
         """Read what `save` wrote.
 
         Raises:
-            InputError: no such file, a damaged one, one of another version, or one of another structure.
+            InputError: no such file, a damaged one, one of another version, or one of another structure or criterion.
         """
         header, arrays = read_archive(path, FORMAT, _ARRAYS)
+        criterion = read_criterion(path, header, "remove it")
+        if criterion != criterion_of(task):
+            raise InputError(f"{path} has states that are stable under the criterion {criterion}; remove it")
         if header.get("identity") != task.identity:
             raise InputError(f"{path} has states of another structure; remove it")
         check_states(path, arrays, task.part_count, "remove it")
@@ -224,6 +228,7 @@ def target_dataset(
     if searched is None:
         where = choose_device(device)
         asked = oracle_on(Stability(assembly), where) if oracle is None else oracle
+        task = task.judged_by(asked)
         searched = Searched.find(task, settings, asked, device=where, shards=shards)
     graph = StateGraph.build(task, searched.train, name=assembly.name)
     wider = StateGraph.build(task, searched.test, name=assembly.name)

@@ -15,10 +15,10 @@ import torch
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.learn.checkpoint import FILE, check_structure, read_run
+from falsework.learn.checkpoint import FILE, check_structure, read_run, settings_of
 from falsework.learn.data import Dataset
 from falsework.learn.distributed import summed
-from falsework.learn.settings import TrainSettings, from_json
+from falsework.learn.settings import TrainSettings
 from falsework.learn.trainer import Report, Trainer
 from falsework.learn.trainer import TrainResult as TrainResult
 from falsework.search.shards import joined
@@ -83,7 +83,7 @@ def _begin(
         return settings.resolved(assembly.part_count, device.type)
     metadata = read_run(folder)
     check_structure(folder, metadata, assembly)
-    kept = from_json(TrainSettings, metadata["settings"])
+    kept = settings_of(metadata)
     if settings.steps or settings.minutes:
         kept = replace(kept, steps=settings.steps, minutes=settings.minutes or kept.minutes)
     return kept

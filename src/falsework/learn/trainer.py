@@ -42,6 +42,7 @@ from falsework.search.shards import Shards
 from falsework.search.tensor_judge import oracle_on
 from falsework.search.tensors import put
 from falsework.stability.oracle import Stability
+from falsework.stability.settings import StabilitySettings
 
 Report = Callable[[float, str], None]
 """Told how far the run is, between 0 and 1, and words."""
@@ -126,7 +127,7 @@ class Trainer:
         self._checkpoint = None if folder is None else CheckpointFile(folder)
         self._curve: list[dict[str, float]] = []
         self._saved = time.perf_counter()
-        self._oracle = Stability(assembly)
+        self._oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
         self._environment = WatchedEnvironment(
             assembly,
             settings.robots,

@@ -8,12 +8,11 @@ import torch
 
 from falsework.learn.rules import Rules
 from falsework.search.tensors import mix
+from falsework.stability.verdict import Verdict
 
+_UNKNOWN, _STABLE = int(Verdict.UNDECIDED), int(Verdict.STABLE)
 _LEAST = 1 << 10
 _MOST = 1 << 23
-_UNPROVEN = -1
-_UNKNOWN = 0
-_STABLE = 1
 
 
 class VerdictTable:
@@ -54,9 +53,8 @@ class VerdictTable:
         Args:
             states: shape (batch, parts).
             needed: rows that need a verdict, the others count as stable; all if None. Shape (batch,).
-            ask: given states `(asked, parts)` and their rows `(asked,)`, returns verdicts `(asked,)`, 1 for stable, 0
-                for open.
-            final: remember what is left open as not proven; otherwise it is not remembered.
+            ask: given states `(asked, parts)` and their rows `(asked,)`, returns a `Verdict` each, `(asked,)`.
+            final: remember what is left open as not stable; otherwise it is not remembered.
 
         Returns:
             `bool`, shape (batch,).
@@ -80,7 +78,7 @@ class VerdictTable:
         if len(rows):
             answer = ask(states[rows], rows)
             if final:
-                answer = torch.where(answer == _STABLE, _STABLE, _UNPROVEN)
+                answer = torch.where(answer == _UNKNOWN, int(Verdict.UNSTABLE), answer)
             verdict[rows] = answer.to(torch.int8)
             verdict = torch.where(follows, verdict[leader], verdict)
             place = torch.where(leads, slot, self._slots)

@@ -9,7 +9,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
 from falsework.geometry.bits import pack, unpack
 from falsework.geometry.clearance import ClearanceTable
-from falsework.geometry.sweep import Sweeper
+from falsework.geometry.sweep import Sweeper, includes_one
 
 Array = NDArray[np.float64]
 
@@ -38,6 +38,7 @@ class Exits:
         sweeper = Sweeper(assembly.meshes, assembly.contacts, overlap)
         fan = _fan() @ turn  # into the frame of the structure
         self._ways: list[tuple[Array, NDArray[np.bool_]]] = []
+        exact = known.exact.copy()
         for part in range(assembly.part_count):
             rows = slice(known.start[part], known.start[part + 1])
             directions = known.directions[rows]
@@ -47,7 +48,10 @@ class Exits:
                 blockers = np.concatenate([blockers, sweeper.blocked(part, fan)])
             world = directions @ turn.T
             rises = world[:, 2] > _DOWN
+            # Ways that lead down are missed only where something that never leaves does not block them anyway.
+            missed = blockers[~rises & ~blockers[:, assembly.boundary].any(axis=1)]
             world, blockers = world[rises], blockers[rises]
+            exact[part] &= all(includes_one(row, blockers) for row in missed)
             order = np.argsort(-np.round(world[:, 2], 9), kind="stable")
             self._ways.append((world[order], blockers[order]))
         counts = [len(world) for world, _ in self._ways]
@@ -55,6 +59,8 @@ class Exits:
             np.concatenate([world for world, _ in self._ways]) @ turn,
             pack(np.concatenate([blockers for _, blockers in self._ways])),
             np.concatenate([[0], np.cumsum(counts)]).astype(np.int32),
+            exact,
+            known.sampled,
         )
         """The same as a clearance table, for the rules of a task: a part that could only fall out cannot leave."""
 

@@ -3,7 +3,8 @@
 A search in depth with backtracking. At every keyframe it takes the actions after which the structure can still come
 apart, the most promising first, and asks the keyframe graph for a motion; where there is none, the action is rejected
 with the reason and the next one is tried. After some dead ends it starts anew in another order; what was computed is
-kept.
+kept. Under the criterion `contact` a plan whose replay in the order of assembly falls is not delivered either: the
+state in which it falls is forbidden, and the search begins anew.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -81,6 +82,9 @@ class HybridProgress:
 
 Progress = Callable[[HybridProgress], None]
 
+_REPLAYS = 40
+"""Plans with motions whose replay may fall before the search is given up."""
+
 
 @dataclass(frozen=True, eq=False)
 class HybridResult:
@@ -89,7 +93,7 @@ class HybridResult:
     plan: RobotPlan | None
     """From the start to the target, or None."""
     partial: RobotPlan | None
-    """Where there is no plan: the longest one that was found, if it has any step."""
+    """Where there is no plan: the longest one that was found, if it has any step and its replay stands."""
     explanation: Explanation | None
     """Where there is no plan: why."""
     statistics: dict[str, Any]
@@ -170,13 +174,18 @@ class _Search:
         self.counts: Counter[str] = Counter()
         self.attempt = 0
         self.unreachable: list[int] | None = None
+        self.fallen = ""
+        """Where the replay of the last plan that was not delivered falls, in words."""
         self._reported = self.began
 
     def run(self, root: Node) -> HybridResult:
         """Find an abstract plan, then motions for it or for one near it."""
         self.abstract = self.proposals.prepare(self.late)
         if not self.abstract.found:
-            return self.failed(root, self._abstract_outcome(), "")
+            if self.proposals.fallen is not None:
+                place = self._place(*self.proposals.fallen)
+                self.fallen = f"every state of a plan stood, but built up in order it fell {place}"
+            return self.failed(root, self._abstract_outcome(), self.fallen)
         if self.task.steps == 0:
             return self.solved(root, [])
         limit = ""
@@ -188,17 +197,49 @@ class _Search:
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
                 if turn:
                     self.proposals.vary(self.attempt)
-                chain = self.dive(root, np.random.default_rng([self.settings.seed, self.attempt]))
-                self.attempt += 1
+                chain = self.standing(root)
                 if chain is not None:
                     return self.solved(root, chain)
+                if self.counts["replays_fallen"] == _REPLAYS:
+                    return self.failed(root, "not_found", self.fallen)
                 if self.late():
                     limit = f"the deadline of {self.settings.deadline:g} s has passed"
                     return self.failed(root, "interrupted", limit)
                 if self._hopeless():
                     return self.failed(root, "not_found", "more searching would be in vain")
-                limit = f"{self.attempt} searches did not do"
+                limit = f"{self.attempt} searches did not do{f'; {self.fallen}' if self.fallen else ''}"
         return self.failed(root, "not_found", limit)
+
+    def standing(self, root: Node) -> list[Edge] | None:
+        """The edges of a plan whose replay stands, or None after too many dead ends or plans that fall."""
+        while self.counts["replays_fallen"] < _REPLAYS:
+            chain = self.dive(root, np.random.default_rng([self.settings.seed, self.attempt]))
+            self.attempt += 1
+            if chain is None:
+                return None
+            route = self._route(root, chain)
+            row = self.proposals.falls(route)
+            if row is None:
+                return chain
+            self.counts["replays_fallen"] += 1
+            self.fallen = (
+                f"every state of a plan with motions stood, but built up in order it fell {self._place(route, row)} "
+                f"({self.counts['replays_fallen']} such plans)"
+            )
+            if not self.proposals.forbid(route, row):
+                return None
+            self.best = []  # what falls is not handed back as a part of a plan either
+            self.dead.clear()
+            self.proposals.vary(self.attempt)
+        return None
+
+    def _place(self, route: Route, row: int) -> str:
+        """A state in the order of assembly, in words."""
+        if row == 0:
+            return "at the beginning"
+        action, parts = int(route.actions[::-1][row - 1]), self.assembly.part_count
+        doing = "inserting" if action >= parts else "releasing"
+        return f"at step {row} of assembly, {doing} {self.assembly.names[action % parts]}"
 
     def dive(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
         """One search in depth; the edges of a plan, or None after too many dead ends."""
@@ -315,14 +356,19 @@ class _Search:
             unreachable=self.unreachable or [],
             abstract=self.abstract is not None and not self.abstract.found,
         )
-        partial = self._plan(root, self.best, why) if self.best else None
+        partial = None
+        if self.best and self.proposals.falls(self._route(root, self.best)) is None:
+            partial = self._plan(root, self.best, why)
         statistics = self._statistics() if partial is None else partial.statistics
         return HybridResult(None, partial, why, statistics)
 
-    def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
+    @staticmethod
+    def _route(root: Node, chain: list[Edge]) -> Route:
         states: States = np.array([root.state, *(edge.node.state for edge in chain)], dtype=np.uint8)
-        route = Route(states, np.array([edge.action for edge in chain], dtype=np.int64))
-        task = self.proposals.task
+        return Route(states, np.array([edge.action for edge in chain], dtype=np.int64))
+
+    def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
+        route, task = self._route(root, chain), self.proposals.task
         statistics = self._statistics()
         if why is not None:
             statistics["failure"] = why.record()
@@ -330,11 +376,13 @@ class _Search:
             self.assembly, self.cell, task, self.oracle, route, root, chain, forces=self.settings.forces
         )
         statistics["seconds"] = round(time.perf_counter() - self.began, 3)
-        plan.statistics.update(statistics)
+        replay = plan.plan.replay
+        plan.statistics.update(statistics, replay=None if replay is None else asdict(replay))
         return plan
 
     def _statistics(self) -> dict[str, Any]:
         return {
+            "criterion": self.oracle.settings.criterion,
             "seed": self.settings.seed,
             "seconds": round(time.perf_counter() - self.began, 3),
             "attempts": self.attempt,
@@ -342,6 +390,7 @@ class _Search:
             "actions": self.counts["actions"],
             "rejected": self.counts["rejected"],
             "unsolvable": self.counts["unsolvable"],
+            "replays_fallen": self.counts["replays_fallen"],
             "solvable_states": len(self.proposals),
             "free_motions": self.graph.motions,
             "free_motions_used_again": self.graph.motions_kept,

@@ -3,6 +3,9 @@
 One abstract plan is found first: by a rollout where there is a taste to follow, else by a search. Its states are
 solvable, and so is every state from which a short search, forwards and narrow, meets one that is. The set grows with
 every answer, so that alternatives near a plan are cheap to judge.
+
+Under the criterion `contact` a plan is followed only if its replay in the order of assembly stands. The state in which
+a replay falls is forbidden from then on, and what could only go on through it is no longer solvable.
 """
 
 from __future__ import annotations
@@ -34,6 +37,8 @@ _VARIED = 16
 """Widest beam for another one."""
 _ROLLOUTS = 16
 """Rollouts with random actions at once."""
+_REPLAYS = 40
+"""Plans of one search whose replay may fall before it is given up."""
 
 
 class Proposals:
@@ -59,15 +64,18 @@ class Proposals:
             taste: scores actions for rollouts, which are tried before a search for a plan.
             seed: of that search.
         """
-        self.task, self.oracle = task, oracle
+        self.task, self.oracle = task.judged_by(oracle), oracle
         self._guide = guide or SupportGuide(assembly)
         self._taste = taste
         self._assembly, self._seed = assembly, seed
         self.postponed: tuple[int, ...] = ()
+        self.fallen: tuple[Route, int] | None = None
+        """Where `prepare` finds nothing: the plan that came farthest in its replay, and the state in which it falls."""
         self._left = 0
         self._preferred: set[bytes] = set()
         self._solvable: set[bytes] = {task.target.tobytes()}
         self._not_found: set[bytes] = set()
+        self._forbidden: set[bytes] = set()
         self._moves: dict[bytes, list[int]] = {}
 
     def __len__(self) -> int:
@@ -80,7 +88,8 @@ class Proposals:
         route = self._roll_out(None, stop) or self._roll_out(np.random.default_rng(self._seed), stop)
         if route is not None:
             planner.begin_with(route)
-        result = planner.run(stop=stop)
+        result = planner.run(stop=stop)  # which replays what it finds
+        self.fallen = planner.fallen
         if result.found:
             self.postponed = planner.postponed
             self.task = self.task.postpone(planner.postponed)
@@ -101,14 +110,86 @@ class Proposals:
 
         direction = Direction.ASSEMBLY if seed % 2 else Direction.DISASSEMBLY
         beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(direction, seed=seed), guide=disturbed)
-        self._follow(beam.run(_VARIED).routes)
+        self._follow(self._search(beam, _VARIED))
+
+    def falls(self, route: Route) -> int | None:
+        """First state in the order of assembly in which the replay of a route falls; None if it stands.
+
+        Always None under the criterion `equilibrium`, which knows no history.
+        """
+        replayer = self.oracle.replayer
+        return None if replayer is None else replayer.replay(route.states[::-1]).falls_at
+
+    def forbid(self, route: Route, row: int) -> bool:
+        """Rule out the state in which the replay of a route falls, and all that could go on through it alone.
+
+        Where that is the first or the last state of the task, which every plan has, the one next to it is ruled out.
+
+        Args:
+            route: whose replay falls.
+            row: state at which it does, in the order of assembly.
+
+        Returns:
+            Whether there was such a state; False for a route that has nothing between its ends.
+        """
+        states, last = route.states[::-1], len(route.states) - 1
+        row = min(max(row, 1), last - 1)
+        if row < 1:
+            return False
+        self._forbidden.add(states[row].tobytes())
+        self._prune()
+        return True
+
+    def _prune(self) -> None:
+        """Keep of the solvable states those from which a way to the target is left."""
+        known = np.array([np.frombuffer(key, np.uint8) for key in self._solvable - self._forbidden])
+        left = {self.task.target.tobytes()}
+        done = self.task.steps_done(known)
+        for level in np.unique(done)[::-1]:
+            states = known[done == level]
+            rows, actions = np.nonzero(self.task.moves(states, Direction.DISASSEMBLY))
+            after = self.task.follow(states[rows], actions, Direction.DISASSEMBLY)
+            leads = np.array([state.tobytes() in left for state in after], dtype=bool)
+            left |= {states[row].tobytes() for row in np.unique(rows[leads])}
+        self._solvable = left
+        self._preferred &= left
+
+    def _search(self, beam: AdaptiveBeam, widest: int) -> Sequence[Route]:
+        """Routes of a beam whose replays stand; none if it finds none."""
+        for _ in range(_REPLAYS):
+            if self._forbidden:
+                beam.search.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
+            routes = beam.run(widest).routes
+            row = self.falls(routes[0]) if routes else None
+            if row is None:
+                return routes
+            if not self.forbid(routes[0], row):
+                break
+        return ()
 
     def _roll_out(self, rng: np.random.Generator | None, stop: Stop | None = None) -> Route | None:
         """A whole way by taste: the best actions, or some drawn at random; None if there is no taste, or no luck."""
         if self._taste is None or self.task.steps == 0:
             return None
         target, rows = {self.task.target.tobytes()}, 1 if rng is None else _ROLLOUTS
-        return roll_out(self.task, self.oracle, self._taste, self.task.start, target, rng=rng, rows=rows, stop=stop)
+        for _ in range(_REPLAYS):
+            route = roll_out(
+                self.task,
+                self.oracle,
+                self._taste,
+                self.task.start,
+                target,
+                rng=rng,
+                rows=rows,
+                forbidden=self._forbidden,
+                stop=stop,
+            )
+            row = None if route is None else self.falls(route)
+            if route is None or row is None:
+                return route
+            if not self.forbid(route, row):
+                break
+        return None
 
     def preferred(self, state: States, action: int) -> bool:
         """Whether an action follows the plan found last."""
@@ -128,7 +209,7 @@ class Proposals:
         self._not_found.clear()
         # What is known lies around the plan for the latest parts: add one for the new rules.
         beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(seed=self._seed), guide=self._guide)
-        self._follow(beam.run(_FIRST).routes)
+        self._follow(self._search(beam, _FIRST))
 
     def legal(self, state: States) -> list[int]:
         """Actions that the rules allow, stability aside."""
@@ -147,10 +228,10 @@ class Proposals:
         key = after.tobytes()
         if key in self._solvable:
             return True
-        if key in self._not_found:
+        if key in self._not_found or key in self._forbidden:
             return False
-        removal = action >= self.task.part_count
-        if (removal and not self.oracle.stable(after[None], parents=state[None])[0]) or not self._join(after):
+        asked = self.task.needs_verdict(np.array([action]), Direction.DISASSEMBLY)[0]
+        if (asked and not self.oracle.stable(after[None], parents=state[None])[0]) or not self._join(after):
             self._not_found.add(key)
             return False
         return True
@@ -185,6 +266,7 @@ class Proposals:
     def _stable_few(self, before: States, after: States, actions: np.ndarray) -> np.ndarray:
         """The most promising successors that stand: few held, then the guide's taste."""
         removal = actions >= self.task.part_count
+        asked = self.task.needs_verdict(actions, Direction.DISASSEMBLY)
         mask = np.zeros((len(before), 2 * self.task.part_count), dtype=bool)
         mask[np.arange(len(before)), actions] = True
         score = np.asarray(self._guide(before, mask, Direction.DISASSEMBLY))[np.arange(len(before)), actions]
@@ -193,14 +275,17 @@ class Proposals:
         kept: list[int] = []
         holds = 0
         for k in order.tolist():
+            if after[k].tobytes() in self._forbidden:
+                continue
             if removal[k]:
                 if self._left == 0:
                     continue
                 self._left -= 1
-                if self.oracle.stable(after[k][None], parents=before[k][None])[0]:
-                    kept.append(k)
             elif holds < 2 * _WIDTH:
                 holds += 1
+            else:
+                continue
+            if not asked[k] or self.oracle.stable(after[k][None], parents=before[k][None])[0]:
                 kept.append(k)
             if len(kept) >= 3 * _WIDTH:
                 break

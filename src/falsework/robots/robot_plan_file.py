@@ -66,7 +66,7 @@ def robot_plan_to_json(plan: RobotPlan) -> dict[str, Any]:
                 for robot in plan.robots
             ],
         },
-        "plan": plan_to_json(plan.plan, proofs=plan.plan.forces is not None),
+        "plan": plan_to_json(plan.plan, proofs=plan.plan.proof_arrays() is not None),
         "keyframes": [
             {"configurations": [_numbers(values) for values in keyframe.configurations], "held": list(keyframe.held)}
             for keyframe in plan.keyframes

@@ -25,6 +25,7 @@ def roll_out(
     *,
     rng: np.random.Generator | None = None,
     rows: int = 1,
+    forbidden: Container[bytes] = (),
     stop: Stop | None = None,
 ) -> Route | None:
     """Go on from a stable state by the best action after which the structure stands, never back.
@@ -40,12 +41,13 @@ def roll_out(
         rng: adds noise to the scores, so that rows differ; with scores that are logarithms of probabilities, actions
             are drawn with these. The best action is taken if not given.
         rows: rollouts at once.
+        forbidden: states, as bytes, that no rollout goes through although they may stand.
         stop: asked before every step; true ends the rollouts.
 
     Returns:
         The way of the first row that arrives, or None if none does.
     """
-    parts = task.part_count
+    task = task.judged_by(oracle)
     states = np.repeat(np.asarray(start, np.uint8)[None], rows, axis=0)
     passed, taken = [states], []
     alive = np.ones(rows, dtype=bool)
@@ -71,10 +73,13 @@ def roll_out(
             alive[left[stuck]] = False
             left = left[~stuck]
             after[left] = task.follow(states[left], actions[left], Direction.DISASSEMBLY)
-            left = left[actions[left] >= parts]
-            if len(left):  # what falls is not taken: the next best
-                left = left[~oracle.stable(after[left], parents=states[left])]
-                scores[left, actions[left]] = -np.inf
+            barred = np.array([after[row].tobytes() in forbidden for row in left], dtype=bool)
+            asked = ~barred & task.needs_verdict(actions[left], Direction.DISASSEMBLY)
+            if asked.any():
+                rows_asked = left[asked]
+                barred[asked] = ~oracle.stable(after[rows_asked], parents=states[rows_asked])
+            left = left[barred]  # what does not stand is not taken: the next best
+            scores[left, actions[left]] = -np.inf
         after[~alive] = states[~alive]
         states = after
         passed.append(states)

@@ -22,6 +22,7 @@ from falsework.search.plan import Plan as Plan
 from falsework.search.plan_check import PlanReport as PlanReport
 from falsework.search.plan_file import Need as Need
 from falsework.search.plan_file import plan_schema as plan_schema
+from falsework.search.plan_replay import PlanReplay as PlanReplay
 from falsework.search.planner import Planner as Planner
 from falsework.search.planner import PlannerSettings as PlannerSettings
 from falsework.search.result import Outcome as Outcome

@@ -38,6 +38,13 @@ class Alternatives:
                 states[i, j] = states[j, i] = state_distance(a, b)
         return cls(tuple(routes), order, states)
 
+    def keep(self, rows: Sequence[int]) -> Alternatives:
+        """Some of the routes."""
+        chosen = np.ix_(rows, rows)
+        return Alternatives(
+            tuple(self.routes[k] for k in rows), self.order_distance[chosen], self.state_distance[chosen]
+        )
+
     @property
     def distance(self) -> NDArray[np.float64]:
         """Mean of both distances, between 0 (the same plan) and 1, shape (k, k)."""

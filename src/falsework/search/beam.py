@@ -416,7 +416,7 @@ class BeamSearch:
         sliding = self._judge.sliding + self._sliding
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:
-            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided, sliding)
+            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided, sliding, self.task.doubt)
         # A beam that was taken back may be less far now than where it died before.
         farther_now = len(self.levels) > self._farthest
         return SearchResult(

@@ -236,7 +236,7 @@ class DepthFirstSearch:
         undecided, sliding = self._judge.undecided + self._undecided, self._judge.sliding + self._sliding
         if self.found:
             outcome, routes = Outcome.FOUND, (self._route(),)
-        elif self.done and not interrupted and undecided == 0 and sliding == 0:
+        elif self.done and not interrupted and undecided == 0 and sliding == 0 and not self.task.doubt:
             outcome = Outcome.PROVED_IMPOSSIBLE
         else:
             outcome = Outcome.NOT_FOUND
@@ -246,6 +246,8 @@ class DepthFirstSearch:
                 limit = f"{undecided} states could be proved neither stable nor unstable"
             elif sliding:
                 limit = f"no plan was found in which every state stands: {sliding} states slide"
+            elif self.done and not interrupted:
+                limit = self.task.doubt
         return SearchResult(
             outcome=outcome,
             routes=routes,

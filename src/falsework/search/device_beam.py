@@ -28,6 +28,7 @@ from falsework.search.tensor_clusters import find_centers
 from falsework.search.tensor_judge import TensorJudge, TensorOracle
 from falsework.search.tensor_rules import TensorRules
 from falsework.search.tensors import import_torch, mix, place_in_group
+from falsework.stability.verdict import Verdict
 
 if TYPE_CHECKING:
     import torch
@@ -97,7 +98,7 @@ class DeviceBeam:
 
         Args:
             task: rules between start and target.
-            oracle: verdicts on tensors.
+            oracle: verdicts on tensors; it says too which moves need one, see `Task.judged_by`.
             settings: width, direction, diversity and seed; levels are always judged whole (`ahead` is 0).
             device: where the search lives.
             guide: scores actions.
@@ -110,7 +111,7 @@ class DeviceBeam:
         if settings.ahead:
             raise InputError("a beam on a device judges whole levels; set ahead to 0, or use BeamSearch")
         torch = import_torch()
-        self.task = task
+        self.task = task = task.judged_by(oracle)
         self.settings = settings
         self.device = torch.device(device)
         self.shards = shards
@@ -120,8 +121,8 @@ class DeviceBeam:
         self._judge = TensorJudge(oracle, shards)
         self._guide = guide
         self._candidates = self._asked = 0
-        self._refused = torch.zeros(2, dtype=torch.int64, device=self.device)
-        """Not stable, and of these undecided."""
+        self._refused = torch.zeros(3, dtype=torch.int64, device=self.device)
+        """Not stable, and of these undecided, and sliding."""
         self._rejected = np.empty((0, task.part_count), dtype=np.uint8)
         self._seconds = 0.0
         self._levels: list[_TensorLevel] = []
@@ -152,8 +153,9 @@ class DeviceBeam:
     def levels(self) -> list[Level]:
         """Levels so far, copied to the host."""
         for level in self._levels[len(self._host) :]:
-            columns = (level.states, level.parent, level.action, level.score)
-            self._host.append(Level(*(column.cpu().numpy() for column in columns)))
+            tensors = (level.states, level.parent, level.action, level.score)
+            states, parent, action, score = (tensor.cpu().numpy() for tensor in tensors)
+            self._host.append(Level(states, parent, action, score, np.ones(len(states), dtype=np.int8)))
         return self._host
 
     def states(self) -> States:
@@ -173,8 +175,9 @@ class DeviceBeam:
         if len(asked):
             mine = candidates.take(asked[self.shards.interleaved()])
             verdicts = self._judge.verdicts(self._written(level, mine), level.states[mine.parent], len(asked))
-            stable[asked] = verdicts == 1
-            self._refused += torch.stack([(verdicts != 1).sum(), (verdicts == 0).sum()])
+            stable[asked] = verdicts == Verdict.STABLE
+            answers = (verdicts != Verdict.STABLE, verdicts == Verdict.UNDECIDED, verdicts == Verdict.SLIDES)
+            self._refused += torch.stack([answer.sum() for answer in answers])
         rows = stable.nonzero()[:, 0]
         self._candidates += len(candidates)
         self._asked += len(asked)
@@ -197,7 +200,7 @@ class DeviceBeam:
         return True
 
     def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Step until the goal is reached, nothing is left, or somebody stops it.
+        """Step until the goal is reached, nothing is left, or `stop` stops it.
 
         Args:
             progress: called after every level.
@@ -236,10 +239,10 @@ class DeviceBeam:
 
     def result(self, *, interrupted: bool = False) -> SearchResult:
         """Where the search stands; `interrupted` if it is to be called unfinished."""
-        undecided, limit = int(self._refused[1]), ""
+        (_, undecided, sliding), limit = self._refused.tolist(), ""
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:
-            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided)
+            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided, sliding, self.task.doubt)
         return SearchResult(
             outcome=outcome,
             routes=(self.route(),) if self.found else (),
@@ -253,6 +256,7 @@ class DeviceBeam:
             interrupted=interrupted,
             limit=limit,
             undecided=undecided,
+            sliding=sliding,
             notes=tuple(self._judge.notes),
         )
 

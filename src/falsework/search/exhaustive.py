@@ -60,7 +60,7 @@ class ExhaustiveSearch:
         """
         if state_limit < 1:
             raise InputError(f"a limit of {state_limit} states allows no search; give at least 1")
-        self.task = task
+        self.task = task = task.judged_by(oracle)
         self.state_limit = state_limit
         self.name = name
         settings = BeamSettings(width=state_limit, direction=Direction.DISASSEMBLY, diversity="none")
@@ -73,7 +73,7 @@ class ExhaustiveSearch:
         return kept > self.state_limit or not self._beam.exhaustive
 
     def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> Census:
-        """Search on until every state is found, the limit is exceeded, or somebody stops it.
+        """Search on until every state is found, the limit is exceeded, or `stop` stops it.
 
         Args:
             progress: called after every level.

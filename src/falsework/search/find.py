@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from falsework.search.alternatives import Alternatives, choose_alternatives
 from falsework.search.graph import StateGraph
 from falsework.search.guide import Guide, SupportGuide
 from falsework.search.plan import Plan
+from falsework.search.plan_replay import PlanReplay
 from falsework.search.planner import Planner, PlannerSettings
 from falsework.search.result import Outcome, Progress, Route, SearchProgress, SearchResult, Stop
 from falsework.search.task import Task
@@ -35,6 +36,8 @@ class Planning:
     """Plans for disassembly, the first one first; `Plan.reverse` gives those for assembly."""
     alternatives: Alternatives
     """How much the plans differ; its routes are those of `plans`."""
+    fallen: Plan | None = None
+    """Where no plan was found whose replay stands: the one that comes farthest, with where it falls."""
 
     @property
     def found(self) -> bool:
@@ -84,9 +87,15 @@ def find_plans(
         else:
             Path(checkpoint).unlink(missing_ok=True)
     if not result.found:
-        return Planning(result, (), Alternatives.of([]))
+        fallen = None
+        if planner.fallen is not None and not result.interrupted:
+            fallen = plan_of(planner.fallen[0], assembly, task, oracle, forces=forces)
+        return Planning(result, (), Alternatives.of([]), fallen)
     chosen = choose_plans(planner, settings, assembly.name)
     plans = tuple(plan_of(route, assembly, task, oracle, forces=forces) for route in chosen.routes)
+    standing = [k for k, plan in enumerate(plans) if plan.replay is None or plan.replay.stands]
+    if len(standing) < len(plans):
+        plans, chosen = tuple(plans[k] for k in standing), chosen.keep(standing)
     return Planning(result, plans, chosen)
 
 
@@ -96,24 +105,34 @@ def task_of(assembly: Assembly, robots: int = 2) -> Task:
 
 
 def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, forces: bool = True) -> Plan:
-    """Plan along a route, each state proved stable anew by contact forces that the certificate checker accepts.
+    """Plan along a route, each state proved stable anew with a proof that the certificate checker accepts.
+
+    Under the criterion `contact` the plan is replayed as well; what came of it is in `Plan.replay`.
 
     Args:
         route: states and actions.
         assembly: the structure.
         task: what the route was found for.
         oracle: proves the states.
-        forces: keep the forces in the plan.
+        forces: keep the forces in the plan, under `contact` the displacements too.
 
     Raises:
         PlanError: a state that cannot be proved stable.
     """
-    points = len(assembly.contacts.points)
-    verdicts = Verdicts.blank(len(route.states), points=points if forces else None)
+    points, contact = len(assembly.contacts.points), oracle.settings.criterion == "contact"
+    verdicts = Verdicts.blank(
+        len(route.states),
+        points=points if forces else None,
+        parts=assembly.part_count if forces and contact else None,
+        displaced=contact,
+    )
     for begin in range(0, len(route.states), _PROVED_AT_ONCE):
         rows = np.arange(begin, min(begin + _PROVED_AT_ONCE, len(route.states)))
         verdicts.put(rows, oracle.check(route.states[rows]))
-    return Plan.of(route, assembly, task, verdicts, oracle.settings.claim)
+    plan = Plan.of(route, assembly, task, verdicts, oracle.settings.claim)
+    if oracle.replayer is None:
+        return plan
+    return replace(plan, replay=PlanReplay.of(oracle.replayer.replay(plan.assembly_states)))
 
 
 def choose_plans(

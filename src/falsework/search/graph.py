@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,35 @@ from falsework.search.archive import read_archive, write_archive
 from falsework.search.hashing import StateHash, StateIndex, merge
 from falsework.search.result import Route
 from falsework.search.task import Direction, Task
+from falsework.stability.verdict import Criterion
 
 FORMAT = "falsework.graph/1"
 
 _ARRAYS = frozenset({"states", "source", "action", "target", "boundary", "start_state", "target_state"})
 _KEYS = {"format", "name", "identity", "robots", "removable_only_if_clear", "fixed", "missing", "postponed"}
 _CHUNK = 1024
+
+
+def criterion_of(task: Task) -> Criterion:
+    """What stable means for states of a task that was `judged_by` the oracle which found them."""
+    return "equilibrium" if task.holds_keep_stable else "contact"
+
+
+def read_criterion(path: Path | str, header: dict[str, Any], remedy: str) -> Criterion:
+    """Take the criterion out of the header of a file of states; files from before there was a choice have none.
+
+    Args:
+        path: of the file.
+        header: as read; `criterion` is removed.
+        remedy: what to do if the file is damaged.
+
+    Raises:
+        InputError: an unknown criterion.
+    """
+    criterion = header.pop("criterion", "equilibrium")
+    if criterion not in get_args(Criterion):
+        raise InputError(f"{path} is damaged (its criterion is {criterion!r}); {remedy}")
+    return criterion
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +72,8 @@ class StateGraph:
         """Connect stable states by every action that the rules of `task` allow.
 
         Args:
-            task: rules between start and target; only states between these two are used.
+            task: rules between start and target, `judged_by` the oracle that found the states stable; only states
+                between these two are used.
             states: stable states in any order, repeated or not, shape (count, parts).
             name: name of the structure.
         """
@@ -80,6 +104,11 @@ class StateGraph:
 
     def __len__(self) -> int:
         return len(self.states)
+
+    @property
+    def criterion(self) -> Criterion:
+        """What stable means for its states."""
+        return criterion_of(self.task)
 
     @cached_property
     def level(self) -> NDArray[np.int64]:
@@ -157,6 +186,7 @@ class StateGraph:
             "fixed": list(task.fixed),
             "missing": list(task.missing),
             "postponed": list(task.postponed),
+            "criterion": self.criterion,
         }
         arrays = {
             "states": self.states,
@@ -177,6 +207,7 @@ class StateGraph:
             InputError: no such file, a damaged one, one of another version, or one whose edges are no legal actions.
         """
         header, arrays = read_archive(path, FORMAT, _ARRAYS)
+        criterion = read_criterion(path, header, "build the graph again")
         if set(header) != _KEYS:
             odd = ", ".join(sorted(set(header) ^ _KEYS))
             raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent header entries {odd}")
@@ -190,6 +221,7 @@ class StateGraph:
                 missing=header["missing"],
                 identity=header["identity"],
             ).postpone(header["postponed"])
+            task = replace(task, holds_keep_stable=criterion == "equilibrium")
         except TypeError as error:
             raise InputError(f"{path} is damaged ({error}); build the graph again") from None
         graph = cls(

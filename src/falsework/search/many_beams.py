@@ -20,6 +20,7 @@ from falsework.search.task import Direction, Task
 from falsework.search.tensor_judge import TensorJudge, TensorOracle
 from falsework.search.tensor_rules import TensorRules
 from falsework.search.tensors import import_torch, mix, place_in_group, uniform
+from falsework.stability.verdict import Verdict
 
 if TYPE_CHECKING:
     import torch
@@ -69,7 +70,7 @@ def search_many(
 
     Args:
         task: rules between start and target.
-        oracle: verdicts on tensors; a state that it leaves open is not kept.
+        oracle: verdicts on tensors; a state that slides, or that it leaves open, is not kept.
         count: searches.
         width: states that each keeps a level.
         direction: end to begin at.
@@ -104,6 +105,7 @@ class _Beams:
     def __init__(
         self, task: Task, oracle: TensorOracle, width: int, direction: Direction, seed: int, device: torch.device
     ) -> None:
+        task = task.judged_by(oracle)
         self.device = device
         self._width, self._seed, self._steps = width, seed, task.steps
         self._rules = TensorRules(task, direction, device)
@@ -158,7 +160,7 @@ class _Beams:
         stable = ~asks
         if len(rows):
             after = rules.follow(level.states[parent[rows]], action[rows])
-            stable[rows] = self._judge.verdicts(after, level.states[parent[rows]], len(rows)) == 1
+            stable[rows] = self._judge.verdicts(after, level.states[parent[rows]], len(rows)) == Verdict.STABLE
         order = order[stable[order]]
         order = order[place_in_group(local[order]) < self._width]
         after = rules.follow(level.states[parent[order]], action[order])

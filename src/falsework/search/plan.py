@@ -14,9 +14,11 @@ from falsework.assembly.state import REMOVED, Mask, States
 from falsework.errors import PlanError
 from falsework.search.plan_check import PlanReport, check_identity, check_proofs, check_with_solver
 from falsework.search.plan_file import Need, needs_of, read_plan, write_plan
+from falsework.search.plan_replay import PlanReplay
 from falsework.search.result import Route
 from falsework.search.task import Direction, Task
 from falsework.stability.certificate import Claim
+from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdicts
 
 if TYPE_CHECKING:
@@ -71,7 +73,11 @@ class Plan:
     """Where the structure came from: `built_in` or `path` (relative to the file of the plan), and the options of
     `load_structure` that were given; None if it was not said."""
     forces: NDArray[np.float64] | None = None
-    """Proof of each state: contact forces `(n, t1, t2)` in N, shape (steps + 1, points, 3)."""
+    """Contact forces `(n, t1, t2)` of each state in N, the proof under `equilibrium`, shape (steps + 1, points, 3)."""
+    displacement: NDArray[np.float64] | None = None
+    """Proof of each state under `contact`: displacements of the parts in m and rad, shape (steps + 1, parts, 6)."""
+    replay: PlanReplay | None = None
+    """How the plan went when it was replayed in the order of assembly; None if it was not."""
 
     @classmethod
     def of(cls, route: Route, assembly: Assembly, task: Task, verdicts: Verdicts, claim: Claim = Claim()) -> Plan:
@@ -107,6 +113,7 @@ class Plan:
             missing=task.missing,
             removable_only_if_clear=task.clearance is not None,
             forces=verdicts.forces,
+            displacement=verdicts.displacement,
         )
 
     def __len__(self) -> int:
@@ -139,45 +146,69 @@ class Plan:
             proofs=self.proofs[::-1].copy(),
             residuals=self.residuals[::-1].copy(),
             forces=None if self.forces is None else self.forces[::-1].copy(),
+            displacement=None if self.displacement is None else self.displacement[::-1].copy(),
             direction=other,
         )
 
-    def validate(self, assembly: Assembly, *, progress: Progress | None = None) -> PlanReport:
-        """Check every step with the exact solver, up to the first bad one.
+    @property
+    def assembly_states(self) -> States:
+        """States in the order of assembly, in which a plan is replayed, shape (steps + 1, parts)."""
+        return self.states if self.direction is Direction.ASSEMBLY else self.states[::-1]
+
+    def validate(
+        self,
+        assembly: Assembly,
+        settings: StabilitySettings = StabilitySettings(),
+        *,
+        progress: Progress | None = None,
+    ) -> PlanReport:
+        """Check every step by a solver, up to the first bad one.
+
+        The caller decides what stable means. What the plan says of its own tolerance, gravity, force bound and
+        criterion is a claim: a plan that claims less than the caller asks for is refused.
 
         Args:
             assembly: the structure.
+            settings: what stable means.
             progress: called with the number of states checked and of all states.
 
         Raises:
             PlanError: the plan is for another structure.
         """
         check_identity(self, assembly)
-        return check_with_solver(self, assembly, progress)
+        return check_with_solver(self, assembly, settings, progress)
 
-    def validate_proofs(self, assembly: Assembly) -> PlanReport:
-        """Check every step by the forces that the plan carries; needs no solver.
+    def validate_proofs(self, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> PlanReport:
+        """Check every step by the proofs that the plan carries; needs no solver.
+
+        Args:
+            assembly: the structure.
+            settings: what stable means.
 
         Raises:
-            PlanError: the plan is for another structure, or carries no forces.
+            PlanError: the plan is for another structure, or carries no proofs.
         """
         check_identity(self, assembly)
-        return check_proofs(self, assembly)
+        return check_proofs(self, assembly, settings)
 
     def save(self, path: Path | str, *, proofs: bool = False) -> None:
-        """Write the plan as JSON, format `falsework.plan/1`, whole or not at all.
+        """Write the plan as JSON, format `falsework.plan/2`, whole or not at all.
 
         Args:
             path: file to write.
-            proofs: write the contact forces too, some hundred kilobytes.
+            proofs: write the displacements or contact forces too, some hundred kilobytes.
 
         Raises:
             PlanError: proofs are asked for and the plan has none.
             InputError: the file cannot be written.
         """
-        if proofs and self.forces is None:
-            raise PlanError("the plan carries no contact forces to write; save it without proofs")
+        if proofs and self.proof_arrays() is None:
+            raise PlanError("the plan carries no displacements or contact forces to write; save it without proofs")
         write_plan(self, path, proofs=proofs)
+
+    def proof_arrays(self) -> NDArray[np.float64] | None:
+        """What proves the states under the plan's criterion, if the plan carries it."""
+        return self.displacement if self.claim.criterion == "contact" else self.forces
 
     @classmethod
     def load(cls, path: Path | str) -> Plan:

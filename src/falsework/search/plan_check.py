@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,8 +13,9 @@ import numpy as np
 from falsework.assembly.state import HELD, States, action_mask, apply_actions, held_count, undo_mask
 from falsework.errors import PlanError
 from falsework.search.task import Direction
-from falsework.stability.certificate import residual_of_forces
+from falsework.stability.certificate import Claim, accept, residual_of_displacement, residual_of_forces
 from falsework.stability.exact import ExactSolver
+from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdicts
 
@@ -34,6 +36,8 @@ class PlanReport:
     """What is wrong with the first bad state; empty if all are good."""
     residual: float = 0.0
     """Largest residual of a good state, a share of gravity."""
+    claim: Claim = field(default_factory=Claim)
+    """What stable means here: the caller's criterion, cone, gravity, tolerance and force bound."""
     verdict: Verdicts | None = None
     """Verdict on the first bad state, with the velocity that proves it unstable; None if it broke a rule."""
     seconds: float = 0.0
@@ -100,65 +104,91 @@ def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str]
     return None
 
 
-def check_with_solver(plan: Plan, assembly: Assembly, progress: Callable[[int, int], None] | None) -> PlanReport:
-    """Check rules and, with the exact solver, stability, state by state up to the first bad one."""
-    begun, count = time.perf_counter(), len(plan.states)
+def weaker_claim(claimed: Claim, asked: Claim) -> str:
+    """Why a plan that claims this much is no answer to what is asked; empty if it is.
+
+    Args:
+        claimed: what the plan says that its verdicts mean.
+        asked: what the caller means by stable.
+    """
+    if claimed.criterion != asked.criterion and asked.criterion == "contact":
+        return "the plan claims equilibrium only; plan again, or check it with --criterion equilibrium"
+    for name, unit in (("tolerance", ""), ("force_bound", " weights")):
+        if getattr(claimed, name) > getattr(asked, name) * (1 + 1e-12):
+            return f"the plan claims a {name} of {getattr(claimed, name):g}{unit}; {getattr(asked, name):g} is asked"
+    if not math.isclose(claimed.gravity, asked.gravity, rel_tol=1e-9):
+        return f"the plan is for a gravity of {claimed.gravity:g} m/s2; {asked.gravity:g} is asked"
+    return ""
+
+
+def check_with_solver(
+    plan: Plan,
+    assembly: Assembly,
+    settings: StabilitySettings,
+    progress: Callable[[int, int], None] | None,
+) -> PlanReport:
+    """Check rules and stability, state by state up to the first bad one.
+
+    Under `equilibrium` the exact solver decides. Under `contact` a displacement is looked for anew, from rest and
+    without a parent, and accepted by the certificate checker, which shares nothing with the solvers.
+    """
+    begun, count, claim = time.perf_counter(), len(plan.states), settings.claim
+    weaker = weaker_claim(plan.claim, claim)
+    if weaker:
+        return PlanReport(count, 0, weaker, claim=claim)
     broken = broken_rule(plan, assembly)
-    solver = ExactSolver(assembly, settings_of(plan))
+    solver = Stability(assembly, settings) if settings.criterion == "contact" else ExactSolver(assembly, settings)
     largest = 0.0
     for row in range(count if broken is None else broken[0]):
         verdict = solver.check(plan.states[row : row + 1])
-        if not verdict.stable[0]:
+        if not (verdict.stable[0] and accept(assembly, plan.states[row : row + 1], verdict, claim)[0]):
             seconds = time.perf_counter() - begun
-            return PlanReport(count, row, _unstable(plan, row, verdict), largest, verdict, seconds)
+            return PlanReport(count, row, _unstable(plan, row, verdict), largest, claim, verdict, seconds)
         largest = max(largest, float(verdict.residual[0]))
         if progress is not None:
             progress(row + 1, count)
-    return _end(plan, broken, largest, time.perf_counter() - begun)
+    return _end(plan, broken, largest, claim, time.perf_counter() - begun)
 
 
-def check_proofs(plan: Plan, assembly: Assembly) -> PlanReport:
-    """Check rules and, by the forces in the plan, stability.
+def check_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings) -> PlanReport:
+    """Check rules and, by the displacements or forces in the plan, stability.
 
     Raises:
-        PlanError: the plan carries no forces, or not one for each contact point.
+        PlanError: the plan carries no proofs, or not one for each part or contact point.
     """
-    begun = time.perf_counter()
-    points = len(assembly.contacts.points)
-    if plan.forces is None:
-        raise PlanError("the plan carries no contact forces; check it with the exact solver, or plan again with proofs")
-    if plan.forces.shape != (len(plan.states), points, 3):
-        raise PlanError(
-            f"the plan has forces of shape {plan.forces.shape}; expected {(len(plan.states), points, 3)}; plan again"
-        )
+    begun, claim = time.perf_counter(), settings.claim
+    contact = claim.criterion == "contact"
+    name, proofs = ("displacements", plan.displacement) if contact else ("contact forces", plan.forces)
+    wanted = (len(plan.states), *((assembly.part_count, 6) if contact else (len(assembly.contacts.points), 3)))
+    weaker = weaker_claim(plan.claim, claim)
+    if weaker:
+        return PlanReport(len(plan.states), 0, weaker, claim=claim)
+    if proofs is None:
+        raise PlanError(f"the plan carries no {name}; check it with the solver, or plan again with proofs")
+    if proofs.shape != wanted:
+        raise PlanError(f"the plan has {name} of shape {proofs.shape}; expected {wanted}; plan again")
     broken = broken_rule(plan, assembly)
-    residual = residual_of_forces(assembly, plan.states, plan.forces, plan.claim)
-    bad = np.flatnonzero(~(residual <= plan.claim.tolerance))
+    residual_of = residual_of_displacement if contact else residual_of_forces
+    residual = residual_of(assembly, plan.states, proofs, claim)
+    bad = np.flatnonzero(~(residual <= claim.tolerance))
     if len(bad) and (broken is None or bad[0] < broken[0]):
         row = int(bad[0])
-        reason = (
-            f"the forces of {_place(plan, row)} leave {residual[row]:.3g} of gravity, above {plan.claim.tolerance:g}"
-        )
-        return PlanReport(len(plan.states), row, reason, seconds=time.perf_counter() - begun)
-    return _end(plan, broken, float(residual.max(initial=0.0)), time.perf_counter() - begun)
+        reason = f"the {name} of {_place(plan, row)} leave {residual[row]:.3g} of gravity, above {claim.tolerance:g}"
+        return PlanReport(len(plan.states), row, reason, claim=claim, seconds=time.perf_counter() - begun)
+    return _end(plan, broken, float(residual.max(initial=0.0)), claim, time.perf_counter() - begun)
 
 
-def settings_of(plan: Plan) -> StabilitySettings:
-    """Settings under which the verdicts of a plan were found."""
-    claim = plan.claim
-    cone = "quadratic" if claim.cone == "quadratic" else "octagon"
-    return StabilitySettings(cone=cone, gravity=claim.gravity, tolerance=claim.tolerance, force_bound=claim.force_bound)
-
-
-def _end(plan: Plan, broken: tuple[int, str] | None, residual: float, seconds: float) -> PlanReport:
+def _end(plan: Plan, broken: tuple[int, str] | None, residual: float, claim: Claim, seconds: float) -> PlanReport:
     if broken is None:
-        return PlanReport(len(plan.states), len(plan.states), "", residual, None, seconds)
-    return PlanReport(len(plan.states), broken[0], broken[1], residual, None, seconds)
+        return PlanReport(len(plan.states), len(plan.states), "", residual, claim, None, seconds)
+    return PlanReport(len(plan.states), broken[0], broken[1], residual, claim, None, seconds)
 
 
 def _unstable(plan: Plan, row: int, verdict: Verdicts) -> str:
     if verdict.unstable[0]:
         return f"the structure is unstable {_place(plan, row)}"
+    if verdict.slides[0]:
+        return f"the structure slides {_place(plan, row)}"
     return f"the structure could be proved neither stable nor unstable {_place(plan, row)}"
 
 

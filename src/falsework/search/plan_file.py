@@ -17,14 +17,18 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
 from falsework.errors import StateError
 from falsework.search.json_file import Reader, write_json
+from falsework.search.plan_replay import PlanReplay
 from falsework.search.task import Direction
 from falsework.stability.certificate import Claim
+from falsework.stability.contact.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Proof, Verdict
 
 if TYPE_CHECKING:
     from falsework.search.plan import Plan
 
-FORMAT = "falsework.plan/1"
+FORMAT = "falsework.plan/2"
+OLD_FORMAT = "falsework.plan/1"
+"""Plans of version 1 are under the criterion `equilibrium` and carry no replay."""
 
 MOVES = {
     "hold": (Direction.DISASSEMBLY, False, INSTALLED, HELD),
@@ -67,6 +71,11 @@ def needs_of(
     return tuple(sorted(needs, key=lambda need: need.after_steps))
 
 
+_SHARE = 0.1
+"""Shares of gravity in 1 m/s2, rounded down."""
+_PROOF_WORDS = {"contact": "displacement", "equilibrium": "forces"}
+_PROOF_ARRAYS = {"contact": ("displacements", "parts"), "equilibrium": ("forces", "points")}
+"""Entry of the file that holds the proofs, and what its first axis counts."""
 _KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
 
 
@@ -89,8 +98,9 @@ def to_json(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
     """The plan as plain JSON values; see `plan.schema.json`."""
     parts = len(plan.boundary)
     words = {above: word for word, (direction, above, _, _) in MOVES.items() if direction is plan.direction}
+    proof = _PROOF_WORDS[plan.claim.criterion]
     judged = [
-        {"verdict": "stable", "proof": "forces", "residual": float(f"{residual:.6g}")} for residual in plan.residuals
+        {"verdict": "stable", "proof": proof, "residual": float(f"{residual:.6g}")} for residual in plan.residuals
     ]
     steps = [
         {"do": words[action >= parts], "part": action % parts, **judged[row + 1]}
@@ -114,6 +124,8 @@ def to_json(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "removable_only_if_clear": plan.removable_only_if_clear,
         },
         "stability": {
+            "criterion": plan.claim.criterion,
+            "stiffness_ratio": plan.claim.stiffness_ratio,
             "cone": plan.claim.cone,
             "gravity": plan.claim.gravity,
             "tolerance": plan.claim.tolerance,
@@ -124,9 +136,13 @@ def to_json(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
         "end": plan.states[-1].tolist(),
         "needs": [asdict(need) for need in plan.needs],
     }
-    if proofs and plan.forces is not None:
-        packed = zlib.compress(np.ascontiguousarray(plan.forces, dtype="<f8").tobytes(), 9)
-        data["forces"] = {"points": plan.forces.shape[1], "zlib_base64": base64.b64encode(packed).decode()}
+    if plan.replay is not None:
+        data["replay"] = asdict(plan.replay)
+    arrays = plan.proof_arrays()
+    if proofs and arrays is not None:
+        name, count = _PROOF_ARRAYS[plan.claim.criterion]
+        packed = zlib.compress(np.ascontiguousarray(arrays, dtype="<f8").tobytes(), 9)
+        data[name] = {count: arrays.shape[1], "zlib_base64": base64.b64encode(packed).decode()}
     return data
 
 
@@ -148,17 +164,40 @@ def from_json(data: Any, source: str = "the plan") -> dict[str, Any]:
     return _Reader(source).fields(data)
 
 
+def _from_version_1(data: dict[str, Any]) -> dict[str, Any]:
+    """A plan of version 1 as one of version 2; what is malformed stays so, for the reader to say."""
+    # Version 1 gave residuals and tolerance in m/s2, of which a tenth is about a share of gravity.
+    stability, start, steps = data.get("stability"), data.get("start"), data.get("steps")
+    if isinstance(stability, dict):
+        stability = {"criterion": "equilibrium", "stiffness_ratio": TANGENTIAL_RATIO} | stability
+        if isinstance(stability.get("tolerance"), (int, float)):
+            stability["tolerance"] *= _SHARE
+    if isinstance(steps, list):
+        steps = [_scaled(step) for step in steps]
+    return data | {"format": FORMAT, "stability": stability, "start": _scaled(start), "steps": steps}
+
+
+def _scaled(record: Any) -> Any:
+    if not isinstance(record, dict) or not isinstance(record.get("residual"), (int, float)):
+        return record
+    return record | {"residual": record["residual"] * _SHARE}
+
+
 class _Reader(Reader):
     """Checks all of a plan that can be checked without the structure."""
 
     kind, form, command = "plan", FORMAT, "falsework plan"
 
     def fields(self, data: Any) -> dict[str, Any]:
-        self._header(data, _KEYS, optional=frozenset({"forces"}))
+        if isinstance(data, dict) and data.get("format") == OLD_FORMAT:
+            data = _from_version_1(data)
+        self._header(data, _KEYS, optional=frozenset({"forces", "displacements", "replay"}))
         structure, rules, stability = data["structure"], data["rules"], data["stability"]
         self._keys(structure, {"name", "identity", "friction", "boundary", "parts"}, "structure", frozenset({"source"}))
         self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules")
-        self._keys(stability, {"cone", "gravity", "tolerance", "force_bound"}, "stability")
+        self._keys(
+            stability, {"criterion", "stiffness_ratio", "cone", "gravity", "tolerance", "force_bound"}, "stability"
+        )
         names = structure["parts"]
         if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
             self._fail("structure.parts is no list of names")
@@ -174,12 +213,17 @@ class _Reader(Reader):
             self._fail("rules.removable_only_if_clear must be true or false")
         if stability["cone"] not in ("octagon", "quadratic"):
             self._fail(f"stability.cone is {stability['cone']!r}", "it must be octagon or quadratic")
+        if not isinstance(stability["criterion"], str) or stability["criterion"] not in _PROOF_WORDS:
+            self._fail(f"stability.criterion is {stability['criterion']!r}", "it must be contact or equilibrium")
+        numbers = ("gravity", "tolerance", "force_bound", "stiffness_ratio")
         claim = Claim(
-            stability["cone"],
-            *(self._number(stability[key], f"stability.{key}") for key in ("gravity", "tolerance", "force_bound")),
+            cone=stability["cone"],
+            criterion=stability["criterion"],
+            **{key: self._number(stability[key], f"stability.{key}") for key in numbers},
         )
-        if 0 in (claim.gravity, claim.tolerance, claim.force_bound):
+        if 0 in (claim.gravity, claim.tolerance, claim.force_bound, claim.stiffness_ratio):
             self._fail("stability has a zero where a positive number must be")
+        self._proof = _PROOF_WORDS[claim.criterion]
         robots = self._count(data["robots"], "robots", least=1)
         states, actions, residuals = self._sequence(data, direction, boundary, robots)
         if residuals.max() > claim.tolerance:
@@ -192,7 +236,7 @@ class _Reader(Reader):
             "states": states,
             "actions": actions,
             "verdicts": np.full(len(states), Verdict.STABLE, dtype=np.int8),
-            "proofs": np.full(len(states), Proof.FORCES, dtype=np.int8),
+            "proofs": np.full(len(states), Proof[self._proof.upper()], dtype=np.int8),
             "residuals": residuals,
             "name": structure["name"],
             "identity": structure["identity"],
@@ -208,8 +252,15 @@ class _Reader(Reader):
         }
         if "source" in structure:
             fields["source"] = self._source_of(structure["source"])
-        if "forces" in data:
-            fields["forces"] = self._forces(data["forces"], len(states))
+        if "replay" in data:
+            fields["replay"] = self._replay(data["replay"], parts, len(states))
+        entry, counted = _PROOF_ARRAYS[claim.criterion]
+        for name in ("forces", "displacements"):
+            if name in data and name != entry:
+                self._fail(f"it has {name}, which prove nothing under the criterion {claim.criterion}")
+        if entry in data:
+            field = "displacement" if entry == "displacements" else entry
+            fields[field] = self._packed(data[entry], entry, counted, len(states))
         if data["needs"] != [asdict(need) for need in needs_of(actions, direction, parts, fields["missing"])]:
             self._fail("its needs do not agree with its steps")
         return fields
@@ -265,9 +316,9 @@ class _Reader(Reader):
         return np.array(states), np.array(actions, dtype=np.int64), np.array(residuals)
 
     def _judged(self, record: dict[str, Any], place: str) -> float:
-        if (record["verdict"], record["proof"]) != ("stable", "forces"):
+        if (record["verdict"], record["proof"]) != ("stable", self._proof):
             found = f"{place} has verdict {record['verdict']!r} with proof {record['proof']!r}"
-            self._fail(found, "every state must be stable by forces")
+            self._fail(found, f"every state must be stable by {self._proof}")
         return self._number(record["residual"], f"{place}: residual")
 
     def _state(self, value: Any, boundary: NDArray[np.bool_], place: str) -> States:
@@ -287,19 +338,31 @@ class _Reader(Reader):
             self._fail(f"{place} names a part twice")
         return value
 
-    def _forces(self, value: Any, states: int) -> NDArray[np.float64]:
-        self._keys(value, {"points", "zlib_base64"}, "forces")
-        points = self._count(value["points"], "forces.points")
+    def _replay(self, value: Any, parts: int, states: int) -> PlanReplay:
+        self._keys(value, {"stands", "moved", "part", "falls_at"}, "replay")
+        stands, part, falls_at = value["stands"], value["part"], value["falls_at"]
+        if not isinstance(stands, bool) or stands != (falls_at is None):
+            self._fail("replay.stands must be true, with no falls_at, or false, with one")
+        if type(part) is not int or not -1 <= part < parts:
+            self._fail(f"replay.part is {part!r}", f"it must be a part number below {parts}, or -1")
+        if falls_at is not None and self._count(falls_at, "replay.falls_at") >= states:
+            self._fail(f"replay.falls_at is {falls_at}", f"the plan has {states} states")
+        return PlanReplay(stands, self._number(value["moved"], "replay.moved"), part, falls_at)
+
+    def _packed(self, value: Any, name: str, counted: str, states: int) -> NDArray[np.float64]:
+        """Proofs of all states: forces of points, or displacements of parts."""
+        self._keys(value, {counted, "zlib_base64"}, name)
+        count, width = self._count(value[counted], f"{name}.{counted}"), 6 if name == "displacements" else 3
         try:
             packed = base64.b64decode(value["zlib_base64"], validate=True)
-            wanted = states * points * 3 * 8
+            wanted = states * count * width * 8
             # One byte more than wanted shows that there is too much, without unpacking a bomb.
             data = zlib.decompressobj().decompress(packed, wanted + 1)
         except (TypeError, ValueError, zlib.error):
-            self._fail("forces.zlib_base64 cannot be unpacked")
+            self._fail(f"{name}.zlib_base64 cannot be unpacked")
         if len(data) != wanted:
-            self._fail(f"forces.zlib_base64 does not hold {points} forces for each of {states} states")
-        return np.frombuffer(data, dtype="<f8").reshape(states, points, 3).astype(np.float64)
+            self._fail(f"{name}.zlib_base64 does not hold {name} of {count} {counted} for each of {states} states")
+        return np.frombuffer(data, dtype="<f8").reshape(states, count, width).astype(np.float64)
 
     def _number(self, value: Any, place: str) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value < 0:

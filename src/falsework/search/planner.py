@@ -29,6 +29,8 @@ _WIDENING = 4
 """... and then to widths this many times larger, in turn."""
 _TRIAL_WIDTH = 4
 """Widest beam for a plan with missing parts later: how wide the first plan's beam was is no guide to that."""
+_MOST_FALLS = 64
+"""Routes whose replay falls before an attempt is given up."""
 _NOVEL_WIDTH = 4
 """Narrowest beam for a plan unlike others: one state a level leaves no choice."""
 
@@ -105,7 +107,7 @@ class Planner:
         """Of the routes whose replay falls the one that comes farthest, and the step of assembly at which it falls."""
         self._oracle = oracle
         self._replayer = getattr(oracle, "replayer", None)
-        self._forbidden = self.states[:0]
+        self._forbidden, self._falls = self.states[:0], 0
         self._guide = guide
         self._stage = "plan"
         self._attempt = 0
@@ -252,8 +254,13 @@ class Planner:
             return True
         if self._stage == "alternatives":
             self._gather(beam, result)
-        elif result.found and not self._stands(result.routes[0], beam):
-            return False  # the beam went back to before the state that falls, and goes on from there
+        elif result.found and not self._stands(result.routes[0]):
+            self._falls += 1
+            if self._falls < _MOST_FALLS:
+                beam.search.forbid(self._forbidden)
+            else:
+                limit = f"{self._falls} plans were found in which every state stands, and the replay of each falls"
+                self._failed(replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit))
         elif result.found:
             begin = not self.routes
             self.routes = [result.routes[0]]
@@ -262,32 +269,36 @@ class Planner:
             self._failed(result)
         return False
 
-    def _stands(self, route: Route, beam: AdaptiveBeam) -> bool:
-        """Whether a replay of a route in the order of assembly stands; if not, its falling state is ruled out."""
+    def _stands(self, route: Route) -> bool:
+        """Whether a replay of a route in the order of assembly stands; if not, note the state in which it falls."""
         if self._replayer is None:
             return True
         replay = self._replayer.replay(route.states[::-1])
         if replay.good:
             return True
-        row = replay.falls_at or 0
+        row, last = replay.falls_at or 0, len(route.states) - 1
         if self.fallen is None or row > self.fallen[1]:
             self.fallen = route, row
-        self._forbidden = np.concatenate([self._forbidden, route.states[::-1][row : row + 1]])
-        beam.search.forbid(self._forbidden)
+        # Both ends belong to every route, so where one falls the state beside it is ruled out.
+        barred = route.states[::-1][min(max(row, 1), max(last - 1, 0))]
+        self._forbidden = np.concatenate([self._forbidden, barred[None]])
         return False
 
     def _drop_beams(self) -> None:
         """Forget the beams of an attempt that is over, but not the work that they did."""
         self._counters = self._all_counters()
         self._beams = {}
-        self._attempt = 0
+        self._attempt = self._falls = 0
 
     def _gather(self, beam: AdaptiveBeam, result: SearchResult) -> None:
         """Keep the states of a search for another plan, and go on to the next."""
         if result.found:
             self.states = np.concatenate([self.states, beam.search.states()])
-            self.routes.append(result.routes[0])
-            self._drop_beams()
+            if self._stands(result.routes[0]):
+                self.routes.append(result.routes[0])
+                self._drop_beams()
+            else:
+                self._attempt += 1
         else:
             self._attempt += 1
         if len(self.routes) == self.settings.alternatives or self._last_attempt_failed():
@@ -295,8 +306,9 @@ class Planner:
 
     def _failed(self, result: SearchResult) -> None:
         """Try the next attempt, or give this trial up."""
-        proved = result.outcome is Outcome.PROVED_IMPOSSIBLE
+        proved = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self._forbidden)
         self._attempt += 1
+        self._falls = 0
         if self._stage == "plan":
             if proved or self._failure is None or result.reached >= self._failure.reached:
                 self._failure = result

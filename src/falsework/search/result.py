@@ -19,7 +19,7 @@ class Outcome(StrEnum):
     FOUND = "found"
     """There is at least one plan, and it is in the result."""
     PROVED_IMPOSSIBLE = "proved_impossible"
-    """Every state that can be reached was looked at: there is no plan."""
+    """Every state that can be reached was looked at, under rules that forbid nothing possible: there is no plan."""
     NOT_FOUND = "not_found"
     """The search was limited or interrupted before it found a plan; one may exist."""
 
@@ -49,7 +49,9 @@ class Route:
         return rank
 
 
-def beam_failure(width: int, exhaustive: bool, undecided: int, sliding: int = 0) -> tuple[Outcome, str]:
+def beam_failure(
+    width: int, exhaustive: bool, undecided: int, sliding: int = 0, doubt: str = ""
+) -> tuple[Outcome, str]:
     """What it means that a beam came to no end, and which limit it met, if any.
 
     Args:
@@ -57,6 +59,7 @@ def beam_failure(width: int, exhaustive: bool, undecided: int, sliding: int = 0)
         exhaustive: it never had to leave one out.
         undecided: states that could be proved neither stable nor unstable.
         sliding: states in equilibrium for which no displacement was found.
+        doubt: why the rules of the task may forbid too much; see `Task.doubt`.
     """
     if not exhaustive:
         return Outcome.NOT_FOUND, f"the beam keeps {width} states a level; a wider one may find a plan"
@@ -64,6 +67,8 @@ def beam_failure(width: int, exhaustive: bool, undecided: int, sliding: int = 0)
         return Outcome.NOT_FOUND, f"{undecided} states could be proved neither stable nor unstable"
     if sliding:
         return Outcome.NOT_FOUND, f"no plan was found in which every state stands: {sliding} states slide"
+    if doubt:
+        return Outcome.NOT_FOUND, doubt
     return Outcome.PROVED_IMPOSSIBLE, ""
 
 

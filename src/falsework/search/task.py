@@ -48,6 +48,10 @@ class Clearance(Protocol):
         """Shape (batch, parts): part `i` has an exit that no other present part blocks."""
         ...
 
+    def doubt(self, parts: Mask) -> str:
+        """Why some of the parts, shape (parts,), may have exits that `can_leave` does not know; empty if none has."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Task:
@@ -151,6 +155,13 @@ class Task:
     def judged_by(self, oracle: object) -> Task:
         """The same task with the moves that need no verdict under the criterion of an oracle."""
         return replace(self, holds_keep_stable=bool(getattr(oracle, "holds_keep_stable", False)))
+
+    @cached_property
+    def doubt(self) -> str:
+        """Why looking at every state would not prove that there is no plan, in words; empty if it would."""
+        if self.clearance is None:
+            return ""
+        return self.clearance.doubt((self.start != REMOVED) & (self.target == REMOVED))
 
     def postpone(self, postponed: Sequence[int]) -> Task:
         """The same task with other lower bounds on when missing parts go in."""

@@ -10,9 +10,9 @@ from falsework.search.shards import Shards
 from falsework.search.tensors import import_torch, put
 
 if TYPE_CHECKING:
-    import torch
-
     from collections.abc import Callable
+
+    import torch
 
     from falsework.assembly.state import States
     from falsework.stability.oracle import Stability
@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 
 class TensorOracle(Protocol):
-    """Decides stability of batches of states on a device."""
+    """Decides stability of batches of states on a device.
+
+    One whose attribute `holds_keep_stable` is true, as of `Stability`, is not asked about parts that become held.
+    """
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
         """Verdicts, each with a proof found in float64.
@@ -39,6 +42,7 @@ class HostOracle:
     """An oracle on the processor, asked about states on any device."""
 
     def __init__(self, oracle: Oracle) -> None:
+        self.holds_keep_stable = bool(getattr(oracle, "holds_keep_stable", False))
         self._oracle = oracle
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
@@ -63,6 +67,7 @@ class DeviceOracle:
         """
         from falsework.stability.gpu import GpuSolver
 
+        self.holds_keep_stable = oracle.holds_keep_stable
         self._solver = GpuSolver(oracle.assembly, oracle.problem, oracle.settings, str(device))
         self._settle: Callable[[States], Verdicts] | None = oracle.settle
 

@@ -87,9 +87,10 @@ class TensorRules:
         return ((states == REMOVED) & self._to_come & ~self._ways.can_leave(states)).any(dim=1)
 
     def needs_verdict(self, actions: torch.Tensor) -> torch.Tensor:
-        """Which moves can make a stable state unstable, as `Task.needs_verdict`. Shape (batch,)."""
+        """Which moves can make a stable state one that is not, as `Task.needs_verdict`. Shape (batch,)."""
         holds = actions < self.part_count
-        return ~holds if self.direction is Direction.DISASSEMBLY else holds
+        fixes = holds if self.direction is Direction.DISASSEMBLY else ~holds
+        return ~(fixes & self.task.holds_keep_stable)
 
     def moved_value(self, actions: torch.Tensor) -> torch.Tensor:
         """Value that each move gives its part, `uint8`, shape (batch,)."""

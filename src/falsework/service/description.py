@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, create_model
@@ -16,6 +16,7 @@ from falsework.errors import StateError
 from falsework.search.plan_file import plan_schema
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import NOT_YET
+from falsework.stability.verdict import Criterion
 
 SHORTEST_DEADLINE = 10
 """Milliseconds."""
@@ -105,7 +106,7 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
     }
     stability: dict[str, Any] = {
         "states": (Annotated[list[state], Field(min_length=1, max_length=settings.states)], ...),
-        "explain": (bool, Field(default=False, description="name the parts that move in unstable states")),
+        "explain": (bool, Field(default=False, description="name the parts that move in states that do not stand")),
     }
     return Models(
         create_model(
@@ -168,12 +169,26 @@ def components(models: Models) -> dict[str, Any]:
     number, count = {"type": "number", "minimum": 0}, {"type": "integer", "minimum": 0}
     numbers = {"type": "array", "items": count}
     verdict = {
-        "verdict": {"enum": ["stable", "unstable", "undecided"]},
-        "proof": {"enum": ["forces", "velocity", "none"]},
+        "verdict": {
+            "enum": ["stable", "slides", "unstable", "undecided"],
+            "description": "slides: forces in balance exist, but the contacts do not bring them about; the state does "
+            "not stand",
+        },
+        "proof": {
+            "enum": ["displacement", "forces", "velocity", "none"],
+            "description": "displacement: of a state that is stable under the criterion contact; forces: of balance, "
+            "of a state that slides or that is stable under the criterion equilibrium",
+        },
         "residual": {"description": "share of gravity", "anyOf": [{"type": "number"}, {"type": "null"}]},
         "moving": {**numbers, "description": "parts that move, the fastest first; only where asked for"},
     }
+    criterion = {
+        "enum": list(get_args(Criterion)),
+        "description": "what stable means. contact: compliant contacts without prestress bring every part to rest; "
+        "equilibrium: contact forces in balance exist",
+    }
     answer = {
+        "criterion": criterion,
         "outcome": {
             "enum": ["found", "proved_impossible", "not_found", NOT_YET],
             "description": f"{NOT_YET}: the deadline passed before there was a plan, or a proof that there is none",
@@ -205,7 +220,9 @@ def components(models: Models) -> dict[str, Any]:
         **_plan_components(),
         "ReplanAnswer": _object(answer),
         "Verdict": _object(verdict, optional=("moving",)),
-        "StabilityAnswer": _object({"verdicts": {"type": "array", "items": {"$ref": _REF.format(model="Verdict")}}}),
+        "StabilityAnswer": _object(
+            {"criterion": criterion, "verdicts": {"type": "array", "items": {"$ref": _REF.format(model="Verdict")}}}
+        ),
         "Structure": _object(structure),
         "Health": _object(health),
         "Error": _object({"error": {"type": "string", "description": "one line that says what to do"}}),

@@ -91,7 +91,9 @@ class Pool:
         self.settings = settings
         self.policy = ""
         """What proposes actions, in words; empty for none."""
-        self._recipes = {kind: Recipe(assembly, kind, run if kind == "replan" else None) for kind in KINDS}
+        self._recipes = {
+            kind: Recipe(assembly, kind, run if kind == "replan" else None, settings.criterion) for kind in KINDS
+        }
         self._metrics = metrics
         self._workers: list[_Worker] = []
         self._queues: dict[Kind, list[tuple[float, int, Ticket]]] = {kind: [] for kind in KINDS}

@@ -7,6 +7,7 @@ import os
 from dataclasses import dataclass, field
 
 from falsework.errors import InputError
+from falsework.stability.verdict import Criterion
 
 TOKEN_VARIABLE = "FALSEWORK_TOKEN"
 SHORTEST_TOKEN = 16
@@ -64,6 +65,8 @@ class ServiceSettings:
     """How much later than its deadline a request is answered at the latest, if nothing holds this process up."""
     stuck_seconds: float = 10.0
     """After its last deadline, a worker that is still busy is replaced."""
+    criterion: Criterion = "contact"
+    """What stable means, see `falsework.stability.StabilitySettings`."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:

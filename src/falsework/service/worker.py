@@ -22,9 +22,10 @@ from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.search.plan_file import to_json
 from falsework.search.result import Outcome
+from falsework.stability.motion import motion_of
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import CpuSettings, StabilitySettings
-from falsework.stability.verdict import Proof, Verdict
+from falsework.stability.verdict import Criterion, Proof, Verdict, Verdicts
 
 if TYPE_CHECKING:
     from falsework.learn.replan import Replan, Replanner
@@ -51,6 +52,8 @@ class Recipe:
     kind: Kind
     run: Path | None = None
     """Folder of a trained policy."""
+    criterion: Criterion = "contact"
+    """What stable means, see `falsework.stability.StabilitySettings`."""
 
 
 @dataclass(frozen=True)
@@ -115,9 +118,9 @@ def refusal(text: str) -> bytes:
     return json.dumps({"error": " ".join(text.split())}, ensure_ascii=True).encode()
 
 
-def one_thread() -> StabilitySettings:
+def one_thread(criterion: Criterion) -> StabilitySettings:
     """Settings of an oracle in a worker: the processes share the cores already."""
-    return StabilitySettings(cpu=CpuSettings(threads=1))
+    return StabilitySettings(criterion=criterion, cpu=CpuSettings(threads=1))
 
 
 class _Judge:
@@ -126,8 +129,8 @@ class _Judge:
     policy = ""
 
     def __init__(self, recipe: Recipe) -> None:
-        self._assembly = recipe.assembly
-        self._oracle = Stability(recipe.assembly, one_thread())
+        self._assembly, self._settings = recipe.assembly, one_thread(recipe.criterion)
+        self._oracle = Stability(recipe.assembly, self._settings)
         states = np.where(recipe.assembly.boundary, 2, 1).astype(np.uint8)[None]
         self._oracle.judge(states)
         self._oracle.check(states)
@@ -135,21 +138,20 @@ class _Judge:
     def answer(self, items: Sequence[Item], pipe: Connection) -> None:
         """All states of all requests in one batch, but for those that are to be explained."""
         if self._oracle.counters.cpu + self._oracle.counters.exact > REMEMBERED:
-            self._oracle = Stability(self._assembly, one_thread())
+            self._oracle = Stability(self._assembly, self._settings)
         plain = [item for item in items if not item.payload[1]]
         if plain:
             verdicts = self._oracle.judge(np.concatenate([item.payload[0] for item in plain]))
             first = 0
             for item in plain:
                 rows = slice(first, first := first + len(item.payload[0]))
-                pipe.send(self._done(item.number, verdicts[rows], None))
+                pipe.send(self._done(item.number, verdicts[rows], explain=False))
         for item in items:
             if item.payload[1]:
                 verdicts = self._oracle.check(item.payload[0])
-                pipe.send(self._done(item.number, verdicts, verdicts.velocity))
+                pipe.send(self._done(item.number, verdicts, explain=True))
 
-    @staticmethod
-    def _done(number: int, verdicts: Any, velocity: Any) -> Done:
+    def _done(self, number: int, verdicts: Verdicts, *, explain: bool) -> Done:
         records = []
         for row in range(len(verdicts)):
             verdict, residual = Verdict(verdicts.verdict[row]), float(verdicts.residual[row])
@@ -158,12 +160,13 @@ class _Judge:
                 "proof": Proof(verdicts.proof[row]).name.lower(),
                 "residual": float(f"{residual:.6g}") if np.isfinite(residual) else None,
             }
-            if velocity is not None:
-                speed = np.abs(velocity[row]).max(axis=1) if verdict is Verdict.UNSTABLE else np.zeros(0)
+            if explain:
+                motion = motion_of(self._assembly, verdicts, row)
+                speed = np.zeros(0) if motion is None else np.abs(motion).max(axis=1)
                 order = np.argsort(-speed, kind="stable")
                 record["moving"] = order[speed[order] > _MOVES * speed.max(initial=0.0)].tolist()
             records.append(record)
-        return Done(number, 200, _dump({"verdicts": records}), "judged")
+        return Done(number, 200, _dump({"criterion": self._settings.criterion, "verdicts": records}), "judged")
 
 
 class _Planner:
@@ -171,14 +174,14 @@ class _Planner:
 
     def __init__(self, recipe: Recipe) -> None:
         os.nice(_BACKGROUND)
-        self._assembly = recipe.assembly
+        self._assembly, self._settings = recipe.assembly, one_thread(recipe.criterion)
         policy, self.policy = _load_policy(recipe)
         self._replanner = self._make(policy)
 
     def _make(self, policy: Any) -> Replanner:
         from falsework.learn.replan import Replanner
 
-        return Replanner(self._assembly, policy, Stability(self._assembly, one_thread()))
+        return Replanner(self._assembly, policy, Stability(self._assembly, self._settings))
 
     def answer(self, items: Sequence[Item], pipe: Connection) -> None:
         """The requests together; if one of them breaks the batch, each by itself."""
@@ -201,7 +204,8 @@ class _Planner:
         def finished(number: int, answer: Replan) -> None:
             item = good[number][0]
             open_items.discard(item.number)
-            pipe.send(Done(item.number, 200, _dump(replan_record(answer)), answer.decided_by.value))
+            body = _dump(replan_record(answer, self._settings.criterion))
+            pipe.send(Done(item.number, 200, body, answer.decided_by.value))
 
         try:
             self._replanner.replan_many([request for _, request in good], finished=finished)
@@ -217,10 +221,11 @@ class _Planner:
                     self.answer([item], pipe)
 
 
-def replan_record(answer: Replan) -> dict[str, Any]:
-    """An answer as JSON values, its plans as in plan files."""
+def replan_record(answer: Replan, criterion: Criterion) -> dict[str, Any]:
+    """An answer as JSON values, its plans as in plan files; `criterion` says what stable means in it."""
     cut = answer.outcome is Outcome.NOT_FOUND and answer.deadline_passed
     return {
+        "criterion": criterion,
         "outcome": NOT_YET if cut else answer.outcome.value,
         "decided_by": answer.decided_by.value,
         "direction": answer.direction.value,

@@ -2,6 +2,9 @@
 
 from falsework.stability.certificate import Claim as Claim
 from falsework.stability.certificate import accept as accept
+from falsework.stability.contact.replay import Replay as Replay
+from falsework.stability.contact.replay import Replayer as Replayer
+from falsework.stability.contact.replay import ReplaySettings as ReplaySettings
 from falsework.stability.exact import ExactSolver as ExactSolver
 from falsework.stability.gurobi import GurobiSolver as GurobiSolver
 from falsework.stability.oracle import Counters as Counters
@@ -12,6 +15,7 @@ from falsework.stability.settings import CpuSettings as CpuSettings
 from falsework.stability.settings import StabilitySettings as StabilitySettings
 from falsework.stability.shared_inverse import SharedInverse as SharedInverse
 from falsework.stability.shared_inverse import SharedInverseSettings as SharedInverseSettings
+from falsework.stability.verdict import Criterion as Criterion
 from falsework.stability.verdict import Proof as Proof
 from falsework.stability.verdict import Solver as Solver
 from falsework.stability.verdict import Verdict as Verdict

@@ -86,6 +86,7 @@ def accept(assembly: Assembly, states: States, verdicts: Verdicts, claim: Claim 
     stable, unstable = np.flatnonzero(verdicts.stable), np.flatnonzero(verdicts.verdict == Verdict.UNSTABLE)
     balanced = stable
     if claim.criterion == "contact":
+        assert verdicts.displacement is not None
         balanced = np.flatnonzero(verdicts.slides)
         for rows in _chunks(stable):
             residual = residual_of_displacement(assembly, states[rows], verdicts.displacement[rows], claim)
@@ -116,7 +117,7 @@ def residual_of_displacement(assembly: Assembly, states: States, displacement: A
         As `residual_of_forces`, shape (batch,).
     """
     displacement = np.where((states == 1)[:, :, None], displacement, 0.0)
-    finite = np.isfinite(displacement).all(axis=(1, 2))
+    finite = np.asarray(np.isfinite(displacement).all(axis=(1, 2)))
     displacement = np.where(finite[:, None, None], displacement, 0.0)
     moved = np.linalg.norm(displacement[:, :, :3], axis=2).max(axis=1, initial=0.0)
     forces = forces_of_displacement(assembly, states, displacement, claim)

@@ -13,7 +13,7 @@ from falsework.stability.cpu_kernel import solve_range
 from falsework.stability.judge import Options
 from falsework.stability.neighbourhood import RINGS, solve_range_near
 from falsework.stability.problem import Problem
-from falsework.stability.settings import StabilitySettings
+from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.structure import build_structure
 from falsework.stability.verdict import Solver, Verdicts, proof_of
 
@@ -42,7 +42,7 @@ class CpuSolver:
     (`docs/decisions/0002`). Both stop at the first proof.
     """
 
-    def __init__(self, problem: Problem, settings: StabilitySettings = StabilitySettings()) -> None:
+    def __init__(self, problem: Problem, settings: StabilitySettings = EQUILIBRIUM) -> None:
         self.problem = problem
         self.settings = settings
         self.structure = build_structure(problem)

@@ -19,7 +19,7 @@ from falsework.assembly.state import States, as_states
 from falsework.stability.certificate import Claim, residual_bound_of_velocity, residual_of_forces
 from falsework.stability.problem import Problem, build_problem
 from falsework.stability.program import Program, into_cone, least_acceleration, least_squares, without_slip
-from falsework.stability.settings import StabilitySettings
+from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ class ExactSolver:
     def __init__(
         self,
         assembly: Assembly,
-        settings: StabilitySettings = StabilitySettings(),
+        settings: StabilitySettings = EQUILIBRIUM,
         problem: Problem | None = None,
     ) -> None:
         self.assembly = assembly

@@ -182,7 +182,8 @@ class GpuSolver:
         wanted = certificates or guess is not None
         forces = driver.empty((len(part), problem.points, 3), np.float64) if wanted else None
         velocity = driver.empty((len(part), problem.parts, 6), np.float64) if certificates else None
-        displacement = None if verdicts.displacement is None else driver.zeros((len(part), problem.parts, 6), np.float64)
+        shown = verdicts.displacement is not None
+        displacement = driver.zeros((len(part), problem.parts, 6), np.float64) if shown else None
         self._run(driver.put(part), start, verdict, residual, iterations, forces, velocity, displacement)
         verdicts.verdict[rows] = driver.get(verdict)
         verdicts.residual[rows] = driver.get(residual)
@@ -195,8 +196,8 @@ class GpuSolver:
         if guess is not None and found is not None:
             guess[rows] = found
         if verdicts.displacement is not None and displacement is not None:
-            rests = verdicts.stable[rows]
-            verdicts.displacement[rows] = np.where(rests[:, None, None], driver.get(displacement), np.nan)
+            known = verdicts.stable[rows] | verdicts.slides[rows]
+            verdicts.displacement[rows] = np.where(known[:, None, None], driver.get(displacement), np.nan)
 
     def _chunk_size(self, left: int, certificates: bool) -> int:
         parts = self.problem.parts * 48 * (1 + self._contact)

@@ -13,7 +13,7 @@ from falsework.errors import DependencyError, InputError
 from falsework.stability.exact import ExactSolver
 from falsework.stability.problem import Problem
 from falsework.stability.program import Program, least_acceleration
-from falsework.stability.settings import StabilitySettings
+from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ class GurobiSolver(ExactSolver):
     def __init__(
         self,
         assembly: Assembly,
-        settings: StabilitySettings = StabilitySettings(),
+        settings: StabilitySettings = EQUILIBRIUM,
         problem: Problem | None = None,
     ) -> None:
         """Start Gurobi.

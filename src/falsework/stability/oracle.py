@@ -84,7 +84,7 @@ class Stability:
 
     @property
     def holds_keep_stable(self) -> bool:
-        """Whether a stable state stays stable when a part of it is held: so under `equilibrium`, not under `contact`."""
+        """Whether a stable state stays stable when a part of it is held: under `equilibrium`, not under `contact`."""
         return self.settings.criterion == "equilibrium"
 
     @cached_property
@@ -210,7 +210,7 @@ class Stability:
         decided = self.exact.check(states)
         if self.settings.criterion == "contact":
             # Equilibrium alone does not say that the state stands: what the contact solver left open stays open.
-            slides = decided.stable & verdicts.slides
+            slides = decided.stable & (verdicts.slides | np.isposinf(verdicts.residual))
             decided.verdict[decided.stable & ~slides] = Verdict.UNDECIDED
             decided.verdict[slides] = Verdict.SLIDES
             decided.proof[:] = proof_of(decided.verdict, self.settings.criterion)
@@ -255,11 +255,11 @@ class Stability:
                     if start is not None:
                         guess[row] = start
                         self.counters.warm += 1
-            if isinstance(solver, GpuSolver):
-                solved = solver.check(states[rows], certificates=False, guess=guess)
-            else:
+            if solver is self._cpu and self._cpu is not None:
                 near = None if parents is None else parents[rows]
-                solved = solver.check(states[rows], certificates=False, parents=near, guess=guess)
+                solved = self._cpu.check(states[rows], certificates=False, parents=near, guess=guess)
+            else:
+                solved = solver.check(states[rows], certificates=False, guess=guess)
             if guess is not None:
                 self._remember(states[rows][solved.stable], guess[solved.stable])
             verdicts.put(rows, solved)

@@ -30,7 +30,7 @@ class CpuSettings:
     """Iterations between two tests for a proof."""
     interior_steps: int = 50
     """Steps of the interior point method before a state is left to the exact solver."""
-    contact_steps: int = 150
+    contact_steps: int = 400
     """Newton iterations under the criterion `contact` before a state is left undecided."""
     threads: int | None = None
     """Worker threads; all cores by default."""
@@ -68,7 +68,7 @@ class GpuSettings:
     """Iterations between two tests for a proof."""
     interior_steps: int = 50
     """Steps of the interior point method before a state is left to the exact solver."""
-    contact_steps: int = 150
+    contact_steps: int = 400
     """Newton iterations under the criterion `contact` before a state counts as not at rest."""
     admm_shares: tuple[float, ...] = (0.5, 1.0)
     """Sizes of state, as shares of the whole structure, that ADMM has a launch for: small states leave room on
@@ -125,3 +125,7 @@ class StabilitySettings:
         return Claim(
             self.friction_cone, self.gravity, self.tolerance, self.force_bound, self.criterion, self.stiffness_ratio
         )
+
+
+EQUILIBRIUM = StabilitySettings(criterion="equilibrium")
+"""The paper's criterion with everything else as it is by default: what solvers of the equilibrium problem take."""

@@ -26,7 +26,7 @@ from falsework.assembly.state import States, as_states
 from falsework.errors import DependencyError, InputError
 from falsework.stability.problem import Problem, build_problem
 from falsework.stability.program import block_diagonal, wrench_matrix
-from falsework.stability.settings import StabilitySettings
+from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts
 
 Array = NDArray[np.float64]
@@ -85,7 +85,7 @@ class SharedInverse:
     def __init__(
         self,
         assembly: Assembly,
-        settings: StabilitySettings = StabilitySettings(),
+        settings: StabilitySettings = EQUILIBRIUM,
         method: SharedInverseSettings = SharedInverseSettings(),
         problem: Problem | None = None,
     ) -> None:

@@ -74,7 +74,8 @@ class Verdicts:
     where unstable."""
     displacement: NDArray[np.float64] | None = None
     """Displacement `(translation, rotation)` of the parts about their centres of mass in m and rad, shape
-    (batch, parts, 6); only meaningful where stable under the criterion `contact`."""
+    (batch, parts, 6); only under the criterion `contact`. Stable, where the parts rest; sliding, where they were when
+    they were seen to move away, which shows which parts move and which way; elsewhere without meaning."""
 
     @classmethod
     def blank(

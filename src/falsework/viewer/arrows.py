@@ -1,4 +1,4 @@
-"""Arrows that show a proof: contact forces, friction and weight of a stable state, motion of an unstable one."""
+"""Arrows that show a proof: contact forces, friction and weight of a stable state, motion of one that is not."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.viewer.look import diagonal
-from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, MOTION
+from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, MOTION, SLIDING
 from falsework.viewer.render import Solid
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ LONGEST = 0.14
 """Length of the largest arrow, in diagonals of the structure."""
 SHORTEST = 0.02
 """Arrows below this share of the largest are left out."""
-KINDS = {"contact forces": FORCE, "friction": FRICTION, "gravity": GRAVITY, "motion": MOTION}
+KINDS = {"contact forces": FORCE, "friction": FRICTION, "gravity": GRAVITY, "motion": MOTION, "sliding": SLIDING}
 """What arrows show, and their colour."""
 
 
@@ -86,19 +86,20 @@ def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[s
     }
 
 
-def arrows_of_motion(assembly: Assembly, state: States, velocity: Array) -> Arrows:
-    """How the centres of mass of the free parts move in an unstable state; the size means nothing.
+def arrows_of_motion(assembly: Assembly, state: States, velocity: Array, kind: str = "motion") -> Arrows:
+    """How the centres of mass of the free parts move in a state that does not stand; the size means nothing.
 
     Args:
         assembly: the structure.
         state: shape (parts,).
         velocity: `(linear, angular)` about the centres of mass, shape (parts, 6).
+        kind: `motion` of an unstable state, `sliding` of one that slides.
     """
     free = state == INSTALLED
     vectors = velocity[free, :3]
     largest = float(np.linalg.norm(vectors, axis=1).max(initial=0.0))
     scale = LONGEST * diagonal(assembly) / max(largest, 1e-300)
-    return _arrows(assembly.mass.center[free], vectors * scale, "motion", assembly)
+    return _arrows(assembly.mass.center[free], vectors * scale, kind, assembly)
 
 
 def moved_parts(assembly: Assembly, state: States, velocity: Array, share: float = 0.06) -> dict[int, Array]:

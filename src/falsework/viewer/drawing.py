@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape
@@ -15,6 +15,7 @@ from falsework.search.archive import write_whole
 from falsework.viewer.arrows import Arrows
 from falsework.viewer.look import look_at
 from falsework.viewer.palette import INK
+from falsework.viewer.proof import StateProof
 from falsework.viewer.sheet import caption, check_places, legend
 from falsework.viewer.timeline import Timeline
 
@@ -76,6 +77,7 @@ def drawing(
     width: float = 260.0,
     arrows: Sequence[Arrows] = (),
     key: Sequence[tuple[str, str]] | None = None,
+    proofs: Mapping[int, StateProof] | None = None,
 ) -> str:
     """Line drawings of some states, with the legend, as SVG.
 
@@ -86,6 +88,7 @@ def drawing(
         width: of each, pixels.
         arrows: drawn into each.
         key: the legend, colour and words; of the timeline if not given.
+        proofs: verdicts on states, by place; what slides is marked, and what does not stand is written above.
 
     Raises:
         InputError: the structure is not two-dimensional, or a state is not there.
@@ -104,7 +107,8 @@ def drawing(
     height = float((high - low)[1]) * scale + 2 * _MARGIN
     columns = min(columns, len(places))
     rows = -(-len(places) // columns)
-    entries = legend(timeline) if key is None else key
+    proofs = proofs or {}
+    entries = legend(timeline, any(proof.slides for proof in proofs.values())) if key is None else key
     whole = max(columns * width, sum(40 + 6.6 * len(words) for _, words in entries))
     left_edge = (whole - columns * width) / 2
     body = []
@@ -116,8 +120,9 @@ def drawing(
             down = y + _LINE + height - _MARGIN - (line[:, 1] - low[1]) * scale
             return " ".join(f"{u:.2f},{v:.2f}" for u, v in zip(across, down, strict=True))
 
-        look = look_at(timeline, place, travelling=False)
-        body.append(_text(x + width / 2, y + _LINE - 8, caption(timeline, place)))
+        proof = proofs.get(place)
+        look = look_at(timeline, place, marks=None if proof is None else proof.marks, travelling=False)
+        body.append(_text(x + width / 2, y + _LINE - 8, caption(timeline, place, proof)))
         for part in np.flatnonzero(look.opacity > 0):
             red, green, blue = look.color[part].tolist()
             path = " ".join(f"M{at(line)}Z" for line in lines[part])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,10 @@ from falsework.errors import DependencyError, InputError
 from falsework.search.archive import write_whole
 from falsework.viewer.arms import Arms, bounds_with_arms
 from falsework.viewer.look import bounds_of
-from falsework.viewer.palette import BOUNDARY, INSTALLED, MISSING, ROBOTS, rgb
+from falsework.viewer.palette import BOUNDARY, INSTALLED, ROBOTS, SLIDING, rgb
+from falsework.viewer.proof import StateProof
 from falsework.viewer.render import Camera
-from falsework.viewer.sheet import Pixels, bounds_with_ways, import_pillow, one_state
+from falsework.viewer.sheet import Pixels, bounds_with_ways, caption, import_pillow, legend, one_state
 from falsework.viewer.timeline import Timeline
 
 HOLD = 1.0
@@ -33,6 +34,7 @@ def frames_of(
     rate: float,
     camera: Camera = FILM,
     arms: Arms | None = None,
+    proofs: Mapping[int, StateProof] | None = None,
     samples: int = 2,
 ) -> Iterator[Pixels]:
     """Pictures of a film, one after the other.
@@ -43,15 +45,28 @@ def frames_of(
         rate: pictures a second.
         camera: how to look at it.
         arms: robots that carry the plan out.
+        proofs: verdicts on states, by place; what slides is marked, and what does not stand is written above.
         samples: as for `render`.
     """
     box = bounds_with_ways(timeline) if arms is None else bounds_with_arms(arms, bounds_of(timeline.assembly))
+    sliding = any(proof.slides for proof in (proofs or {}).values())
     # The step is written as soon as it begins.
     still = max(round(HOLD * rate), 1)
     for place in frame_places(len(timeline), seconds, rate):
         step = int(np.ceil(place)) if place % 1 else int(place)
-        words = None if len(timeline) == 0 else _words(timeline, step)
-        picture = one_state(timeline, place, camera, bounds=box, words=words, arms=arms, samples=samples)
+        proof = (proofs or {}).get(step)
+        marks = None if proof is None else proof.marks
+        picture = one_state(
+            timeline,
+            place,
+            camera,
+            bounds=box,
+            words=caption(timeline, step, proof),
+            key=legend(timeline, sliding),
+            arms=arms,
+            marks=marks,
+            samples=samples,
+        )
         repeat = still if place in (0.0, float(len(timeline))) else 1
         for _ in range(repeat):
             yield picture
@@ -79,6 +94,7 @@ def write_film(
     rate: float = 12.0,
     camera: Camera = FILM,
     arms: Arms | None = None,
+    proofs: Mapping[int, StateProof] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> int:
     """Write a film, whole or not at all.
@@ -90,6 +106,7 @@ def write_film(
         rate: pictures a second.
         camera: how to look at it.
         arms: robots that carry the plan out.
+        proofs: as for `frames_of`.
         progress: called with the number of pictures drawn and of all.
 
     Returns:
@@ -105,7 +122,7 @@ def write_film(
         raise InputError(f"{path} ends in {kind or 'nothing'}; films are written as {' or '.join(KINDS)}")
     even = replace(camera, width=camera.width + camera.width % 2)
     total = len(frame_places(len(timeline), seconds, rate)) + 2 * (max(round(HOLD * rate), 1) - 1)
-    pictures = frames_of(timeline, seconds=seconds, rate=rate, camera=even, arms=arms)
+    pictures = frames_of(timeline, seconds=seconds, rate=rate, camera=even, arms=arms, proofs=proofs)
 
     def counted() -> Iterator[Pixels]:
         for number, picture in enumerate(pictures):
@@ -146,7 +163,7 @@ def _gif_colors() -> NDArray[np.uint8]:
     Shape (256, 3).
     """
     grey = np.repeat(np.linspace(0, 255, 40)[:, None], 3, axis=1)
-    named = np.array([rgb(color) for color in (INSTALLED, BOUNDARY, *ROBOTS, MISSING)], dtype=float)
+    named = np.array([rgb(color) for color in (INSTALLED, BOUNDARY, *ROBOTS, SLIDING)], dtype=float)
     light = np.linspace(0.4, 1.06, 16)[None, :, None] * named[:, None]
     pale = 255 - np.linspace(0.25, 0.75, 8)[None, :, None] * (255 - named[:, None])
     every = np.concatenate([grey, light.reshape(-1, 3), pale.reshape(-1, 3)])
@@ -183,8 +200,3 @@ def _write_mp4(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
         content = draft.read_bytes()
     write_whole(path, lambda file: file.write(content))
     return count
-
-
-def _words(timeline: Timeline, step: int) -> str:
-    doing = f": {timeline.words(step - 1)}" if step else ""
-    return f"step {step} of {len(timeline)}{doing}"

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, REMOVED, States, action_mask
 from falsework.search.task import Direction
 from falsework.stability.oracle import Stability
+from falsework.stability.settings import StabilitySettings
+from falsework.stability.verdict import Criterion
 from falsework.viewer.arms import Arms, Moment, look_with_arms
 from falsework.viewer.disruption import Disruption, Tool, chance_of_parts
 from falsework.viewer.look import Look, look_at, pick
@@ -56,6 +58,7 @@ class Model:
         graph: StateGraph | None = None,
         arms: Arms | None = None,
         oracle: Stability | None = None,
+        criterion: Criterion = "contact",
         deadline: float | None = 60.0,
     ) -> None:
         """Show a timeline.
@@ -67,6 +70,7 @@ class Model:
             graph: state graph to show beside it.
             arms: robots that carry the plan out, in the same order as the timeline.
             oracle: decides stability.
+            criterion: what stable means, where no oracle is handed in.
             deadline: seconds that a new plan may take; None for as long as it takes.
         """
         self.timeline = timeline
@@ -82,6 +86,7 @@ class Model:
         self.deadline = deadline
         self.lock = threading.RLock()
         self._oracle = oracle
+        self._criterion: Criterion = criterion
         self._proofs: OrderedDict[bytes, StateProof] = OrderedDict()
         self._replanner: Any = None
         self._guide: PolicyGuide | None = None
@@ -96,7 +101,7 @@ class Model:
     def oracle(self) -> Stability:
         """Decides stability; made at the first use."""
         if self._oracle is None:
-            self._oracle = Stability(self.assembly)
+            self._oracle = Stability(self.assembly, StabilitySettings(criterion=self._criterion))
         return self._oracle
 
     @property
@@ -131,7 +136,7 @@ class Model:
         """How all parts are seen now."""
         with self.lock:
             disrupted = bool(self.disruption.missing or self.disruption.there)
-            marks = dict.fromkeys(self.disruption.fixed, FIXED)
+            marks = self.sliding | dict.fromkeys(self.disruption.fixed, FIXED)
             if self.selected is not None:
                 marks[self.selected] = SELECTED
             look = look_at(
@@ -258,6 +263,13 @@ class Model:
                 while len(self._proofs) > _PROOFS:
                     self._proofs.popitem(last=False)
             return known
+
+    @property
+    def sliding(self) -> dict[int, str]:
+        """Colours of the parts that slide in the state as it is marked, by part; empty unless `proof` was asked."""
+        with self.lock:
+            known = self._proofs.get(self.site.tobytes())
+            return {} if known is None else known.marks
 
     def chances(self) -> NDArray[np.float64]:
         """Probability that the policy takes the action that concerns each part in the state shown; shape (parts,).

@@ -28,6 +28,7 @@ FRAMES = 15.0
 """Frames a second of a plan that is played."""
 NO_MORE_THAN = 400
 """Largest number of robots that can be asked for."""
+_TOGGLES = {"motion": "Motion, where unstable", "sliding": "Motion, where it slides"}
 _GONE = """<span class="falsework-alive"></span><style>
 body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
   content: "The server has gone. What you see is where it was; start falsework view again, and this page goes on.";
@@ -118,9 +119,9 @@ class Page:
     def refresh(self) -> None:
         """Bring scene and words up to date with the model."""
         with self._lock, self.server.atomic():
-            self._draw()
             self._show_proof()
             self._say()
+            self._draw()  # marks what slides, if either of the others asked
 
     def _draw(self) -> None:
         model = self.model
@@ -175,7 +176,7 @@ class Page:
         with tabs.add_tab("Look"):
             self._toggles = {}
             for kind in KINDS:
-                name = {"motion": "Motion, where unstable"}.get(kind, kind.capitalize())
+                name = _TOGGLES.get(kind, kind.capitalize())
                 self._toggles[kind] = gui.add_checkbox(name, initial_value=False)
                 self._toggles[kind].on_update(lambda event: self._guard(event, self.refresh))
             if model.policy is not None:
@@ -363,7 +364,8 @@ class Page:
         proof = self.model.proof()
         chosen = {kind: some for kind, some in proof.arrows.items() if kind in kinds}
         self.scene.see_through(bool(chosen))
-        self.scene.show_arrows(chosen, proof.moved if "motion" in kinds else {})
+        moved = proof.moved if ("sliding" if proof.slides else "motion") in kinds else {}
+        self.scene.show_arrows(chosen, moved, proof.motion_color)
 
     def _say(self) -> None:
         model, shown = self.model, self._shown()

@@ -9,7 +9,7 @@ import numpy as np
 
 from falsework.viewer.arrows import KINDS
 from falsework.viewer.model import Model
-from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, robot_color
+from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, SLIDING, robot_color
 from falsework.viewer.timeline import NOBODY
 
 
@@ -62,6 +62,8 @@ def legend_text(model: Model, shown: Collection[str]) -> str:
         entries.append(("#ffffff", "colours repeat: labels say which robot"))
     entries += [(SELECTED, "selected"), (MISSING, "missing (wires)"), (FIXED, "not to be touched")]
     entries += [(color, kind) for kind, color in KINDS.items() if kind in shown]
+    if model.sliding and "sliding" not in shown:
+        entries.append((SLIDING, "would slide"))
     boxes = "".join(
         f"<div><span style='display:inline-block;width:1.2em;height:0.8em;background:{color};"
         f"border:1px solid #999;margin-right:0.5em'></span>{html.escape(words)}</div>"

@@ -1,17 +1,25 @@
-"""The verdict on one state with its proof, in words and as arrows."""
+"""The verdict on states with their proofs, in words, as arrows and as marks."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import INSTALLED, States
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, INSTALLED, States
+from falsework.stability.motion import motion_of
 from falsework.stability.oracle import Stability
+from falsework.stability.verdict import Verdicts
 from falsework.viewer.arrows import Arrows, arrows_of_forces, arrows_of_motion, moved_parts
+from falsework.viewer.palette import MOTION, SLIDING
 
 _NAMED = 3
+_WHY = "forces in balance exist, but the contacts do not bring them about"
+_AT_ONCE = 64
+"""States whose contact forces are in memory together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,9 +31,26 @@ class StateProof:
     words: str
     """One line for people."""
     arrows: dict[str, Arrows]
-    """By what they show: contact forces, friction, gravity; or motion."""
+    """By what they show: contact forces, friction, gravity; or motion; or sliding."""
     moved: dict[int, NDArray[np.float64]] = field(default_factory=dict)
-    """Of an unstable state: vertices of the parts that move, a little later; by part, shape (vertices, 3)."""
+    """Of a state that does not stand: vertices of the parts that move, a little later; by part, shape (vertices, 3)."""
+    slides: bool = False
+    """Whether forces in equilibrium exist although parts move: only under the criterion `contact`."""
+
+    @property
+    def verdict(self) -> str:
+        """One word for captions."""
+        return "slides" if self.slides else "stable" if self.stable else "unstable" if self.decided else "undecided"
+
+    @property
+    def motion_color(self) -> str:
+        """Colour of the parts a little later in their motion."""
+        return SLIDING if self.slides else MOTION
+
+    @property
+    def marks(self) -> dict[int, str]:
+        """Colours of the parts that slide, by part."""
+        return dict.fromkeys(self.moved, SLIDING) if self.slides else {}
 
 
 def proof_of_state(oracle: Stability, state: States) -> StateProof:
@@ -38,24 +63,53 @@ def proof_of_state(oracle: Stability, state: States) -> StateProof:
     Raises:
         StateError: not a state of the oracle's structure.
     """
-    assembly = oracle.assembly
-    verdicts = oracle.check(state)
-    if verdicts.stable[0]:
+    return _proof(oracle.assembly, state, oracle.check(state), 0)
+
+
+def proofs_of_states(oracle: Stability, states: States) -> list[StateProof]:
+    """As `proof_of_state` for several states.
+
+    Args:
+        oracle: decides stability.
+        states: shape (states, parts).
+
+    Raises:
+        StateError: not states of the oracle's structure.
+    """
+    proofs = []
+    for first in range(0, len(states), _AT_ONCE):
+        some = states[first : first + _AT_ONCE]
+        verdicts = oracle.check(some)
+        proofs += [_proof(oracle.assembly, state, verdicts, row) for row, state in enumerate(some)]
+    return proofs
+
+
+def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int) -> StateProof:
+    if verdicts.stable[row]:
         assert verdicts.forces is not None
         free = int((state == INSTALLED).sum())
         words = f"stable: contact forces balance {free} free parts" if free else "stable: every part is held"
-        return StateProof(True, True, words, arrows_of_forces(assembly, state, verdicts.forces[0]))
-    if not verdicts.unstable[0]:
+        return StateProof(True, True, words, arrows_of_forces(assembly, state, verdicts.forces[row]))
+    slides = bool(verdicts.slides[row])
+    if not (slides or verdicts.unstable[row]):
         return StateProof(False, False, "neither stable nor unstable could be proven", {})
-    assert verdicts.velocity is not None
-    velocity = verdicts.velocity[0]
-    moved = moved_parts(assembly, state, velocity)
-    speed = np.linalg.norm(velocity[:, :3], axis=1)
-    order = sorted(moved, key=lambda part: -speed[part])
-    named = ", ".join(assembly.names[part] for part in order[:_NAMED])
-    more = f" and {len(order) - _NAMED} more" if len(order) > _NAMED else ""
-    words = f"unstable: {named}{more} would move"
-    weight = arrows_of_forces(assembly, state, np.zeros((len(assembly.contacts.points), 3)))["gravity"]
-    return StateProof(
-        False, True, words, {"gravity": weight, "motion": arrows_of_motion(assembly, state, velocity)}, moved
-    )
+    motion = motion_of(assembly, verdicts, row)
+    moved = {} if motion is None else moved_parts(assembly, state, motion)
+    weighed = state.copy()
+    if slides:  # the arrow of a part that slides down would lie on that of its weight
+        weighed[list(moved)] = HELD
+    arrows = {"gravity": arrows_of_forces(assembly, weighed, np.zeros((len(assembly.contacts.points), 3)))["gravity"]}
+    if motion is None:  # a state that slides which the exact solver decided
+        return StateProof(False, True, f"slides: {_WHY}", arrows, moved, slides)
+    kind = "sliding" if slides else "motion"
+    arrows[kind] = arrows_of_motion(assembly, state, motion, kind)
+    speed = np.linalg.norm(motion[:, :3], axis=1)
+    named = _named(assembly, sorted(moved, key=lambda part: -speed[part]))
+    words = f"slides: {named} would slide; {_WHY}" if slides else f"unstable: {named} would move"
+    return StateProof(False, True, words, arrows, moved, slides)
+
+
+def _named(assembly: Assembly, parts: Sequence[int]) -> str:
+    """The first parts by name, and how many more there are."""
+    more = f" and {len(parts) - _NAMED} more" if len(parts) > _NAMED else ""
+    return ", ".join(assembly.names[part] for part in parts[:_NAMED]) + more

@@ -127,12 +127,13 @@ class Scene:
         self._show_labels(look, labels or {})
         return sent
 
-    def show_arrows(self, arrows: Mapping[str, Arrows], moved: Mapping[int, Array]) -> None:
+    def show_arrows(self, arrows: Mapping[str, Arrows], moved: Mapping[int, Array], color: str = MOTION) -> None:
         """Bring arrows up to date.
 
         Args:
             arrows: by what they show; kinds that are left out are hidden.
             moved: vertices of parts a little later in their motion, metres.
+            color: of these.
         """
         for kind, color in KINDS.items():
             name = f"/arrows/{kind.replace(' ', '-')}"
@@ -156,12 +157,13 @@ class Scene:
         first = np.cumsum([0, *(len(some) for some in vertices)])
         faces = [self._faces[part] + start for part, start in zip(sorted(moved), first, strict=False)]
         points = np.concatenate(vertices).astype(np.float32)
-        if self._fresh("/motion", points.tobytes()):
+        key = color.encode() + points.tobytes()
+        if self._fresh("/motion", key):
             node = self._scene.add_mesh_simple(
-                "/motion", points, np.concatenate(faces), color=rgb(MOTION), opacity=0.35, side="double",
+                "/motion", points, np.concatenate(faces), color=rgb(color), opacity=0.35, side="double",
                 flat_shading=True, cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
-            self._keep("/motion", points.tobytes(), node)
+            self._keep("/motion", key, node)
 
     def show_arms(self, arms: Arms | None, moment: Moment | None) -> None:
         """Bring the arms, and the part that one of them carries, up to date.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,8 @@ from falsework.search.archive import write_whole
 from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms
 from falsework.viewer.arrows import Arrows
 from falsework.viewer.look import TRAVEL, Look, bounds_of, diagonal, look_at
-from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, ROBOTS, hex_of, ramp, robot_color
+from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, ROBOTS, SLIDING, hex_of, ramp, robot_color
+from falsework.viewer.proof import StateProof
 from falsework.viewer.render import Camera, Image, Solid, render
 from falsework.viewer.timeline import NOBODY, Timeline, interesting
 
@@ -86,6 +87,7 @@ def contact_sheet(
     columns: int = 4,
     camera: Camera = CELL,
     title: str = "",
+    proofs: Mapping[int, StateProof] | None = None,
 ) -> Pixels:
     """Some states of a timeline with their steps, and the legend.
 
@@ -96,6 +98,7 @@ def contact_sheet(
         columns: pictures in a row.
         camera: how to look at each.
         title: a line above.
+        proofs: verdicts on states, by place; what slides is marked, and what does not stand is written above.
 
     Raises:
         InputError: no frames, no columns, or a state that is not there.
@@ -108,17 +111,19 @@ def contact_sheet(
     columns = min(columns, len(chosen))
     rows = -(-len(chosen) // columns)
     head, cell = (_LINE + 6 if title else 0), camera.height + _LINE
-    entries = legend(timeline)
+    proofs = proofs or {}
+    entries = legend(timeline, any(proofs[place].slides for place in chosen if place in proofs))
     sheet = pillow.Image.new("RGB", (columns * camera.width, head + rows * cell + _LINE + 14), "white")
     pen = pillow.ImageDraw.Draw(sheet)
     if title:
         _write(pen, pillow, (sheet.width / 2, head / 2 + 2), title, 18)
     for number, place in enumerate(chosen):
         left, top = (number % columns) * camera.width, head + (number // columns) * cell
-        look = look_at(timeline, place, travelling=False)
+        proof = proofs.get(place)
+        look = look_at(timeline, place, marks=None if proof is None else proof.marks, travelling=False)
         picture = to_pixels(draw(timeline.assembly, look, camera))
         sheet.paste(pillow.Image.fromarray(picture), (left, top + _LINE))
-        _write(pen, pillow, (left + camera.width / 2, top + _LINE / 2 + 4), caption(timeline, place), 14)
+        _write(pen, pillow, (left + camera.width / 2, top + _LINE / 2 + 4), caption(timeline, place, proof), 14)
     _write_legend(pen, pillow, sheet.width, sheet.height - _LINE / 2 - 5, entries)
     return np.asarray(sheet)
 
@@ -134,6 +139,7 @@ def one_state(
     chances: NDArray[np.float64] | None = None,
     bounds: NDArray[np.float64] | None = None,
     words: str | None = None,
+    marks: Mapping[int, str] | None = None,
     samples: int = 3,
 ) -> Pixels:
     """Picture of one place of a timeline, with what is done there and the legend.
@@ -148,11 +154,12 @@ def one_state(
         chances: probability of the action that concerns each part, NaN where none does, shape (parts,).
         bounds: what the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
         words: the line above; the step if not given.
+        marks: colours of parts that stand out, such as those that slide.
         samples: pixels are averaged over `samples` squared.
     """
     pillow = import_pillow()
     extra: Sequence[Solid] = ()
-    look = look_at(timeline, place, chances=chances, travelling=arms is None)
+    look = look_at(timeline, place, chances=chances, marks=marks, travelling=arms is None)
     box = bounds_with_ways(timeline) if bounds is None else bounds
     if arms is not None:
         moment = arms.at(place)
@@ -178,20 +185,23 @@ def one_state(
     return np.asarray(image)
 
 
-def legend(timeline: Timeline) -> list[tuple[str, str]]:
-    """Colour and words of all that a timeline shows."""
+def legend(timeline: Timeline, sliding: bool = False) -> list[tuple[str, str]]:
+    """Colour and words of all that a timeline shows; `sliding` if parts are marked that slide."""
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "stands by itself")]
     for robot in range(min(int(timeline.holders.max(initial=NOBODY)) + 1, len(ROBOTS))):
         entries.append((robot_color(robot), f"held by robot {robot + 1}"))
+    if sliding:
+        entries.append((SLIDING, "would slide"))
     return entries
 
 
-def caption(timeline: Timeline, place: int) -> str:
-    """The step that leads to a state, such as `step 3 of 90: hold block-7`."""
+def caption(timeline: Timeline, place: int, proof: StateProof | None = None) -> str:
+    """The step that leads to a state, such as `step 3 of 90: hold block-7`, and that it slides or falls if it does."""
+    verdict = "" if proof is None else f" ({proof.verdict})" if not proof.stable else ""
     if len(timeline) == 0:
-        return timeline.assembly.name
+        return timeline.assembly.name + verdict
     doing = f": {timeline.words(place - 1)}" if place else ""
-    return f"step {place} of {len(timeline)}{doing}"
+    return f"step {place} of {len(timeline)}{doing}{verdict}"
 
 
 def check_places(timeline: Timeline, places: Sequence[int]) -> None:

@@ -10,17 +10,19 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
-from falsework.stability import Stability, Verdict
+from falsework.stability import Stability, StabilitySettings, Verdict
 
 
 @pytest.fixture(scope="session")
 def stands() -> Callable[..., bool]:
     """Whether one state stands, the complete one if none is given; fails where neither verdict is proven."""
 
-    def judge(assembly: Assembly, state: ArrayLike | None = None) -> bool:
+    def judge(
+        assembly: Assembly, state: ArrayLike | None = None, settings: StabilitySettings = StabilitySettings()
+    ) -> bool:
         if state is None:
             state = complete_state(assembly.boundary)
-        verdict = Stability(assembly).check(np.asarray(state)).verdict[0]
+        verdict = Stability(assembly, settings).check(np.asarray(state)).verdict[0]
         assert verdict != Verdict.UNDECIDED
         return bool(verdict == Verdict.STABLE)
 

@@ -14,6 +14,7 @@ from falsework.assembly.library.funicular import find_form
 from falsework.assembly.library.vaults import Grid, nearest_grid
 from falsework.assembly.model import Assembly
 from falsework.stability import Stability
+from falsework.stability.settings import EQUILIBRIUM
 
 SUPPORT = 0.7 / 4.0
 
@@ -123,7 +124,8 @@ def test_outer_faces_are_a_thickness_apart() -> None:
 def test_stands_at_every_size(parts: int, stands) -> None:
     assembly = vault(parts)
     assert stands(assembly)
-    assert stands(assembly.replace(friction=0.42))  # a quarter of the friction is margin
+    # A quarter of the friction is margin for equilibrium; without prestress some of these slide.
+    assert stands(assembly.replace(friction=0.42), settings=EQUILIBRIUM)
     assert not stands(assembly.replace(friction=0.1))
 
 
@@ -161,7 +163,7 @@ def rings_of_chains(grid: Grid) -> list[list[list[int]]]:
 def test_two_robots_can_build_it(parts: int) -> None:
     """One robot holds the tip of a row, the other adds the next block, from the free edges to the crown."""
     assembly = vault(parts)
-    stability = Stability(assembly)
+    stability = Stability(assembly, EQUILIBRIUM)
     state = np.where(assembly.boundary, 2, 0).astype(np.uint8)
 
     def built(chain: list[int]) -> NDArray[np.uint8]:

@@ -65,7 +65,9 @@ class ContactSolver:
                 is free that was not free in its parent; elsewhere a start from rest takes fewer.
 
         Returns:
-            Verdicts; `UNDECIDED` where nothing was found within the limits of the settings.
+            Verdicts; `UNDECIDED` where nothing was found within the limits of the settings. Without a guess, the
+            displacement of a state that slides is the one at which parts were seen to move away; NaN where there is
+            neither that nor rest.
         """
         batch, problem = len(states), self.problem
         verdicts = Verdicts.blank(
@@ -100,6 +102,7 @@ class ContactSolver:
                 forces[rows],
                 velocity[rows],
                 warm[rows],
+                guess is None,
                 verdicts.verdict[rows],
                 verdicts.residual[rows],
                 verdicts.iterations[rows],
@@ -134,12 +137,16 @@ def _judge_range(
     forces,
     velocity,
     warm,
+    keep_sliding,
     verdict,
     residual,
     iterations,
     steps,
 ):
-    """Judge states one after another; arrays as in `ContactSolver.check`, certificates empty where not wanted."""
+    """Judge states one after another; arrays as in `ContactSolver.check`, certificates empty where not wanted.
+
+    With `keep_sliding` the displacement of a state that slides is left as it is; it must not become a guess.
+    """
     work, contact = make_work(structure), make_contact_work(structure)
     no_forces, no_velocity = np.zeros((0, 3)), np.zeros((0, 6))
     cold = len(no_forces) > 0  # not a literal, for which numba would compile the solver anew
@@ -161,10 +168,15 @@ def _judge_range(
         if found == RESTS:
             verdict[i], residual[i] = STABLE, left
             continue
-        displacement[i] = np.nan
         v, r, k, s = solve_state(structure, states[i], options, work, force, motion, cold)
         iterations[i] += k
         steps[i] += s
-        if v == STABLE:
-            v = _SLIDES if found == MOVES_AWAY else UNDECIDED
+        if found != MOVES_AWAY:
+            v = UNSTABLE if v == UNSTABLE else UNDECIDED
+        elif v == STABLE:
+            v = _SLIDES
+        elif v == UNDECIDED:
+            r = np.inf
+        if v != _SLIDES or not keep_sliding:
+            displacement[i] = np.nan
         verdict[i], residual[i] = v, r

@@ -51,6 +51,8 @@ def build_contact_structure(
     return ContactStructure(
         normal=stiffness * scale,
         tangential=ratio * stiffness * scale,
+        turned_a=np.ascontiguousarray(problem.transfer_a.transpose(0, 2, 1)),
+        turned_b=np.ascontiguousarray(problem.transfer_b.transpose(0, 2, 1)),
         scale=scale,
         reach=assembly.mass.gyration,
         limit=MOVEMENT * structure_size(assembly),
@@ -122,10 +124,7 @@ def lacks_contact(work, pairs):
             touched[work.slot_a[p]] = True
         if work.slot_b[p] >= 0:
             touched[work.slot_b[p]] = True
-    for j in range(len(work.free)):
-        if work.free[j] and not touched[j]:
-            return True
-    return False
+    return np.any(work.free & ~touched)
 
 
 @nb.njit(cache=True)
@@ -157,12 +156,12 @@ def solve_contact_state(structure, contact_structure, state, options, work, cont
     if warm:
         read_displacement(structure, contact_structure, work, displacement, contact.displacement)
         result, residual, spent = find_rest(
-            structure, contact_structure, work, contact, pairs, options.warm_steps, tolerance, options.first_step, False
+            structure, contact_structure, work, contact, pairs, options.warm_steps, tolerance, options.first_step
         )
     if result != RESTS:
         contact.displacement[:] = 0.0
         result, residual, taken = find_rest(
-            structure, contact_structure, work, contact, pairs, options.steps, tolerance, options.first_step, True
+            structure, contact_structure, work, contact, pairs, options.steps, tolerance, options.first_step
         )
         spent += taken
     write_displacement(structure, contact_structure, work, contact.displacement, displacement)

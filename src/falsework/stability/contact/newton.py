@@ -1,9 +1,9 @@
-"""Displacement at which contact forces balance the load, by pseudo-transient Newton iterations (Kelley and Keyes 1998).
+"""Displacement at which contact forces balance the load, by pseudo-transient Newton iterations.
 
-Each iteration is a linearly implicit Euler step of `du/dt = r(u)`, the motion of the structure in a viscous medium, with
-`r` the wrenches that contacts and load leave. The time step grows as the residual falls, so iterations end as Newton's
-method where there is an equilibrium, and follow the parts that move where there is none. Velocities, displacements
-and wrenches are whitened by the masses as in `Problem`.
+The method is that of Kelley and Keyes (1998). Each iteration is a linearly implicit Euler step of `du/dt = r(u)`, the
+motion of the structure in a viscous medium, with `r` the wrenches that contacts and load leave. The time step grows as
+the residual falls, so iterations end as Newton's method where there is an equilibrium, and follow the parts that move
+where there is none. Velocities, displacements and wrenches are whitened by the masses as in `Problem`.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from falsework.stability.structure import FAST, clear_matrix, pair_strain, pair_
 
 RESTS, MOVES_AWAY, OPEN = 1, -1, 0
 
-FIRST_STEP = 1e3
-"""First time step, in units in which the median contact stiffness is 1: longer in a thinner medium."""
+FIRST_STEP = 30.0
+"""First time step, in units in which the median contact stiffness is 1: longer in a thinner medium. From much longer
+steps iterations may jump to an equilibrium that parts, as they sink into their contacts, do not come to."""
 _GROWTH = 4.0
 """Growth of the time step after a full step, at least; by the fall of the residual where that is more."""
 _SHORTEST = 0.1
@@ -29,6 +30,8 @@ _SHORTEST = 0.1
 _CUT = 0.1
 """... to this share."""
 _LONGEST_STEP = 1e14
+_FAR = 10.0
+"""Times the limit on movement at which iterations end: on the way to rest they may overshoot."""
 
 
 class ContactStructure(NamedTuple):
@@ -37,6 +40,9 @@ class ContactStructure(NamedTuple):
     normal: NDArray[np.float64]
     """Normal stiffness of each contact point in scaled variables, median 1, shape (points,)."""
     tangential: NDArray[np.float64]
+    turned_a: NDArray[np.float64]
+    """Transposes of `Problem.transfer_a`, shape (pairs, 6, 6)."""
+    turned_b: NDArray[np.float64]
     scale: float
     """Metres (or radians) of displacement per scaled unit."""
     reach: NDArray[np.float64]
@@ -124,7 +130,7 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
 
 
 @nb.njit(fastmath=FAST, cache=True)
-def assemble_tangent(structure, work, contact, pairs, shift):
+def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
     """Write the tangent stiffness at the spring forces `contact.trial`, plus `shift` times the identity.
 
     A contact that just touches counts as closed and rough, so the first step from rest is that of a bonded structure.
@@ -133,10 +139,14 @@ def assemble_tangent(structure, work, contact, pairs, shift):
     kn, kt, trial = contact.normal, contact.tangential, contact.trial
     clear_matrix(work, shift)
     contact.upper[:] = 0.0
-    local = np.empty((6, 6))
+    turned_a, turned_b = contact_structure.turned_a, contact_structure.turned_b
+    ta, tb, block = structure.transfer_a, structure.transfer_b, structure.elimination.pair_block
+    pair, slot_a, slot_b = work.pair, work.slot_a, work.slot_b
+    diagonal, lower, filled, upper = work.diagonal, work.lower, work.filled, contact.upper
+    local, scratch = np.empty((6, 6)), (np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)))
     for p in range(pairs):
         local[:] = 0.0
-        closed = False
+        closed, slides = False, False
         for j in range(start[p], start[p + 1]):
             n, x, y = trial[j, 0], trial[j, 1], trial[j, 2]
             if n < 0.0:
@@ -145,6 +155,7 @@ def assemble_tangent(structure, work, contact, pairs, shift):
             k00, k10, k20, k11, k12, k21, k22 = kn[j], 0.0, 0.0, kt[j], 0.0, 0.0, kt[j]
             size = gauge(cone, x, y)
             if size > mu * n:
+                slides = True
                 ex, ey = x / size, y / size
                 gx, gy = gauge_gradient(cone, x, y)
                 k10, k20 = mu * kn[j] * ex, mu * kn[j] * ey
@@ -152,13 +163,18 @@ def assemble_tangent(structure, work, contact, pairs, shift):
                 k11, k12 = share * (1.0 - ex * gx), -share * ex * gy
                 k21, k22 = -share * ey * gx, share * (1.0 - ey * gy)
             for i in range(6):
-                h0 = basis[j, i, 0] * k00 + basis[j, i, 1] * k10 + basis[j, i, 2] * k20
-                h1 = basis[j, i, 1] * k11 + basis[j, i, 2] * k21
-                h2 = basis[j, i, 1] * k12 + basis[j, i, 2] * k22
+                b0, b1, b2 = basis[j, i, 0], basis[j, i, 1], basis[j, i, 2]
+                h0 = b0 * k00 + b1 * k10 + b2 * k20
+                h1 = b1 * k11 + b2 * k21
+                h2 = b1 * k12 + b2 * k22
                 for k in range(6):
                     local[i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
         if closed:
-            add_pair(structure, work, p, local, contact.upper)
+            q, a, b = pair[p], slot_a[p], slot_b[p]
+            e = block[q]
+            if a >= 0 and b >= 0:
+                filled[e] = True
+            add_pair(ta, tb, turned_a, turned_b, q, a, b, e, local, not slides, diagonal, lower, upper, scratch)
 
 
 @nb.njit(fastmath=FAST, cache=True)
@@ -194,8 +210,15 @@ def largest_movement(structure, contact_structure, work, displacement):
     return worst * contact_structure.scale
 
 
+@nb.njit(cache=True)
+def _at_rest(structure, contact_structure, work, displacement):
+    """`RESTS`, or `MOVES_AWAY` where parts came to rest only beyond the limit on movement."""
+    moved = largest_movement(structure, contact_structure, work, displacement)
+    return MOVES_AWAY if moved > contact_structure.limit else RESTS
+
+
 @nb.njit(fastmath=FAST, cache=True)
-def find_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, leap):
+def find_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step):
     """Iterate from `contact.displacement` until the parts rest, move away, or the steps are used up.
 
     Args:
@@ -203,8 +226,6 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
         steps: limit on iterations.
         tolerance: largest residual of a state at rest, as `largest_residual`.
         first_step: first time step.
-        leap: take the first step at full length whatever the residual after it; right for a start from rest, where
-            that step is the one of the bonded structure.
 
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations. Displacement and spring forces are in `contact`.
@@ -214,11 +235,11 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
     residual, next_residual = contact.residual, contact.next_residual
     size = evaluate(structure, work, contact, pairs, now, contact.trial, residual)
     worst = largest_residual(structure, work, residual)
-    time, first = first_step, leap
+    time = first_step
     for iteration in range(steps):
         if worst <= tolerance:
-            return RESTS, worst, iteration
-        assemble_tangent(structure, work, contact, pairs, 1.0 / time)
+            return _at_rest(structure, contact_structure, work, now), worst, iteration
+        assemble_tangent(structure, contact_structure, work, contact, pairs, 1.0 / time)
         if not factor_lu(elimination, free, work.diagonal, work.lower, contact.upper, work.filled):
             time *= _CUT
             continue
@@ -240,7 +261,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
                     for r in range(6):
                         defect = next_residual[j, r] - length * step[j, r] / time
                         implicit += defect * defect
-            if first or min(np.sqrt(implicit), next_size) <= size:
+            if min(np.sqrt(implicit), next_size) <= size:
                 break
             length *= 0.5
             if length < _SHORTEST:
@@ -248,7 +269,6 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
         if length < _SHORTEST or not next_size < np.inf:
             time *= _CUT
             continue
-        first = False
         if length == 1.0:
             time = min(time * max(_GROWTH, size / max(next_size, 1e-300)), _LONGEST_STEP)
         else:
@@ -262,6 +282,8 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
             for k in range(3):
                 contact.trial[j, k] = contact.next_trial[j, k]
         worst = largest_residual(structure, work, residual)
-        if largest_movement(structure, contact_structure, work, now) > contact_structure.limit:
+        if largest_movement(structure, contact_structure, work, now) > _FAR * contact_structure.limit:
             return MOVES_AWAY, worst, iteration + 1
-    return (RESTS if worst <= tolerance else OPEN), worst, steps
+    if worst <= tolerance:
+        return _at_rest(structure, contact_structure, work, now), worst, steps
+    return OPEN, worst, steps

@@ -135,7 +135,7 @@ class Replayer:
 
         Args:
             states: in the order of assembly, shape (states, parts).
-            history: of the first state; without it, gravity comes at once on the first state at rest.
+            history: of the first state; without it, gravity comes slowly on the first state.
             increments: instead of those of the settings.
 
         Raises:
@@ -168,11 +168,14 @@ class Replayer:
         return Replay(result, moved, part, residual, self._size, histories)
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """One step in a single increment, for a search: whether the structure comes to rest, and what it then remembers.
+        """Take one step in a single increment, for a search.
 
         Args:
             history: of the state before.
             before, after: consecutive states in the order of assembly, shape (parts,).
+
+        Returns:
+            Whether the structure comes to rest, and what it then remembers.
         """
         replay = self.replay(np.stack([before, after]), history, increments=1)
         return bool(replay.stands[1] == RESTS), replay.histories[-1]

@@ -81,14 +81,13 @@ def place_new(structure, before, state, noise, displacement, springs):
 
 
 @nb.njit(cache=True)
-def settle_step(structure, contact_structure, state, options, increments, rest, work, contact, displacement, springs):
+def settle_step(structure, contact_structure, state, options, increments, work, contact, displacement, springs):
     """Let a structure with history come to rest in a state.
 
     Args:
         structure, contact_structure, options, work, contact: see there.
         state: shape (parts,).
-        increments: in how many the missing wrenches are taken up.
-        rest: whether the history is empty, so that gravity comes at once.
+        increments: in how many the missing wrenches are taken up; all of gravity where the history is empty.
         displacement: of the parts since they were placed, m and rad, shape (parts, 6); changed in place.
         springs: scaled spring forces of all contact points, shape (points, 3); changed in place.
 
@@ -104,7 +103,7 @@ def settle_step(structure, contact_structure, state, options, increments, rest, 
     evaluate(structure, work, contact, pairs, contact.displacement, contact.trial, contact.residual)
     missing = contact.residual.copy()
     load = contact.load.copy()
-    count = 1 if rest else increments
+    count = increments
     if lacks_contact(work, pairs):
         result, count = MOVES_AWAY, 0
     for k in range(1, count + 1):
@@ -122,7 +121,6 @@ def settle_step(structure, contact_structure, state, options, increments, rest, 
             options.steps,
             options.tolerance,
             options.first_step,
-            rest,
         )
         spent += taken
         _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs)
@@ -184,7 +182,6 @@ def replay_range(
                 states[i],
                 options,
                 increments,
-                fresh and i == 0,
                 work,
                 contact,
                 displacement[i],

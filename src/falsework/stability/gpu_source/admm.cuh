@@ -175,7 +175,7 @@ DEVICE void run_admm(const Structure& s, const Options& o, const Batch& b) {
     }
     if (verdict != kUndecided || o.interior_steps == 0) {
       float copy[GROUP * 3];
-      verdict = meaning(o, b, index, verdict);
+      verdict = meaning(o, b, index, verdict, residual);
       iteration += b.iterations[index];
       write_result(s, a, b, index, verdict, residual, iteration, source_of<OneEach>(s, a, u, q, copy), w);
       continue;

@@ -153,7 +153,7 @@ struct Batch {
   int* iterations;
   double* forces;          // (batch, points, 3) N, or null
   double* velocity;        // (batch, parts, 6), or null
-  double* displacement;    // (batch, parts, 6) m and rad of states at rest, or null
+  double* displacement;    // (batch, parts, 6) m and rad of states at rest or moving away, or null
   float* handoff;          // (batch, points, 3) scaled forces, from ADMM to the interior point method
   const int* list;
   const int* list_count;

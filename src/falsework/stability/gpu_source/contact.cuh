@@ -1,8 +1,8 @@
 // The criterion `contact`.
 
-// Writes displacements in m and rad and contact forces in N of a state at rest.
-PHASE void write_rest(const Structure& s, const State& a, const Batch& b, int index, const double* displacement) {
-  if (b.forces) {
+// Writes contact forces in N of a state at rest, and displacements in m and rad of one at rest or on its way.
+PHASE void write_displaced(const Structure& s, const State& a, const Batch& b, int index, bool rests, const double* displacement) {
+  if (rests && b.forces) {
     double* forces = b.forces + (long long)index * s.points * 3;
     for (int g = TID; g < s.groups; g += THREADS)
       if (a.group_slot[g] == kNone)
@@ -55,7 +55,7 @@ DEVICE void run_contact(const Structure& s, const Options& o, const Batch& b) {
     q.wrench = q.local + s.groups * 36;
     double residual;
     int steps, found = find_rest(s, a, o, q, residual, steps);
-    if (found == kStable) write_rest(s, a, b, index, q.now);
+    if (found != kUndecided) write_displaced(s, a, b, index, found == kStable, q.now);
     if (TID == 0) {
       b.iterations[index] = steps;
       b.verdict[index] = int8_t(found == kMovesAway ? kSlides : found);

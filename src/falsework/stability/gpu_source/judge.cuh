@@ -102,9 +102,13 @@ PHASE int judge(
   return decide(s, o, tally, 0.0, residual);
 }
 
-// What a state in equilibrium is: stable, or under the criterion `contact` what the Newton iterations said of it.
-DEVICE int meaning(const Options& o, const Batch& b, int index, int verdict) {
-  return o.contact_steps && verdict == kStable ? b.verdict[index] : verdict;
+// What a state in equilibrium is: stable, or under the criterion `contact` what the Newton iterations said of it. Where
+// parts move away and no proof is found, an infinite residual says so.
+DEVICE int meaning(const Options& o, const Batch& b, int index, int verdict, double& residual) {
+  if (o.contact_steps == 0) return verdict;
+  int before = b.verdict[index];
+  if (verdict == kUndecided && before == kSlides) residual = kHuge * kHuge;
+  return verdict == kStable ? before : verdict;
 }
 
 template <class V, class Source>

@@ -151,6 +151,7 @@ PHASE void write_tangent(const Structure& s, const State& a, const Newton& q) {
 
 constexpr int kMovesAway = -1;
 constexpr double kGrowth = 4, kShortest = 0.1, kCut = 0.1, kLongestStep = 1e14;
+constexpr double kFar = 10;  // times the limit on movement at which iterations end: on the way to rest they may overshoot
 
 // Iterates from rest until the parts rest (kStable), move away (kMovesAway) or the steps are used up (kUndecided).
 DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newton& q, double& residual, int& steps) {
@@ -158,8 +159,7 @@ DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newto
   SYNC;
   Progress progress;
   evaluate(s, a, q, q.now, q.residual, progress);
-  double time = o.first_step, size = sqrt(progress.v[2]);
-  bool first = true;  // that step is taken at full length: it is the one of the bonded structure
+  double time = o.first_step, size = sqrt(progress.v[2]), moved = 0;
   residual = progress.v[0];
   for (steps = 0; residual > (1 - kMargin) * o.tolerance; steps++) {
     if (steps == o.contact_steps) return kUndecided;
@@ -180,7 +180,7 @@ DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newto
       ahead_size = sqrt(progress.v[2]);
       // Residual of the implicit Euler step: r - (length / time) M step.
       double c = length / time, implicit = progress.v[2] - 2 * c * progress.v[3] + c * c * progress.v[4];
-      if (first || implicit <= size * size || ahead_size <= size) break;
+      if (implicit <= size * size || ahead_size <= size) break;
       length *= 0.5;
       if (length < kShortest) break;
     }
@@ -188,7 +188,6 @@ DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newto
       time *= kCut;
       continue;
     }
-    first = false;
     if (length == 1)
       time = fmin(time * fmax(kGrowth, size / fmax(ahead_size, 1e-300)), kLongestStep);
     else
@@ -197,10 +196,11 @@ DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newto
     double* kept = q.now;
     q.now = q.ahead, q.ahead = kept;
     kept = q.residual, q.residual = q.ahead_residual, q.ahead_residual = kept;
-    if (progress.v[1] * s.unit > s.limit) {
+    moved = progress.v[1] * s.unit;
+    if (moved > kFar * s.limit) {
       steps++;
       return kMovesAway;
     }
   }
-  return kStable;
+  return moved > s.limit ? kMovesAway : kStable;
 }

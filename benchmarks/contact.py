@@ -1,0 +1,192 @@
+"""Time the criterion `contact`, its replays and plans under it: one JSON object a line.
+
+    python benchmarks/contact.py verdicts
+    python benchmarks/contact.py replay
+    python benchmarks/contact.py plan --seeds 5
+    python benchmarks/contact.py all --out benchmarks/results/contact.jsonl
+
+`verdicts`: both criteria on the same states in one process, taken from a search under `contact` in the order in which
+it asks, with parents; `ratio` is the median over the repetitions of contact's time over equilibrium's. `cold_ms` is one
+state without a parent from Python, the median over the states of a plan. `replay`: a whole plan, four increments each.
+`plan`: from the assembly to the proven and replayed plan, the median over seeds; `seconds_before_replay` leaves out the
+proofs and the last replay. Compiling is done before. Structures of the paper are looked for in FALSEWORK_DATA, else in
+the folder `shared` beside the repository.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+
+from falsework.assembly import Assembly, load_structure
+from falsework.search import Planner, PlannerSettings, SupportGuide, find_plans, task_of
+from falsework.stability import Stability, StabilitySettings, Verdicts
+
+STRUCTURES = ("vault", "vault-62", "dome-72", "dog-35", "dome-37", "bottle-12", "dome")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to run."""
+
+    what: tyro.conf.Positional[Literal["verdicts", "replay", "plan", "all"]]
+    """Benchmark."""
+    structures: tuple[str, ...] = STRUCTURES
+    """Built-in names, paths, or names of structures of the paper."""
+    robots: int = 2
+    """Parts held at once."""
+    seeds: int = 5
+    """Searches of `plan`."""
+    repeat: int = 5
+    """Repetitions of `verdicts` and `replay`."""
+    out: Path | None = None
+    """File to which the lines are appended as well."""
+
+
+def load(name: str) -> Assembly:
+    """A structure of the paper where it is found, else a built-in one or a path."""
+    named = os.environ.get("FALSEWORK_DATA")
+    folder = Path(named) if named else Path(__file__).resolve().parents[2] / "shared"
+    path = folder / "assemblies" / name
+    return load_structure(path if path.is_dir() else name)
+
+
+class Recorder:
+    """Passes questions on to an oracle and writes them down."""
+
+    def __init__(self, oracle: Stability) -> None:
+        self.oracle = oracle
+        self.asked: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.oracle, name)
+
+    def judge(self, states: np.ndarray, *, parents: np.ndarray | None = None) -> Verdicts:
+        """As `Stability.judge`."""
+        if parents is not None:
+            self.asked.append((states.copy(), parents.copy()))
+        return self.oracle.judge(states, parents=parents)
+
+
+def spread(values: list[float]) -> dict[str, float]:
+    """Median and range."""
+    return {"median": float(np.median(values)), "least": min(values), "most": max(values)}
+
+
+def verdicts(name: str, options: Options) -> Iterator[dict[str, Any]]:
+    """Cost of both criteria on what a search asks."""
+    assembly = load(name)
+    recorder = Recorder(Stability(assembly))
+    planning = Planner(task_of(assembly, options.robots), recorder, guide=SupportGuide(assembly)).run()
+    equilibrium = StabilitySettings(criterion="equilibrium")
+    times: dict[str, list[float]] = {"contact": [], "equilibrium": []}
+    counts: dict[str, Any] = {}
+    for _ in range(options.repeat):
+        for criterion, settings in (("contact", StabilitySettings()), ("equilibrium", equilibrium)):
+            oracle = Stability(assembly, settings)
+            begun = time.perf_counter()
+            found = [oracle.judge(states, parents=parents) for states, parents in recorder.asked]
+            times[criterion].append(time.perf_counter() - begun)
+            counts[criterion] = int(sum(batch.stable.sum() for batch in found))
+    asked = sum(len(states) for states, _ in recorder.asked)
+    ratios = [a / b for a, b in zip(times["contact"], times["equilibrium"], strict=True)]
+    cold = []
+    states = planning.routes[0].states
+    for state in states:
+        oracle = Stability(assembly)
+        begun = time.perf_counter()
+        oracle.judge(state[None])
+        cold.append((time.perf_counter() - begun) * 1e3)
+    yield {
+        "asked": asked,
+        "stable": counts,
+        "ms_each": {key: spread([t / asked * 1e3 for t in value]) for key, value in times.items()},
+        "ratio": spread(ratios),
+        "cold_ms": spread(cold),
+    }
+
+
+def replay(name: str, options: Options) -> Iterator[dict[str, Any]]:
+    """Time of a replay of a whole plan."""
+    assembly = load(name)
+    oracle = Stability(assembly)
+    plan = find_plans(assembly, task_of(assembly, options.robots), oracle=oracle).plans[0]
+    assert oracle.replayer is not None
+    seconds = []
+    for _ in range(options.repeat):
+        begun = time.perf_counter()
+        result = oracle.replayer.replay(plan.assembly_states)
+        seconds.append(time.perf_counter() - begun)
+    moved = round(result.largest * 1e3, 4)
+    yield {"states": len(plan.states), "stands": result.good, "moved_mm": moved, "seconds": spread(seconds)}
+
+
+def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:
+    """Time of a plan that is proven and whose replay stands."""
+    assembly = load(name)
+    whole, search, states, fail, asked = [], [], 0, 0, []
+    for seed in range(options.seeds):
+        oracle = Stability(assembly)
+        begun = time.perf_counter()
+        task = task_of(assembly, options.robots)
+        planning = find_plans(
+            assembly, task, oracle=oracle, settings=PlannerSettings(width=1024, seed=seed), forces=False
+        )
+        whole.append(time.perf_counter() - begun)
+        search.append(planning.result.seconds)
+        asked.append(oracle.counters.asked)
+        for found in planning.plans:
+            assert oracle.replayer is not None
+            states += len(found.states)
+            fail += int((oracle.replayer.replay(found.assembly_states).stands != 1).sum())
+    yield {
+        "seeds": options.seeds,
+        "robots": options.robots,
+        "seconds": spread(whole),
+        "seconds_before_replay": spread(search),
+        "verdicts": spread([float(count) for count in asked]),
+        "states": states,
+        "states_that_fail_the_replay": fail,
+    }
+
+
+def commit() -> str:
+    """The commit that is run, with a mark where files have changed since."""
+    here = Path(__file__).parent
+    run = ["git", "-C", str(here), "describe", "--always", "--dirty", "--abbrev=7"]
+    return subprocess.run(run, capture_output=True, text=True, check=False).stdout.strip()
+
+
+def main(options: Options) -> None:
+    """Run the benchmarks on each structure."""
+    chosen = {"verdicts": verdicts, "replay": replay, "plan": plan}
+    names = list(chosen) if options.what == "all" else [options.what]
+    find_plans(load_structure("arch:blocks=5"))
+    common = {
+        "commit": commit(),
+        "date": date.today().isoformat(),
+        "machine": f"{os.cpu_count()} cores {platform.machine()}, Python {platform.python_version()}",
+    }
+    for what in names:
+        for name in options.structures:
+            for row in chosen[what](name, options):
+                line = json.dumps({"benchmark": f"contact {what}", "structure": name, **row, **common})
+                print(line, flush=True)
+                if options.out is not None:
+                    with options.out.open("a", encoding="utf-8") as file:
+                        file.write(line + "\n")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

@@ -1,0 +1,62 @@
+"""Search for ways out until none can be missing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from falsework.geometry.cover import DEEPEST, Triangles, uncovered
+from falsework.geometry.sweep import Sweeper, Ways
+
+_SWEEPS = 192
+"""Directions that are swept for one part before it is given up."""
+_FINER = 3
+"""How often triangles are cut before the centres of what is left are looked at."""
+_AT_ONCE = 16
+"""Directions that are swept before the triangles are looked at again."""
+
+
+def all_ways(sweeper: Sweeper, part: int, ways: Ways) -> tuple[Ways, bool]:
+    """Add ways out to those that are known until every direction is proved to be no better than one of them.
+
+    The sphere of directions is cut into triangles. One is settled if the cones in which parts block show that it
+    offers nothing new. The centre of another is swept: either that is a new way, or the triangle is cut further.
+
+    Args:
+        sweeper: the structure.
+        part: the part that leaves.
+        ways: ways that are known, at least one.
+
+    Returns:
+        All ways, and whether the proof succeeded; if not, others may exist that sweeping did not meet.
+    """
+    if not ways.blockers.any(axis=1).all():  # one is always free
+        return ways, True
+    cones, named = None, np.zeros(0, dtype=np.int64)
+    triangles, limit, swept = Triangles.sphere(), _FINER, 0
+    while swept < _SWEEPS:
+        blockers = np.flatnonzero(ways.blockers.any(axis=0))
+        if len(blockers) > 64:
+            return ways, False
+        if cones is None or not np.isin(blockers, named).all():
+            named = np.union1d(named, blockers)
+            cones = sweeper.cones(part, named)
+        look = uncovered(triangles, cones.of(blockers), ways.blockers, limit)
+        if look is None:
+            return ways, False
+        left, doubtful = look
+        if not len(left):
+            return ways, True
+        order = np.lexsort((left.cut, ~doubtful))
+        count = min(int(doubtful.sum()), _AT_ONCE)
+        now, later = order[:count], order[count:]
+        if count == 0:
+            limit += _FINER
+        if limit > DEEPEST or (left.cut[now] >= DEEPEST).any():
+            return ways, False
+        ways = sweeper.least_blocked(part, left.centres[now], ways)
+        swept += count
+        if not ways.blockers.any(axis=1).all():
+            return ways, True
+        # A triangle whose centre is a new way may be settled by it or not: its quarters will tell.
+        triangles = left.chosen(now).quartered().joined(left.chosen(later))
+    return ways, False

@@ -1,0 +1,324 @@
+"""Where parts touch along a line or at a point: edges and corners on faces, and edges across edges.
+
+The rules are the counterpart of those for faces. A face that is nearer to parallel with the other than the largest
+angle between faces that touch makes a patch; so an edge counts only where both of its faces rise more steeply from
+the plane that it lies in, and a corner only where all its edges do. No place is thus found twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.geometry.boxes import iterate_box_pairs
+from falsework.geometry.creases import Creases, Surface, expand, rises
+from falsework.geometry.mesh import TriangleMesh
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_CHUNK = 200_000
+"""Pairs of faces, or pieces and edges, that are compared at once; bounds the memory of very fine meshes."""
+_BESIDE = 1.5
+"""Distance from an edge of a face, in tolerances, up to which what lies on the face lies on its edge."""
+
+
+@dataclass(frozen=True, eq=False)
+class Narrow:
+    """Places of one or two points where two parts touch, a row each."""
+
+    parts: NDArray[np.int32]
+    """Part `a` and part `b`, `a < b`, shape (places, 2)."""
+    normals: Array
+    """From `a` to `b`, unit length, shape (places, 3)."""
+    ends: Array
+    """Both ends of a line, the same point twice otherwise; midway between the parts; shape (places, 2, 3), metres."""
+    extent: Array
+    """Length that touches, zero for a point, shape (places,), metres."""
+
+    def take(self, chosen: NDArray) -> Narrow:
+        """Those places alone, in that order."""
+        return Narrow(self.parts[chosen], self.normals[chosen], self.ends[chosen], self.extent[chosen])
+
+    @staticmethod
+    def join(found: Sequence[Narrow]) -> Narrow:
+        """All places of several."""
+        parts, normals, ends, extent = zip(*((n.parts, n.normals, n.ends, n.extent) for n in found), strict=True)
+        return Narrow(np.concatenate(parts), np.concatenate(normals), np.concatenate(ends), np.concatenate(extent))
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What is near enough to touch, metres and degrees; as `face_patches`."""
+
+    gap: float
+    overlap: float
+    angle: float
+
+    @property
+    def tolerance(self) -> float:
+        """The larger of gap and overlap: what is narrower than this has no width."""
+        return max(self.gap, self.overlap)
+
+    @property
+    def sine(self) -> float:
+        """Sine of the angle."""
+        return float(np.sin(np.radians(self.angle)))
+
+
+def narrow_places(meshes: Sequence[TriangleMesh], reach: Reach, slivers: Narrow) -> Narrow:
+    """Find edges on faces, corners on faces, and edges across edges.
+
+    An edge on a face is a line with the normal of the face; so is a strip of two faces that is too narrow for an
+    area, if it does not run along the rim of both. A corner on a face is a point with its normal, and two edges that
+    cross are one whose normal is square to both. On the rim of a face, where its outline is convex, the
+    normal is not defined, and nothing is found.
+
+    Args:
+        meshes: closed meshes that face outwards.
+        reach: tolerances.
+        slivers: strips of opposed faces that are narrower than the tolerance.
+
+    Returns:
+        Pieces of lines, which may hang together, and points, of which some may be found twice.
+    """
+    surface = Surface.of(meshes)
+    every = Creases.of(surface, 0.1)
+    # Both faces have to rise by more than the angle, so that less of a turn than twice the angle is no edge.
+    sharp = every.take(every.turn > np.radians(2 * reach.angle))
+    rims = every.take(every.turn > np.radians(reach.angle))
+    found = [slivers.take(_inside_a_rim(slivers, every, reach))]
+    corners = surface.corners
+    half = reach.tolerance / 2
+    vertices, first = np.unique(surface.faces.ravel(), return_index=True)
+    of_face = _groups(sharp.face, np.arange(len(sharp.face)), len(corners))
+    tips = _groups(first // 3, vertices, len(corners))
+    for i, j in _near_faces(corners, surface.part, half):
+        row, edge = _members(of_face, i)
+        found.append(_edges_on_faces(surface, sharp, rims, edge, j[row], reach))
+        row, vertex = _members(tips, i)
+        found.append(_corners_on_faces(surface, rims, vertex, j[row], surface.part[i[row]], reach))
+        once = i < j
+        row, one = _members(of_face, i[once])
+        again, two = _members(of_face, j[once][row])
+        found.append(_crossings(sharp, one[again], two, reach))
+    return Narrow.join(found)
+
+
+def _groups(owner: Index, member: Index, count: int) -> tuple[Index, Index]:
+    """Members sorted by their owners, and where those of each owner start; shapes (count + 1,) and (members,)."""
+    order = np.argsort(owner, kind="stable")
+    return np.searchsorted(owner[order], np.arange(count + 1)), member[order]
+
+
+def _members(groups: tuple[Index, Index], chosen: Index) -> tuple[Index, Index]:
+    """What belongs to the chosen faces: the place in `chosen`, and the member."""
+    start, member = groups
+    row, place = expand(start[chosen], start[chosen + 1])
+    return row, member[place]
+
+
+def _near_faces(corners: Array, part: NDArray[np.int32], half: float) -> Iterator[tuple[Index, Index]]:
+    """Pairs of faces of different parts whose boxes, grown by `half`, overlap, each both ways round; in chunks."""
+    for i, j in iterate_box_pairs(corners.min(axis=1) - half, corners.max(axis=1) + half):
+        keep = part[i] != part[j]
+        i, j = i[keep], j[keep]
+        for chunk in range(0, len(i), _CHUNK):
+            yield i[chunk : chunk + _CHUNK], j[chunk : chunk + _CHUNK]
+
+
+def _ordered(first: NDArray[np.int32], second: NDArray[np.int32], normals: Array) -> tuple[NDArray[np.int32], Array]:
+    """Pairs of parts, the lower one first, and normals that pointed from the first to the second."""
+    parts = np.stack([np.minimum(first, second), np.maximum(first, second)], axis=1)
+    return parts, normals * np.where(first < second, 1.0, -1.0)[:, None]
+
+
+def merged(found: Narrow, coplanar: float, tolerance: float) -> Narrow:
+    """Join pieces of one line, and points at one place, that have the same normal; leave out what is too short.
+
+    The longest piece that is left of a pair of parts collects those within `coplanar` degrees and `tolerance` metres.
+    A point between two pieces of a line is a convex combination of points that touch, so that their outer ends stand
+    for all of it.
+    """
+    middle = np.round(found.ends.mean(axis=1) / tolerance)
+    size = np.round(found.extent / tolerance)
+    found = found.take(np.lexsort((*middle.T[::-1], -size, found.extent == 0, *found.parts.T[::-1])))
+    limit = np.cos(np.radians(coplanar))
+    pairs = np.flatnonzero(np.append(True, (found.parts[1:] != found.parts[:-1]).any(axis=1)))
+    out = [found.take(np.zeros(0, np.int64))]
+    for rest in np.split(np.arange(len(found.parts)), pairs[1:]) if len(found.parts) else []:
+        while len(rest):
+            start, along = found.ends[rest[0], 0], found.ends[rest[0], 1] - found.ends[rest[0], 0]
+            along = along / max(float(np.linalg.norm(along)), 1e-300)
+            arms = found.ends[rest] - start
+            times = arms @ along
+            near = np.linalg.norm(arms - times[:, :, None] * along, axis=2).max(axis=1) <= tolerance
+            near &= found.normals[rest] @ found.normals[rest[0]] >= limit
+            near &= (found.extent[rest] > 0) == (found.extent[rest[0]] > 0)
+            near[0] = True
+            one, times = rest[near], times[near]
+            ends = found.ends[one].reshape(-1, 3)[[times.argmin(), times.argmax()]]
+            extent = min(float(found.extent[one].sum()), float(np.ptp(times)))
+            normal = np.average(found.normals[one], axis=0, weights=np.maximum(found.extent[one], 1e-300))
+            normal /= np.linalg.norm(normal)
+            # From the lower end in x, then y, then z, whichever way the edge ran.
+            ends = ends[np.lexsort(np.round(ends / tolerance).T[::-1])]
+            if extent >= tolerance or found.extent[one[0]] == 0:
+                out.append(Narrow(found.parts[one[:1]], normal[None], ends[None], np.array([extent])))
+            rest = rest[~near]
+    return Narrow.join(out)
+
+
+def _edges_on_faces(surface: Surface, sharp: Creases, rims: Creases, edge: Index, face: Index, reach: Reach) -> Narrow:
+    """Pieces of edges that lie on faces, away from their rims."""
+    normal = surface.normals[face]
+    keep = (np.einsum("eki,ei->ek", sharp.into[edge], normal) > reach.sine).all(axis=1)
+    keep &= np.abs(np.einsum("ei,ei->e", sharp.along[edge], normal)) <= reach.sine
+    edge, face, normal = edge[keep], face[keep], normal[keep]
+    tail, arm = sharp.tail[edge], sharp.along[edge] * sharp.length[edge, None]
+    corners = surface.corners[face] if len(face) else np.zeros((0, 3, 3))
+    start, stop = np.zeros(len(edge)), np.ones(len(edge))
+    low = np.einsum("ei,ei->e", tail - corners[:, 0], normal)
+    climb = np.einsum("ei,ei->e", arm, normal)
+    _clip(start, stop, low + reach.overlap, climb)
+    _clip(start, stop, reach.gap - low, -climb)
+    for side in range(3):
+        inwards = np.cross(normal, corners[:, (side + 1) % 3] - corners[:, side])
+        inwards /= np.maximum(np.linalg.norm(inwards, axis=1), 1e-300)[:, None]
+        level = np.einsum("ei,ei->e", tail - corners[:, side], inwards)
+        _clip(start, stop, level + 1e-6 * reach.tolerance, np.einsum("ei,ei->e", arm, inwards))
+    extent = (stop - start) * sharp.length[edge]
+    keep = extent > 1e-3 * reach.tolerance
+    edge, face, normal, tail, arm = edge[keep], face[keep], normal[keep], tail[keep], arm[keep]
+    times = np.stack([start[keep], stop[keep]], axis=1)
+    ends = tail[:, None] + times[:, :, None] * arm[:, None]
+    height = np.einsum("eki,ei->ek", ends - surface.corners[face][:, :1], normal)
+    covered = _along_edges(ends, surface.part[face], rims, reach)
+    extent = extent[keep] - covered
+    ends = ends - height[:, :, None] / 2 * normal[:, None]
+    parts, normals = _ordered(sharp.part[edge], surface.part[face], -normal)
+    return Narrow(parts, normals, ends, extent).take(extent > 1e-3 * reach.tolerance)
+
+
+def _clip(start: Array, stop: Array, level: Array, climb: Array) -> None:
+    """Shrink the intervals in place to where `level + t climb` is not negative."""
+    outside = level + np.where(climb > 0, stop, start) * climb < 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        zero = np.where(climb != 0, -level / climb, 0.0)
+    np.copyto(start, np.maximum(start, zero), where=climb > 0)
+    np.copyto(stop, np.minimum(stop, zero), where=climb < 0)
+    stop[outside] = start[outside]
+    np.maximum(start, stop, out=stop)
+
+
+def _along_edges(ends: Array, part: NDArray[np.int32], edges: Creases, reach: Reach) -> Array:
+    """Length of segments over which an edge of a part runs beside them, shape (segments,), metres."""
+    covered = np.zeros(len(ends))
+    for rows, near in _with_edges(part, edges):
+        origin, along = ends[rows, 0], ends[rows, 1] - ends[rows, 0]
+        length = np.linalg.norm(along, axis=1)
+        along /= np.maximum(length, 1e-300)[:, None]
+        parallel = np.linalg.norm(np.cross(along, edges.along[near]), axis=1) <= reach.sine
+        rows, near = rows[parallel], near[parallel]
+        origin, along, length = origin[parallel], along[parallel], length[parallel]
+        arms = edges.tail[near] - origin
+        first = np.einsum("ei,ei->e", arms, along)
+        second = first + edges.length[near] * np.einsum("ei,ei->e", edges.along[near], along)
+        low = np.maximum(np.minimum(first, second), 0.0)
+        high = np.minimum(np.maximum(first, second), length)
+        middle = origin + ((low + high) / 2)[:, None] * along
+        away = np.linalg.norm(np.cross(middle - edges.tail[near], edges.along[near]), axis=1)
+        beside = (away <= _BESIDE * reach.tolerance) & (high > low)
+        covered += np.bincount(rows[beside], (high - low)[beside], len(ends))
+    return covered
+
+
+def _with_edges(part: NDArray[np.int32], edges: Creases) -> Iterator[tuple[Index, Index]]:
+    """Each row with each edge of its part; in chunks."""
+    start = np.searchsorted(edges.part, part, side="left")
+    stop = np.searchsorted(edges.part, part, side="right")
+    total = np.cumsum(stop - start)
+    begin = 0
+    while begin < len(part):
+        done = total[begin - 1] if begin else 0
+        end = max(begin + 1, int(np.searchsorted(total, done + _CHUNK)))
+        rows, near = expand(start[begin:end], stop[begin:end])
+        yield rows + begin, near
+        begin = end
+
+
+def _inside_a_rim(slivers: Narrow, edges: Creases, reach: Reach) -> NDArray[np.bool_]:
+    """Which strips are those of a narrow face of one part inside a wide one of the other, shape (slivers,)."""
+    inside = np.zeros(len(slivers.extent), dtype=bool)
+    point = slivers.extent == 0
+    for side in (0, 1):
+        part = slivers.parts[:, side]
+        along = slivers.extent - _along_edges(slivers.ends, part, edges, reach) > reach.tolerance
+        inside |= np.where(point, _from_edges(slivers.ends[:, 0], part, edges) > _BESIDE * reach.tolerance, along)
+    return inside
+
+
+def _from_edges(points: Array, part: NDArray[np.int32], edges: Creases) -> Array:
+    """Distance of points from the nearest edge of a part, shape (points,), metres."""
+    nearest = np.full(len(points), np.inf)
+    for rows, near in _with_edges(part, edges):
+        arms = points[rows] - edges.tail[near]
+        at = np.clip(np.einsum("ei,ei->e", arms, edges.along[near]), 0.0, edges.length[near])
+        np.minimum.at(nearest, rows, np.linalg.norm(arms - at[:, None] * edges.along[near], axis=1))
+    return nearest
+
+
+def _corners_on_faces(
+    surface: Surface, rims: Creases, vertex: Index, face: Index, part: NDArray[np.int32], reach: Reach
+) -> Narrow:
+    """Corners that stand on faces, away from their rims."""
+    normal, point = surface.normals[face], surface.points[vertex]
+    # Most corners lie in the face by an edge or a face of their own: two edges show that of most of them.
+    first = surface.hanging[vertex]
+    keep = (np.einsum("eki,ei->ek", first, normal) > reach.sine).all(axis=1)
+    vertex, face, part, normal, point = vertex[keep], face[keep], part[keep], normal[keep], point[keep]
+    height = np.einsum("ei,ei->e", point - surface.points[surface.faces[face, 0]], normal)
+    inside = (height <= reach.gap) & (height >= -reach.overlap)
+    corners = surface.points[surface.faces[face]]
+    for side in range(3):
+        inwards = np.cross(normal, corners[:, (side + 1) % 3] - corners[:, side])
+        inwards /= np.maximum(np.linalg.norm(inwards, axis=1), 1e-300)[:, None]
+        inside &= np.einsum("ei,ei->e", point - corners[:, side], inwards) >= -1e-6 * reach.tolerance
+    keep = np.flatnonzero(inside)
+    keep = keep[rises(surface, vertex[keep], normal[keep], reach.sine)]
+    keep = keep[_from_edges(point[keep], surface.part[face[keep]], rims) > _BESIDE * reach.tolerance]
+    middle = point[keep] - height[keep, None] / 2 * normal[keep]
+    parts, normals = _ordered(part[keep], surface.part[face[keep]], -normal[keep])
+    return Narrow(parts, normals, np.stack([middle, middle], axis=1), np.zeros(len(keep)))
+
+
+def _crossings(sharp: Creases, one: Index, two: Index, reach: Reach) -> Narrow:
+    """Edges that cross edges, away from their ends."""
+    normal = np.cross(sharp.along[one], sharp.along[two])
+    sine = np.linalg.norm(normal, axis=1)
+    normal /= np.maximum(sine, 1e-300)[:, None]
+    below = np.einsum("eki,ei->ek", sharp.into[one], normal)
+    above = np.einsum("eki,ei->ek", sharp.into[two], normal)
+    upwards = (below < -reach.sine).all(axis=1) & (above > reach.sine).all(axis=1)
+    down = (below > reach.sine).all(axis=1) & (above < -reach.sine).all(axis=1)
+    keep = (sine > reach.sine) & (upwards | down)
+    one, two, sine = one[keep], two[keep], sine[keep]
+    normal = normal[keep] * np.where(upwards[keep], 1.0, -1.0)[:, None]
+    d, e = sharp.along[one], sharp.along[two]
+    arm = sharp.tail[two] - sharp.tail[one]
+    cosine = np.einsum("ei,ei->e", d, e)
+    onto, past = np.einsum("ei,ei->e", arm, d), np.einsum("ei,ei->e", arm, e)
+    at_one = (onto - cosine * past) / sine**2
+    at_two = (cosine * onto - past) / sine**2
+    height = np.einsum("ei,ei->e", arm, normal)
+    keep = (height <= reach.gap) & (height >= -reach.overlap)
+    for at, edge in ((at_one, one), (at_two, two)):
+        margin = np.where(sharp.ends[edge], reach.tolerance, -1e-6 * reach.tolerance)
+        keep &= (at >= margin[:, 0]) & (at <= sharp.length[edge] - margin[:, 1])
+    point = sharp.tail[one] + at_one[:, None] * d + height[:, None] / 2 * normal
+    parts, normals = _ordered(sharp.part[one], sharp.part[two], normal)
+    found = Narrow(parts, normals, np.stack([point, point], axis=1), np.zeros(len(one)))
+    return found.take(keep)

@@ -1,0 +1,172 @@
+"""Replays of the routes that a request may be answered with, as far as its deadline allows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from falsework.assembly.state import States
+from falsework.learn.clock import Clock, TimeUp
+from falsework.stability.contact.newton import RESTS
+from falsework.stability.contact.replay import History, Replay, Replayer
+from falsework.stability.problem import Problem
+
+_PIECE = 8
+"""Steps replayed between two looks at the clock."""
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """How a plan went when it was replayed in the order of assembly, with contact history."""
+
+    stands: bool | None
+    """True if every state comes to rest, False if one does not, None if the deadline came first."""
+    steps: int
+    """Steps of assembly that were replayed and came to rest."""
+    of: int
+    """Steps of the plan."""
+    moved: float
+    """Largest movement of a part in these steps since it was placed, m."""
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {"stands": self.stands, "steps": self.steps, "of": self.of, "largest_movement": self.moved}
+
+
+@dataclass(eq=False)
+class _Progress:
+    """A replay that can be gone on with."""
+
+    result: np.ndarray
+    moved: np.ndarray
+    part: np.ndarray
+    residual: np.ndarray
+    history: History | None = None
+    reached: int = 0
+    """States that came to rest."""
+    fell: bool = False
+
+    @classmethod
+    def begin(cls, count: int) -> _Progress:
+        return cls(np.zeros(count, np.int8), np.zeros(count), np.full(count, -1, np.int32), np.full(count, np.nan))
+
+    @property
+    def over(self) -> bool:
+        return self.fell or self.reached == len(self.result)
+
+
+class TimedReplayer:
+    """A replayer that looks at the clock between a few steps, and replays no sequence twice.
+
+    Searches use it like a `Replayer`. They rule the state out in which a sequence falls, which makes no sense of the
+    two ends, since every sequence has them: where an end falls, its neighbour is ruled out.
+    """
+
+    def __init__(self, replayer: Replayer, clock: Clock, between: Callable[[], None]) -> None:
+        """Replay until `clock` has run out; call `between` before each few steps."""
+        self.unfinished: States | None = None
+        """The last sequence whose replay the clock cut short, in the order of assembly."""
+        self.fallen: States | None = None
+        """Of the sequences that fall the one that comes farthest."""
+        self.fell_after = 0
+        """Steps of it that come to rest."""
+        self.ruled_out: set[bytes] = set()
+        """States between the ends in which sequences fell."""
+        self._replayer = replayer
+        self._clock = clock
+        self._between = between
+        self._known: dict[bytes, _Progress] = {}
+
+    @property
+    def problem(self) -> Problem:
+        """As of `Replayer`."""
+        return self._replayer.problem
+
+    def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
+        """As `Replayer.replay`, without histories unless a single state is replayed.
+
+        Raises:
+            TimeUp: the clock ran out; `unfinished` then is this sequence.
+        """
+        sequence = np.asarray(states, dtype=np.uint8)
+        if history is not None or len(sequence) < 2:
+            self._look()
+            with self._clock.spend("replays"):
+                return self._replayer.replay(sequence, history)
+        progress = self._go_on(sequence)
+        if not progress.over:
+            self.unfinished = sequence
+            raise TimeUp
+        result = progress.result.copy()
+        if progress.fell:
+            result[:] = RESTS
+            result[_inner(progress.reached, len(sequence)) or len(sequence) :] = 0
+        return Replay(result, progress.moved, progress.part, progress.residual, 0.0)
+
+    def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
+        """As `Replayer.step`.
+
+        Raises:
+            TimeUp: the clock ran out.
+        """
+        self._look()
+        with self._clock.spend("replays"):
+            return self._replayer.step(history, before, after)
+
+    def as_time_allows(self, states: States) -> Replayed:
+        """Replay a sequence, or as much of it as the clock leaves time for.
+
+        Args:
+            states: in the order of assembly, shape (steps + 1, parts).
+        """
+        progress = self._go_on(np.asarray(states, dtype=np.uint8))
+        stands = False if progress.fell else True if progress.over else None
+        moved = float(progress.moved[: progress.reached].max(initial=0.0))
+        return Replayed(stands, max(progress.reached - 1, 0), len(states) - 1, moved)
+
+    def _look(self) -> None:
+        self._between()
+        if self._clock.passed:
+            raise TimeUp
+
+    def _go_on(self, states: States) -> _Progress:
+        progress = self._known.setdefault(states.tobytes(), _Progress.begin(len(states)))
+        while not progress.over:
+            self._between()
+            if self._clock.passed:
+                break
+            first = max(progress.reached - 1, 0)  # the last state that rests, whose history is known
+            rows = slice(first, first + _PIECE + 1)
+            with self._clock.spend("replays"):
+                found = self._replayer.replay(states[rows], progress.history)
+            done = int(np.argmin(np.append(found.stands == RESTS, False)))
+            fresh = slice(progress.reached, first + done)
+            skipped = progress.reached - first
+            for name in ("moved", "part", "residual"):
+                getattr(progress, name)[fresh] = getattr(found, name)[skipped:done]
+            progress.result[fresh] = RESTS
+            progress.fell = done < len(states[rows])
+            if done:
+                progress.reached, progress.history = first + done, found.histories[done - 1]
+            if progress.fell:
+                self._note(states, progress.reached)
+            if progress.over:
+                progress.history = None  # a megabyte for a large structure, and nothing comes after
+        return progress
+
+    def _note(self, states: States, row: int) -> None:
+        """Remember that a sequence falls in state `row`."""
+        if self.fallen is None or row - 1 > self.fell_after:
+            self.fallen, self.fell_after = states, max(row - 1, 0)
+        inner = _inner(row, len(states))
+        if inner is not None:
+            self.ruled_out.add(states[inner].tobytes())
+
+
+def _inner(row: int, count: int) -> int | None:
+    """State to rule out where a sequence of `count` states falls in state `row`; None if it has nothing but ends."""
+    return min(max(row, 1), count - 2) if count > 2 else None

@@ -1,0 +1,32 @@
+"""Summary of the replay of a plan, as plans and plan files carry it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from falsework.stability.contact.replay import Replay
+
+
+@dataclass(frozen=True)
+class PlanReplay:
+    """How a plan went when it was replayed in the order of assembly, with contact history."""
+
+    stands: bool
+    """Whether every state comes to rest."""
+    moved: float
+    """Largest movement of a part in a state that comes to rest, m."""
+    part: int
+    """The part that moved that far, -1 if none moved."""
+    falls_at: int | None = None
+    """First state in the order of assembly that does not come to rest, counted from 0."""
+
+    @classmethod
+    def of(cls, replay: Replay) -> PlanReplay:
+        """Summary of a replay."""
+        resting = np.flatnonzero(replay.stands == 1)
+        most = int(resting[np.argmax(replay.moved[resting])]) if len(resting) else -1
+        return cls(replay.good, replay.largest, int(replay.part[most]) if most >= 0 else -1, replay.falls_at)

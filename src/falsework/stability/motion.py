@@ -1,0 +1,44 @@
+"""Motion of the parts of a state that does not stand, as its certificate shows it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.stability.verdict import Verdict, Verdicts
+
+SLIDING_SHARE = 0.1
+"""Of a state that slides a part counts as moving at this share of the largest movement: the others only settle."""
+
+
+def motion_of(assembly: Assembly, verdicts: Verdicts, row: int) -> NDArray[np.float64] | None:
+    """How the parts of one state begin to move; the size means nothing.
+
+    Of an unstable state it is the virtual velocity that proves it. Of a state that slides it is the displacement at
+    which the iterations were ended, without the parts that move less than `SLIDING_SHARE` of the farthest.
+
+    Args:
+        assembly: the structure.
+        verdicts: with certificates, as `Stability.check` returns them.
+        row: of the state in question.
+
+    Returns:
+        `(linear, angular)` about the centres of mass, shape (parts, 6); None where the state stands or is undecided,
+        and where no motion is known.
+    """
+    verdict = verdicts.verdict[row]
+    if verdict == Verdict.UNSTABLE and verdicts.velocity is not None:
+        return verdicts.velocity[row]
+    if verdict != Verdict.SLIDES or verdicts.displacement is None:
+        return None
+    displacement = verdicts.displacement[row]
+    if not np.isfinite(displacement).all():
+        return None
+    moved = np.maximum(
+        np.linalg.norm(displacement[:, :3], axis=1),
+        np.linalg.norm(displacement[:, 3:], axis=1) * assembly.mass.gyration,
+    )
+    if not moved.any():
+        return None
+    return np.where((moved > SLIDING_SHARE * moved.max())[:, None], displacement, 0.0)

@@ -1,0 +1,171 @@
+"""Robot plans under both criteria: which moves are asked about, and that only what stands in a replay is delivered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework.assembly import load_structure
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, complete_state
+from falsework.robots.cell import Cell
+from falsework.robots.hybrid import HybridResult, HybridSettings, plan_robots
+from falsework.robots.proposals import Proposals
+from falsework.robots.rollouts import roll_out
+from falsework.search import Route, Task
+from falsework.stability import Replay, Stability, StabilitySettings
+
+ARCH = load_structure("arch:blocks=5")
+TASK = Task.create(ARCH.boundary, 2)
+GOAL = {TASK.target.tobytes()}
+
+
+class Watched(Stability):
+    """Remembers the states that it was asked about."""
+
+    def __init__(self, assembly: Assembly, criterion: Any) -> None:
+        super().__init__(assembly, StabilitySettings(criterion=criterion))
+        self.seen: set[bytes] = set()
+
+    def stable(self, states: Any, *, parents: Any = None) -> Any:
+        self.seen |= {state.tobytes() for state in states}
+        return super().stable(states, parents=parents)
+
+
+class Falling:
+    """A replayer that calls states bad, from the second replay on or always."""
+
+    def __init__(self, real: Any, bad: Callable[[np.ndarray], bool], spare: int = 0) -> None:
+        self.real, self.bad, self.spare, self.routes = real, bad, spare, []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.real, name)
+
+    def replay(self, states: np.ndarray) -> Replay:
+        found = self.real.replay(states)
+        if len(states) == 1:  # where a search begins
+            return found
+        self.routes.append(states)
+        falls = [row for row, state in enumerate(states) if self.bad(state)]
+        if not falls or len(self.routes) <= self.spare:
+            return found
+        stands = found.stands.copy()
+        stands[falls[0] :] = 0
+        return replace(found, stands=stands)
+
+
+def removals(states: np.ndarray, actions: np.ndarray) -> np.ndarray:
+    """Remove wherever it can be done."""
+    return np.tile(np.repeat([0.0, 1.0], ARCH.part_count), (len(states), 1))
+
+
+@pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
+def test_rollouts_ask_about_holds_where_they_must(criterion: str) -> None:
+    oracle = Watched(ARCH, criterion)
+    route = roll_out(TASK, oracle, removals, TASK.start, GOAL)
+    assert route is not None
+    asked = np.array([state.tobytes() in oracle.seen for state in route.states[1:]])
+    removal = route.actions >= ARCH.part_count
+    assert asked[removal].all()
+    assert asked[~removal].all() == (criterion == "contact")
+    assert asked[~removal].any() == (criterion == "contact")
+
+
+def test_rollouts_go_around_what_is_forbidden() -> None:
+    oracle = Stability(ARCH)
+    first = roll_out(TASK, oracle, removals, TASK.start, GOAL)
+    assert first is not None
+    forbidden = {first.states[3].tobytes()}
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        second = roll_out(TASK, oracle, removals, TASK.start, GOAL, rng=rng, rows=16, forbidden=forbidden)
+        assert second is not None
+        assert not forbidden & {state.tobytes() for state in second.states}
+
+
+@pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
+def test_what_is_solvable_under_contact_has_been_asked_about(criterion: str) -> None:
+    """States that only the search for a way met count as solvable too, so their holds must have had a verdict."""
+    oracle = Watched(ARCH, criterion)
+    proposals = Proposals(ARCH, TASK, oracle)
+    assert proposals.prepare().found
+    known = len(proposals)
+    state, found = complete_state(ARCH.boundary), []
+    for action in proposals.legal(state):
+        if not proposals.known(state, action) and proposals.solvable(state, action):
+            found.append(action)
+    assert found
+    assert all(action < ARCH.part_count for action in found)  # nothing is held that could be removed
+    held = []
+    for action in found:
+        after = state.copy()
+        after[action] = HELD
+        held.append(after.tobytes() in oracle.seen)
+    assert len(proposals) > known
+    assert held == [criterion == "contact"] * len(held)
+
+
+def test_a_forbidden_state_takes_its_only_ways_with_it() -> None:
+    """One part at a time on one way: whatever comes before the forbidden state is not solvable any more."""
+    oracle = Stability(ARCH)
+    proposals = Proposals(ARCH, TASK, oracle)
+    assert proposals.prepare().found
+    route = roll_out(TASK, oracle, removals, TASK.start, GOAL)
+    assert route is not None
+    states, actions = route.states, route.actions
+    row = len(states) - 3
+    assert proposals.forbid(Route(states, actions), row)
+    state = states[::-1][row + 1]  # the one before, in the order of disassembly
+    action = int(actions[::-1][row])
+    assert not proposals.known(state, action)
+    assert not proposals.solvable(state, action)
+    short = Route(states[:2], actions[:1])
+    assert not proposals.forbid(short, 1)
+
+
+def test_a_plan_says_by_which_criterion_it_stands(column: Assembly, cell: Cell, result: HybridResult) -> None:
+    assert result.plan is not None
+    assert result.statistics["criterion"] == "contact"
+    assert result.statistics["replay"]["stands"]
+    assert result.plan.plan.claim.criterion == "contact"
+    plain = plan_robots(column, cell, oracle=Stability(column, StabilitySettings(criterion="equilibrium")))
+    assert plain.plan is not None
+    assert plain.statistics["criterion"] == "equilibrium"
+    assert plain.statistics["replay"] is None
+    assert plain.plan.plan.claim.criterion == "equilibrium"
+
+
+def test_a_plan_that_falls_is_not_delivered_but_another_one_is(
+    column: Assembly, cell: Cell, result: HybridResult
+) -> None:
+    """The first replay, of the plan without motions, is let through: the one with motions is replayed too."""
+    assert result.plan is not None
+    bad = result.plan.plan.states[2].copy()
+    oracle = Stability(column)
+    falling = Falling(oracle.replayer, lambda state: np.array_equal(state, bad), spare=1)
+    oracle.__dict__["replayer"] = falling
+    found = plan_robots(column, cell, oracle=oracle)
+    assert found.plan is not None
+    assert (falling.routes[1] == bad).all(axis=1).any()
+    assert found.statistics["replays_fallen"] == 1
+    assert not (found.plan.plan.states == bad).all(axis=1).any()
+    assert found.statistics["replay"]["stands"]
+    assert found.plan.plan.validate(column).good
+
+
+def test_where_every_plan_falls_none_is_delivered_and_the_step_is_named(column: Assembly, cell: Cell) -> None:
+    """Whenever cube 2 is held, the replay falls, and without holding it there is no plan."""
+    for spare in (0, 1):
+        oracle = Stability(column)
+        oracle.__dict__["replayer"] = Falling(oracle.replayer, lambda state: bool(state[2] == HELD), spare)
+        found = plan_robots(column, cell, oracle=oracle, settings=HybridSettings(attempts=3))
+        assert not found.found
+        assert found.partial is None or not (found.partial.plan.states[:, 2] == HELD).any()
+        assert found.explanation is not None
+        assert found.explanation.outcome == "not_found"
+        assert "built up in order it fell at step" in found.explanation.text
+        assert "inserting block-2" in found.explanation.text

@@ -1,0 +1,71 @@
+"""What a service calls stable: it says by which criterion, and calls what slides by its name."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+pytest.importorskip("fastapi", reason="the service needs fastapi; pip install 'falsework[service]'")
+
+from falsework.assembly import Assembly
+from falsework.assembly.library.blocks import box, gather
+from falsework.service.description import components, models_of
+from falsework.service.settings import ServiceSettings
+from falsework.service.worker import Item, Recipe, _Judge, _Planner
+
+
+class Pipe:
+    """Keeps what a worker sends."""
+
+    def __init__(self) -> None:
+        self.answers: dict[int, Any] = {}
+
+    def send(self, done: Any) -> None:
+        self.answers[done.number] = json.loads(done.body)
+
+
+@pytest.fixture(scope="module")
+def clamp() -> Assembly:
+    """A cube between two fixed walls with nothing below it."""
+    walls = [box("left", (-1, 0, -1), (0, 1, 2), fixed=True), box("right", (1, 0, -1), (2, 1, 2), fixed=True)]
+    made = gather([box("cube", (0, 0, 0), (1, 1, 1)), *walls])
+    return Assembly.from_meshes(made.meshes, boundary=made.boundary)
+
+
+@pytest.mark.parametrize(
+    ("criterion", "verdict", "proof", "moving"),
+    [("contact", "slides", "forces", [0]), ("equilibrium", "stable", "forces", [])],
+)
+def test_verdicts(criterion: Any, verdict: str, proof: str, moving: list[int], clamp: Assembly) -> None:
+    judge, pipe = _Judge(Recipe(clamp, "stability", None, criterion)), Pipe()
+    states = np.array([[1, 2, 2], [2, 2, 2]], dtype=np.uint8)
+    judge.answer([Item(0, (states, True), 10.0), Item(1, (states, False), 10.0)], pipe)  # type: ignore[arg-type]
+    for number in (0, 1):
+        answer = pipe.answers[number]
+        assert answer["criterion"] == criterion
+        first, held = answer["verdicts"]
+        assert (first["verdict"], first["proof"]) == (verdict, proof)
+        assert held["verdict"] == "stable"
+        assert held["proof"] == ("displacement" if criterion == "contact" else "forces")
+        schemas = components(models_of(clamp, ServiceSettings()))
+        jsonschema.validate(answer, {**schemas["StabilityAnswer"], "components": {"schemas": schemas}})
+    assert [record["moving"] for record in pipe.answers[0]["verdicts"]] == [moving, []]
+
+
+@pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
+def test_plans(criterion: Any, clamp: Assembly, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the walls must press by themselves the cube cannot be let go of; where they do, it can."""
+    monkeypatch.setattr("os.nice", lambda _: None)
+    planner, pipe = _Planner(Recipe(clamp, "replan", None, criterion)), Pipe()
+    state = np.array([1, 2, 2], dtype=np.uint8)
+    planner.answer([Item(0, {"state": state}, 10.0)], pipe)  # type: ignore[arg-type]
+    answer = pipe.answers[0]
+    assert answer["criterion"] == criterion
+    assert (answer["outcome"] == "found") == (criterion == "equilibrium")
+    schemas = components(models_of(clamp, ServiceSettings()))
+    jsonschema.validate(answer, {**schemas["ReplanAnswer"], "components": {"schemas": schemas}})
+    assert [plan["stability"]["criterion"] for plan in answer["plans"]] == ["equilibrium"] * len(answer["plans"])

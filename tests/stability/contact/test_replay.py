@@ -1,0 +1,158 @@
+"""Replays: rest with contact history, agreement with discrete elements, and the numbers of the method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from falsework.assembly import library, load_structure
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import complete_state
+from falsework.errors import InputError
+from falsework.search import find_plans
+from falsework.search.find import task_of
+from falsework.stability import Replayer, ReplaySettings, Stability
+from falsework.stability.contact.replay import replay_plans, replay_varied
+from falsework.stability.judges import replay_by_discrete_elements
+
+
+def plan_states(assembly: Assembly, robots: int = 2) -> NDArray[np.uint8]:
+    """States of a plan in the order of assembly; the search has replayed it."""
+    planning = find_plans(assembly, task_of(assembly, robots))
+    assert planning.found
+    return np.ascontiguousarray(planning.plans[0].states[::-1])
+
+
+class Forgetful(Stability):
+    """The criterion state by state, without history."""
+
+    @property
+    def replayer(self) -> None:  # type: ignore[override]
+        return None
+
+
+@pytest.fixture(scope="module")
+def dome() -> Assembly:
+    return library.build("dome")
+
+
+@pytest.fixture(scope="module")
+def dome_states(dome: Assembly) -> NDArray[np.uint8]:
+    return plan_states(dome)
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.55])
+def test_a_block_let_go_on_a_slope_slips_past_the_angle_of_friction(scenes: Any, friction: float) -> None:
+    for offset, stands in ((-3e-3, True), (3e-3, False)):
+        slope = scenes.slope(np.arctan(friction) + offset, friction=friction)
+        last = complete_state(slope.boundary)
+        held = np.where(last == 1, 2, last)
+        gone = np.where(last == 1, 0, last)
+        replay = Replayer(slope).replay(np.stack([gone, held, last]))
+        assert replay.good is stands
+        assert replay.falls_at == (None if stands else 2)
+
+
+def test_two_walls_do_not_press_what_a_robot_lets_go(scenes: Any) -> None:
+    clamp = scenes.clamp(friction=0.55)
+    last = complete_state(clamp.boundary)
+    held = np.where(last == 1, 2, last)
+    replay = Replayer(clamp).replay(np.stack([held, last]))
+    assert replay.falls_at == 1
+
+
+def test_the_weight_on_a_hand_is_taken_up_by_the_contacts(dome: Assembly, dome_states: NDArray) -> None:
+    """At rest the remembered spring forces balance gravity on every free part, by the wrench maps of `Problem`."""
+    replayer = Replayer(dome)
+    replay = replayer.replay(dome_states)
+    assert replay.good
+    problem = replayer.problem
+    for row in (len(dome_states) // 2, len(dome_states) - 1):
+        springs = replay.histories[row].springs
+        forces = np.where(springs[:, :1] > 0, springs, 0.0) * problem.force_scale[:, None]
+        forces[~problem.active(dome_states[row : row + 1])[0]] = 0.0
+        net = problem.gravity_wrench.copy()
+        np.add.at(net, problem.part_a, np.einsum("cij,cj->ci", problem.wrench_a, forces))
+        np.add.at(net, problem.part_b, np.einsum("cij,cj->ci", problem.wrench_b, forces))
+        free = dome_states[row] == 1
+        assert np.abs(net[free]).max() < 1e-3 * problem.weight
+        slip = np.hypot(forces[:, 1], forces[:, 2]) - dome.friction * forces[:, 0]
+        assert slip.max() < 1e-9 * problem.weight
+
+
+def test_a_replay_goes_on_from_any_step(dome: Assembly, dome_states: NDArray) -> None:
+    replayer = Replayer(dome)
+    whole = replayer.replay(dome_states)
+    half = len(dome_states) // 2
+    rest = replayer.replay(dome_states[half:], whole.histories[half])
+    np.testing.assert_array_equal(rest.stands[1:], whole.stands[half + 1 :])
+    np.testing.assert_allclose(rest.moved[-1], whole.moved[-1], rtol=1e-9)
+
+
+def test_discrete_elements_agree_on_a_plan(dome: Assembly, dome_states: NDArray) -> None:
+    assert Replayer(dome).replay(dome_states).good
+    assert (replay_by_discrete_elements(dome, dome_states).stands == 1).all()
+
+
+@pytest.mark.parametrize("name", ["arch:blocks=9", "wall:bricks=3,courses=4", "corbel", "bottle", "dome"])
+def test_plans_are_delivered_only_where_their_replay_stands(name: str) -> None:
+    assembly = library.build(name)
+    planning = find_plans(assembly, task_of(assembly, 2))
+    assert planning.found
+    (plan,) = planning.plans
+    assert plan.replay is not None
+    assert plan.replay.stands
+    assert Replayer(assembly).replay(plan.assembly_states).good
+
+
+def test_history_fells_a_plan_whose_states_all_stand() -> None:
+    """The vault's plan without history: every state stands from rest, and the replay falls; discrete elements agree."""
+    vault = library.build("vault")
+    planning = find_plans(vault, task_of(vault, 2), oracle=Forgetful(vault))
+    states = np.ascontiguousarray(planning.plans[0].states[::-1])
+    replay = Replayer(vault).replay(states)
+    assert not replay.good
+    assert replay.falls_at is not None
+    judged = replay_by_discrete_elements(vault, states[: replay.falls_at + 1])
+    assert judged.stands[-1] == -1
+
+
+def test_the_answer_does_not_hang_on_the_numbers_of_the_method(dome: Assembly, dome_states: NDArray) -> None:
+    """Stiffness ratio, speed of letting go, viscosity, and twenty random states of friction at the start."""
+    cases = replay_varied(Replayer(dome), dome_states, draws=20)
+    assert len(cases) == 26
+    assert [case.name for case in cases if not case.good] == []
+
+
+def test_friction_at_the_start_changes_the_forces(dome: Assembly, dome_states: NDArray) -> None:
+    plain = Replayer(dome).replay(dome_states)
+    noisy = Replayer(dome, replay=ReplaySettings(friction_noise=1.0, seed=3)).replay(dome_states)
+    assert np.abs(plain.histories[-1].springs - noisy.histories[-1].springs).max() > 0
+
+
+@pytest.mark.parametrize(
+    "settings", [{"increments": 0}, {"first_step": 0.0}, {"friction_noise": -1.0}, {"steps": 0}, {"first_step": np.nan}]
+)
+def test_wrong_settings_are_named(settings: dict[str, Any]) -> None:
+    with pytest.raises(InputError):
+        ReplaySettings(**settings)
+
+
+def test_plans_are_replayed_side_by_side(dome: Assembly, dome_states: NDArray) -> None:
+    replayer = Replayer(dome)
+    first, second = replay_plans(replayer, [dome_states, dome_states[:10]])
+    assert (first.good, second.good) == (True, True)
+    np.testing.assert_array_equal(first.moved[:10], second.moved)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bottle-12", "dog-35", "dome-37", "vault-62", "dome-72", "tetris-17", "cube-17"])
+def test_plans_of_real_structures_stand(shared_assembly: Callable[[str], Path], name: str) -> None:
+    assembly = load_structure(shared_assembly(name))
+    states = plan_states(assembly)
+    assert Replayer(assembly).replay(states).good
