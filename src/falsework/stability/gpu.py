@@ -57,7 +57,7 @@ class GpuSolver:
     The same methods as on the processor, with the same certificates. Of the equilibrium problem (`CpuSolver`), ADMM
     iterates in float32, both proofs are found in float64, and an interior point method in float64 takes what ADMM
     leaves open (`docs/decisions/0011`). Under the criterion `contact` (`ContactSolver`), Newton iterations in float64
-    go first, and only states that they do not bring to rest go on to the equilibrium problem. Each method is one
+    then say which of the states that are not proven unstable come to rest (`docs/decisions/0013`). Each method is one
     kernel; lists on the device hand states from one to the next.
 
     Args:
@@ -223,8 +223,9 @@ class GpuSolver:
         address = driver.address
         stages = [stage for chain in chains for stage in chain]
         # List `i` holds what stage `i` takes: the states too large for the stage before it in its chain, or those that
-        # the chain before leaves open. The first stage takes all.
-        opens = np.repeat(np.cumsum([len(chain) for chain in chains]), [len(chain) for chain in chains])
+        # an earlier chain hands on. The first stage takes all.
+        open_list = len(chains[0])
+        rest_list = open_list + len(chains[1])
         lists = driver.empty((len(stages) + 1, count), np.int32)
         counters = driver.zeros((2 * (len(stages) + 1),), np.int32)
         handoff = driver.empty((count, self.problem.points, 3), np.float32)
@@ -235,7 +236,7 @@ class GpuSolver:
         def counter(i: int) -> int:
             return address(counters) + i * 4
 
-        for i, (stage, open_list) in enumerate(zip(stages, opens.tolist(), strict=True)):
+        for i, stage in enumerate(stages):
             batch = KernelBatch(
                 states=address(states),
                 guess=None if guess is None else address(guess),
@@ -253,6 +254,8 @@ class GpuSolver:
                 large_count=counter(2 * (i + 1)),
                 open=row(open_list),
                 open_count=counter(2 * open_list),
+                rest=row(rest_list),
+                rest_count=counter(2 * rest_list),
                 scratch=None if stage.scratch is None else address(stage.scratch),
                 scratch_stride=stage.pool,
                 points_scratch=address(by_group),
@@ -269,7 +272,7 @@ class GpuSolver:
         if few not in self._chains:
             chains = [self._admm_stages(few), self._interior_stages()]
             if self._contact:
-                chains.insert(0, self._contact_stages(few))
+                chains.append(self._contact_stages(few))
             rows = max(stage.blocks for chain in chains for stage in chain if "admm" not in stage.kernel)
             by_group = self.driver.empty((rows * self.layout.group_bytes() // 8,), np.float64)
             self._chains[few] = chains, by_group

@@ -94,6 +94,8 @@ class KernelBatch(ctypes.Structure):
                 "large_count",
                 "open",
                 "open_count",
+                "rest",
+                "rest_count",
                 "scratch",
             )
         ),

@@ -207,13 +207,20 @@ class Stability:
             states: shape (batch, parts).
             verdicts: of the solver that left them open.
         """
-        decided = self.exact.check(states)
-        if self.settings.criterion == "contact":
+        contact = self.settings.criterion == "contact"
+        # Where equilibrium is proven and no rest was found, the exact solver has nothing to add.
+        rows = np.flatnonzero(~(contact & verdicts.undecided & (verdicts.residual <= self.settings.tolerance)))
+        decided = verdicts[np.arange(len(verdicts))]
+        if not len(rows):
+            return decided
+        exact = self.exact.check(states[rows])
+        if contact:
             # Equilibrium alone does not say that the state stands: what the contact solver left open stays open.
-            slides = decided.stable & (verdicts.slides | np.isposinf(verdicts.residual))
-            decided.verdict[decided.stable & ~slides] = Verdict.UNDECIDED
-            decided.verdict[slides] = Verdict.SLIDES
-            decided.proof[:] = proof_of(decided.verdict, self.settings.criterion)
+            slides = exact.stable & (verdicts.slides[rows] | np.isposinf(verdicts.residual[rows]))
+            exact.verdict[exact.stable & ~slides] = Verdict.UNDECIDED
+            exact.verdict[slides] = Verdict.SLIDES
+            exact.proof[:] = proof_of(exact.verdict, self.settings.criterion)
+        decided.put(rows, exact)
         return decided
 
     def _make_gpu(self) -> GpuSolver | None:

@@ -175,9 +175,8 @@ DEVICE void run_admm(const Structure& s, const Options& o, const Batch& b) {
     }
     if (verdict != kUndecided || o.interior_steps == 0) {
       float copy[GROUP * 3];
-      verdict = meaning(o, b, index, verdict, residual);
-      iteration += b.iterations[index];
       write_result(s, a, b, index, verdict, residual, iteration, source_of<OneEach>(s, a, u, q, copy), w);
+      ask_for_rest(o, b, index, verdict);
       continue;
     }
     for (int slot = TID; slot < a.groups; slot += THREADS) {
@@ -189,7 +188,7 @@ DEVICE void run_admm(const Structure& s, const Options& o, const Batch& b) {
         if (i < count * 3) out[i] = good ? q.z[i] : 0.0f;
     }
     if (TID == 0) {
-      b.iterations[index] += iteration;
+      b.iterations[index] = iteration;
       b.open[atomicAdd(b.open_count, 1)] = index;
     }
   }

@@ -160,8 +160,10 @@ struct Batch {
   int* ticket;
   int* large;              // states that need more memory than this launch has
   int* large_count;
-  int* open;               // states for the next method
+  int* open;               // states that ADMM leaves undecided
   int* open_count;
+  int* rest;               // states of which the Newton iterations say whether they rest
+  int* rest_count;
   char* scratch;           // `scratch_stride` bytes a block, where the pool is not in shared memory
   long long scratch_stride;
   char* points_scratch;    // `points_stride` bytes a block: what the later methods keep of each group

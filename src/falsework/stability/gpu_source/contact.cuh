@@ -30,7 +30,8 @@ PHASE void write_displaced(const Structure& s, const State& a, const Batch& b, i
     }
 }
 
-// States that are not at rest go on to the solvers of the equilibrium problem.
+// The solvers of the equilibrium problem have not proved these states unstable. A state that does not rest slides where
+// forces in equilibrium exist; where neither proof was found and parts move away, an infinite residual says so.
 template <bool InShared>
 DEVICE void run_contact(const Structure& s, const Options& o, const Batch& b) {
   for (int index = next_state(b); index >= 0; index = next_state(b)) {
@@ -57,12 +58,11 @@ DEVICE void run_contact(const Structure& s, const Options& o, const Batch& b) {
     int steps, found = find_rest(s, a, o, q, residual, steps);
     if (found != kUndecided) write_displaced(s, a, b, index, found == kStable, q.now);
     if (TID == 0) {
-      b.iterations[index] = steps;
-      b.verdict[index] = int8_t(found == kMovesAway ? kSlides : found);
-      if (found == kStable)
-        b.residual[index] = residual;
-      else
-        b.open[atomicAdd(b.open_count, 1)] = index;
+      bool balanced = b.verdict[index] == kStable, moves = found == kMovesAway;
+      b.iterations[index] += steps;
+      if (found == kStable) b.residual[index] = residual;
+      if (moves && !balanced) b.residual[index] = kHuge * kHuge;
+      b.verdict[index] = int8_t(found == kStable ? kStable : moves && balanced ? kSlides : kUndecided);
     }
   }
 }

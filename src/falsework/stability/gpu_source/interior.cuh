@@ -238,7 +238,7 @@ DEVICE void run_interior(const Structure& s, const Options& o, const Batch& b) {
       advance(s, a, q, target, length);
       verdict = judge(s, a, o, source, q.r, q.wrench, residual);
     }
-    verdict = meaning(o, b, index, verdict, residual);
     write_result(s, a, b, index, verdict, residual, b.iterations[index] + step, source, q.r);
+    ask_for_rest(o, b, index, verdict);
   }
 }

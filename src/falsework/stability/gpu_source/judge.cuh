@@ -102,15 +102,6 @@ PHASE int judge(
   return decide(s, o, tally, 0.0, residual);
 }
 
-// What a state in equilibrium is: stable, or under the criterion `contact` what the Newton iterations said of it. Where
-// parts move away and no proof is found, an infinite residual says so.
-DEVICE int meaning(const Options& o, const Batch& b, int index, int verdict, double& residual) {
-  if (o.contact_steps == 0) return verdict;
-  int before = b.verdict[index];
-  if (verdict == kUndecided && before == kSlides) residual = kHuge * kHuge;
-  return verdict == kStable ? before : verdict;
-}
-
 template <class V, class Source>
 PHASE void write_result(
     const Structure& s, const State& a, const Batch& b, int index, int verdict, double residual, int iterations,
@@ -143,6 +134,11 @@ PHASE void write_result(
       for (int r = 0; r < 6; r++)
         out[r] = node != kNone ? double(velocity[node * 6 + r]) * (r < 3 ? s.length : 1.0) : 0.0;
     }
+}
+
+// Under the criterion `contact`, hands a state on that is not proven unstable.
+DEVICE void ask_for_rest(const Options& o, const Batch& b, int index, int verdict) {
+  if (o.contact_steps && verdict != kUnstable && TID == 0) b.rest[atomicAdd(b.rest_count, 1)] = index;
 }
 
 // Takes the next state of the launch, -1 when there is none.
