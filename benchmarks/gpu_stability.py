@@ -4,11 +4,12 @@
     python benchmarks/gpu_stability.py --structures vault:parts=100 --batches 1024 --baseline 0
 
 Without names: vault-62, dome-72 and bottle-12 where they are found (FALSEWORK_DATA, else the folder `shared`
-beside the repository), else built-in ones. Times are medians of events on the device, states and verdicts
-already there; `check_ms` is a whole call with states and certificates crossing to the host. Verdicts are
-compared with the solver on the processor, certificates with the checker. `graph` is the same ADMM as batched
-dense algebra in a captured graph, without proofs, as the alternative to the kernel; `shared_inverse` is the
-paper's method. `--states` names a folder in which the states of searches are kept.
+beside the repository), else built-in ones, each under both criteria on the same states. Times are medians of
+events on the device, states and verdicts already there; `check_ms` is a whole call with states and certificates
+crossing to the host. Verdicts are compared with the solver on the processor, certificates with the checker.
+`graph` is the same ADMM as batched dense algebra in a captured graph, without proofs, as the alternative to the
+kernel; `shared_inverse` is the paper's method; both only under `equilibrium`. `--states` names a folder in which
+the states of searches are kept.
 """
 
 from __future__ import annotations
@@ -26,15 +27,17 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
+from states import asked_states
 
 from falsework.assembly import Assembly, load_structure
-from falsework.search.beam import BeamSearch, BeamSettings
-from falsework.search.task import Task
-from falsework.stability import Problem, Stability, accept, build_problem
+from falsework.stability import Criterion, Problem, StabilitySettings, Verdict, accept, build_problem
+from falsework.stability.contact.cpu import ContactSolver
 from falsework.stability.cpu import CpuSolver
 from falsework.stability.gpu import GpuSolver
 from falsework.stability.shared_inverse import SharedInverse, SharedInverseSettings
 
+_MOST = 1 << 16
+"""States of one structure, at most."""
 REAL = ("vault-62", "dome-72", "bottle-12")
 BUILT_IN = ("vault", "dome", "bottle")
 
@@ -45,6 +48,8 @@ class Options:
 
     structures: tuple[str, ...] = ()
     """Built-in names or paths; empty for a choice of real or built-in ones."""
+    criteria: tuple[Criterion, ...] = ("equilibrium", "contact")
+    """What stable means."""
     batches: tuple[int, ...] = (1024, 4096, 16384)
     """States a call."""
     width: int = 64
@@ -59,30 +64,12 @@ class Options:
     """States for the captured graph; 0 leaves it out."""
 
 
-class Recorder:
-    """An oracle that remembers what it was asked."""
-
-    def __init__(self, oracle: Stability) -> None:
-        self.oracle = oracle
-        self.asked: list[np.ndarray] = []
-
-    def judge(self, states: Any, *, parents: Any = None) -> Any:
-        """Pass a question on."""
-        self.asked.append(np.array(states, dtype=np.uint8))
-        return self.oracle.judge(states, parents=parents)
-
-
 def states_of_search(assembly: Assembly, options: Options) -> np.ndarray:
     """Distinct states that a beam search asks about, in random order."""
     kept = None if options.states is None else options.states / f"{assembly.name}.npz"
     if kept is not None and kept.is_file():
         return np.load(kept)["states"]
-    recorder = Recorder(Stability(assembly))
-    search = BeamSearch(Task.create(assembly.boundary, options.robots), recorder, BeamSettings(width=options.width))
-    while search.step():
-        pass
-    states = np.unique(np.concatenate(recorder.asked), axis=0)
-    states = states[np.random.default_rng(0).permutation(len(states))]
+    states, _ = asked_states(assembly, _MOST, width=options.width, robots=options.robots)
     if kept is not None:
         kept.parent.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(kept, states=states)
@@ -192,29 +179,31 @@ def time_graph(problem: Problem, states: np.ndarray, iterations: int) -> dict[st
     return {"inverse_ms": round(inverse, 5), "iterations_ms": round(iterate, 5), "iterations": iterations}
 
 
-def time_structure(name: str, options: Options) -> dict[str, Any]:
-    """All figures of one structure."""
-    assembly = load_structure(name)
-    problem = build_problem(assembly)
-    states = states_of_search(assembly, options)
+def time_structure(assembly: Assembly, states: np.ndarray, criterion: Criterion, options: Options) -> dict[str, Any]:
+    """All figures of one structure under one criterion."""
+    settings = StabilitySettings(criterion)
+    problem = build_problem(assembly, cone=settings.friction_cone)
     begin = time.perf_counter()
-    solver = GpuSolver(problem)
+    solver = GpuSolver(assembly, problem, settings)
     verdicts = solver.check(states, certificates=False)
     first = time.perf_counter() - begin
-    expected = CpuSolver(problem).check(states, certificates=False)
+    contact = criterion == "contact"
+    processor = ContactSolver(assembly, problem, settings) if contact else CpuSolver(problem, settings)
+    expected = processor.check(states, certificates=False)
     sample = states[:2048]
     proven = solver.check(sample)
     result: dict[str, Any] = {
         "structure": assembly.name,
+        "criterion": criterion,
         "parts": problem.parts,
         "points": problem.points,
         "states": len(states),
         "first_call_s": round(first, 2),
         "same_as_cpu": int((verdicts.verdict == expected.verdict).sum()),
-        "undecided": int(verdicts.undecided.sum()),
-        "interior": round(float((verdicts.iterations > solver.settings.gpu.iterations).mean()), 4),
+        "verdicts": {kind.name.lower(): int((verdicts.verdict == kind).sum()) for kind in Verdict},
+        "iterations": np.percentile(verdicts.iterations[verdicts.stable], [50, 95, 100]).tolist(),
         "certificates": len(sample),
-        "accepted": int(accept(assembly, sample, proven).sum()),
+        "accepted": int(accept(assembly, sample, proven, settings.claim).sum()),
         "ms_a_state": {},
         "check_ms": {},
     }
@@ -230,10 +219,10 @@ def time_structure(name: str, options: Options) -> dict[str, Any]:
     singles = [torch.from_numpy(states[i : i + 1].copy()).cuda() for i in range(min(50, len(states)))]
     alone = [median_ms(lambda state=state: solver.check_tensor(state), 3) for state in singles]
     result["batch_of_one_ms"] = {"median": round(float(np.median(alone)), 3), "most": round(max(alone), 3)}
-    if options.graph:
+    if options.graph and not contact:
         chosen = np.resize(states, (options.graph, states.shape[1]))
         result["graph"] = time_graph(problem, chosen, solver.settings.gpu.iterations)
-    if options.baseline:
+    if options.baseline and not contact:
         result["shared_inverse"] = time_baseline(assembly, problem, solver, states[: options.baseline])
     return result
 
@@ -271,7 +260,10 @@ def main(options: Options) -> None:
     found = [str(data / "assemblies" / name) for name in REAL if (data / "assemblies" / name).is_dir()]
     print(json.dumps(machine()), flush=True)
     for name in options.structures or found or BUILT_IN:
-        print(json.dumps(time_structure(name, options)), flush=True)
+        assembly = load_structure(name)
+        states = states_of_search(assembly, options)
+        for criterion in options.criteria:
+            print(json.dumps(time_structure(assembly, states, criterion, options)), flush=True)
 
 
 if __name__ == "__main__":

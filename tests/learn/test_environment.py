@@ -252,7 +252,7 @@ class HalfBlind:
 
 def half_blind_oracle(assembly: Assembly) -> DeviceOracle:
     oracle = DeviceOracle.__new__(DeviceOracle)
-    oracle._solver, oracle._exact = HalfBlind(assembly), ExactSolver(assembly)  # type: ignore[assignment]
+    oracle._solver, oracle._settle = HalfBlind(assembly), Stability(assembly, EQUILIBRIUM).settle  # type: ignore[assignment]
     return oracle
 
 

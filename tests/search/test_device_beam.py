@@ -20,7 +20,7 @@ from falsework.search.devices import beam_search
 from falsework.search.hashing import StateHash
 from falsework.search.shards import Shards
 from falsework.search.tensor_clusters import find_centers
-from falsework.search.tensor_judge import DeviceOracle, HostOracle, oracle_on
+from falsework.search.tensor_judge import HostOracle
 from falsework.search.tensor_rules import TensorRules
 from falsework.search.tensors import choose_device, mix, put, uniform
 from falsework.stability import Stability
@@ -335,13 +335,3 @@ def test_sliding_states_are_no_proof_of_impossibility(rules: Any) -> None:
     census = ExhaustiveSearch(task, oracle).run()
     assert census.result.outcome is Outcome.NOT_FOUND
     assert census.graph.criterion == "contact"
-
-
-def test_a_gpu_is_asked_under_equilibrium_alone() -> None:
-    """The solver on a GPU knows the one criterion; under the other the oracle itself answers, wherever states are."""
-    arch = load_structure("arch:blocks=3")
-    contact = Stability(arch)
-    assert isinstance(oracle_on(contact, torch.device("cuda")), HostOracle)
-    with pytest.raises(InputError, match="does not decide the criterion contact") as caught:
-        DeviceOracle(contact, torch.device("cuda"))
-    assert "\n" not in str(caught.value)

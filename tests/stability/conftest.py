@@ -24,6 +24,7 @@ from falsework.geometry import TriangleMesh
 from falsework.stability import StabilitySettings, build_problem
 from falsework.stability.gpu import GpuSolver
 from falsework.stability.gpu_driver import kernel_source
+from falsework.stability.settings import EQUILIBRIUM
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")
 
@@ -221,12 +222,10 @@ class HostDriver:
         function(*arguments)
 
 
-def solver_on_host(
-    assembly: Assembly, settings: StabilitySettings = StabilitySettings(criterion="equilibrium"), **limits: Any
-) -> GpuSolver:
+def solver_on_host(assembly: Assembly, settings: StabilitySettings = EQUILIBRIUM, **limits: Any) -> GpuSolver:
     """The solver for a GPU, on the processor."""
     problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
-    return GpuSolver(problem, settings, make_driver=lambda defines: HostDriver(defines, **limits))
+    return GpuSolver(assembly, problem, settings, make_driver=lambda defines: HostDriver(defines, **limits))
 
 
 @pytest.fixture(scope="session")

@@ -1,8 +1,9 @@
-"""The GPU's kernel, compiled as plain C++ with one thread a block, agrees with the solver on the processor."""
+"""The GPU's kernels for equilibrium, compiled as plain C++ with one thread a block, agree with the processor."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from falsework.stability.cpu import CpuSolver
 from falsework.stability.gpu import GpuSolver, MemoryWarning
 from falsework.stability.gpu_driver import KERNELS, CudaDriver, compile_kernel
 from falsework.stability.gpu_layout import build_layout
-from falsework.stability.settings import GpuSettings
+from falsework.stability.settings import EQUILIBRIUM, GpuSettings
 
 SMALL = ("arch:blocks=7", "wall:bricks=3,courses=3", "corbel", "bottle", "polycube")
 
@@ -46,12 +47,7 @@ def compare(on_host: Callable[..., GpuSolver], assembly: Assembly, states: Any, 
 @pytest.mark.parametrize("structure", SMALL)
 def test_agrees_with_the_processor(scenes: Any, structure: str, cone: Any, on_host: Callable[..., GpuSolver]) -> None:
     assembly = library.build(structure)
-    verdicts = compare(
-        on_host,
-        assembly,
-        mixed_states(scenes, assembly, 30, seed=5),
-        StabilitySettings(criterion="equilibrium", cone=cone),
-    )
+    verdicts = compare(on_host, assembly, mixed_states(scenes, assembly, 30, seed=5), replace(EQUILIBRIUM, cone=cone))
     assert verdicts.stable.any()
     assert verdicts.unstable.any()
 
@@ -61,7 +57,7 @@ def test_agrees_on_real_structures(
     scenes: Any, shared_assembly: Callable[[str], Path], name: str, on_host: Callable[..., GpuSolver]
 ) -> None:
     assembly = load_structure(str(shared_assembly(name)))
-    compare(on_host, assembly, mixed_states(scenes, assembly, 20, seed=3), StabilitySettings(criterion="equilibrium"))
+    compare(on_host, assembly, mixed_states(scenes, assembly, 20, seed=3), EQUILIBRIUM)
 
 
 def test_the_interior_point_method_agrees_from_the_first_step(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
@@ -69,7 +65,7 @@ def test_the_interior_point_method_agrees_from_the_first_step(scenes: Any, on_ho
     assembly = library.build("wall:bricks=3,courses=3")
     states = mixed_states(scenes, assembly, 30, seed=8)
     for cone in ("octagon", "quadratic"):
-        settings = StabilitySettings(criterion="equilibrium", cone=cone, gpu=GpuSettings(iterations=1, first_check=1))  # type: ignore[arg-type]
+        settings = replace(EQUILIBRIUM, cone=cone, gpu=GpuSettings(iterations=1, first_check=1))
         verdicts = compare(on_host, assembly, states, settings)
         assert (verdicts.iterations > 1).mean() > 0.5
 
@@ -78,7 +74,7 @@ def test_states_too_large_for_the_chip_are_judged_in_memory(scenes: Any, on_host
     """With next to no shared memory every state takes the kernels that work in device memory, to the same end."""
     assembly = library.build("arch:blocks=7")
     states = mixed_states(scenes, assembly, 30, seed=2)
-    settings = StabilitySettings(criterion="equilibrium", gpu=GpuSettings(iterations=10))
+    settings = replace(EQUILIBRIUM, gpu=GpuSettings(iterations=10))
     roomy, tight = on_host(assembly, settings), on_host(assembly, settings, shared_limit=8 * 1024)
     first, second = roomy.check(states), tight.check(states)
     assert "interior_scratch" not in roomy.driver.launched  # type: ignore[attr-defined]
@@ -91,7 +87,7 @@ def test_states_too_large_for_the_chip_are_judged_in_memory(scenes: Any, on_host
 def test_verdicts_alone_are_the_same(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
     assembly = library.build("wall:bricks=3,courses=3")
     states = mixed_states(scenes, assembly, 20, seed=4)
-    solver = on_host(assembly)
+    solver = on_host(assembly, EQUILIBRIUM)
     whole, bare = solver.check(states), solver.check(states, certificates=False)
     assert bare.forces is None
     assert bare.velocity is None
@@ -105,7 +101,7 @@ def test_found_forces_are_a_good_guess(scenes: Any, on_host: Callable[..., GpuSo
     """A stable state started from its own forces is proven at the first test, and hands forces back."""
     assembly = library.build("arch:blocks=7")
     states = np.unique(mixed_states(scenes, assembly, 40, seed=6), axis=0)
-    solver = on_host(assembly)
+    solver = on_host(assembly, EQUILIBRIUM)
     cold = solver.check(states)
     assert cold.forces is not None
     rows = np.flatnonzero(cold.stable & (cold.iterations > 10))
@@ -116,27 +112,27 @@ def test_found_forces_are_a_good_guess(scenes: Any, on_host: Callable[..., GpuSo
     assert warm.iterations.mean() < 0.7 * cold.iterations[rows].mean()
     assert warm.forces is not None
     np.testing.assert_array_equal(warm.forces, guess)
-    assert accept(assembly, states[rows], warm).all()
+    assert accept(assembly, states[rows], warm, EQUILIBRIUM.claim).all()
 
 
 def test_the_batch_is_halved_when_memory_runs_out(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
     assembly = library.build("arch:blocks=7")
     states = mixed_states(scenes, assembly, 16, seed=7)
-    expected = on_host(assembly).check(states)
+    expected = on_host(assembly, EQUILIBRIUM).check(states)
     each = build_problem(assembly).points * 24
     with pytest.warns(MemoryWarning, match="16 at a time"):
-        small = on_host(assembly, memory=20 * each).check(states)
+        small = on_host(assembly, EQUILIBRIUM, memory=20 * each).check(states)
     np.testing.assert_array_equal(small.verdict, expected.verdict)
     np.testing.assert_array_equal(small.forces, expected.forces)
     each = build_problem(assembly).points * 12
     with pytest.warns(MemoryWarning, match="16 at a time"):
-        verdict, _ = on_host(assembly, memory=20 * each).check_tensor(states)
+        verdict, _ = on_host(assembly, EQUILIBRIUM, memory=20 * each).check_tensor(states)
     np.testing.assert_array_equal(verdict, expected.verdict)
 
 
 def test_nothing_to_judge_and_nothing_that_moves(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
     assembly = library.build("arch:blocks=5")
-    solver = on_host(assembly)
+    solver = on_host(assembly, EQUILIBRIUM)
     assert len(solver.check(np.zeros((0, assembly.part_count), np.uint8))) == 0
     still = np.where(assembly.boundary, 2, 0).astype(np.uint8)
     held = np.full(assembly.part_count, 2, np.uint8)
@@ -148,7 +144,7 @@ def test_nothing_to_judge_and_nothing_that_moves(scenes: Any, on_host: Callable[
 def test_without_friction_a_clamped_cube_falls(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
     for cone in ("octagon", "quadratic"):
         assembly = scenes.clamp(friction=0.0)
-        solver = on_host(assembly, StabilitySettings(criterion="equilibrium", cone=cone))
+        solver = on_host(assembly, replace(EQUILIBRIUM, cone=cone))
         assert solver.check(np.array([[1, 2, 2]], np.uint8)).verdict[0] == Verdict.UNSTABLE
 
 
@@ -194,38 +190,41 @@ def test_compiles_for_a_gpu(kernel: str, tmp_path: Path, monkeypatch: pytest.Mon
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [code]
 
 
-def test_oracle_sends_large_batches_to_the_gpu_and_small_ones_to_the_processor(monkeypatch, host_driver):
+@pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
+def test_oracle_sends_large_batches_to_the_gpu_and_small_ones_to_the_processor(monkeypatch, host_driver, criterion):
     assembly = library.build("arch:blocks=7")
     monkeypatch.setattr(
-        oracle, "GpuSolver", lambda problem, settings: GpuSolver(problem, settings, make_driver=host_driver)
+        oracle,
+        "GpuSolver",
+        lambda assembly, problem, settings: GpuSolver(assembly, problem, settings, make_driver=host_driver),
     )
     rng = np.random.default_rng(3)
     states = rng.integers(0, 3, (60, assembly.part_count)).astype(np.uint8)
     states[:, assembly.boundary] = 2
     states = np.unique(states, axis=0)
-    auto = Stability(assembly, StabilitySettings(criterion="equilibrium", solver="auto"))
-    expected = Stability(assembly, StabilitySettings(criterion="equilibrium")).check(states)
+    auto = Stability(assembly, StabilitySettings(criterion, solver="auto"))
+    expected = Stability(assembly, StabilitySettings(criterion)).check(states)
     np.testing.assert_array_equal(auto.judge(states).verdict, expected.verdict)
     assert auto.counters.gpu == len(states)
-    fresh = Stability(assembly, StabilitySettings(criterion="equilibrium", solver="auto"))
+    fresh = Stability(assembly, StabilitySettings(criterion, solver="auto"))
     np.testing.assert_array_equal(fresh.judge(states[:2]).verdict, expected.verdict[:2])
     assert (fresh.counters.gpu, fresh.counters.cpu) == (0, 2)
     np.testing.assert_array_equal(fresh.check(states).verdict, expected.verdict)
     parents = np.where(assembly.boundary, 2, 1).astype(np.uint8)[None].repeat(len(states), axis=0)
-    only = Stability(assembly, StabilitySettings(criterion="equilibrium", solver="gpu"))
+    only = Stability(assembly, StabilitySettings(criterion, solver="gpu"))
     np.testing.assert_array_equal(only.stable(states, parents=parents), expected.stable)
     assert only.counters.cpu == 0
 
 
 def test_oracle_without_a_gpu_says_so_or_takes_the_processor(monkeypatch):
-    def missing(problem, settings):
+    def missing(assembly, problem, settings):
         raise DependencyError("no torch here; pip install 'falsework[gpu]'")
 
     monkeypatch.setattr(oracle, "GpuSolver", missing)
     assembly = library.build("arch:blocks=5")
     state = np.where(assembly.boundary, 2, 1).astype(np.uint8)[None].repeat(9, axis=0)
-    auto = Stability(assembly, StabilitySettings(criterion="equilibrium", solver="auto"))
+    auto = Stability(assembly, StabilitySettings(solver="auto"))
     assert auto.stable(state).all()
     assert auto.counters.gpu == 0
     with pytest.raises(DependencyError, match=r"falsework\[gpu\]"):
-        Stability(assembly, StabilitySettings(criterion="equilibrium", solver="gpu"))
+        Stability(assembly, StabilitySettings(solver="gpu"))

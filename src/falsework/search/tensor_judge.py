@@ -5,17 +5,18 @@ from __future__ import annotations
 from copy import copy
 from typing import TYPE_CHECKING, Protocol
 
-from falsework.errors import InputError
 from falsework.search.judge import Oracle
 from falsework.search.shards import Shards
 from falsework.search.tensors import import_torch, put
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import torch
 
-    from falsework.stability.exact import ExactSolver
-    from falsework.stability.gurobi import GurobiSolver
+    from falsework.assembly.state import States
     from falsework.stability.oracle import Stability
+    from falsework.stability.verdict import Verdicts
 
 
 class TensorOracle(Protocol):
@@ -51,48 +52,40 @@ class HostOracle:
 
 
 class DeviceOracle:
-    """The solver on a GPU, of the criterion `equilibrium`.
-
-    Only states that it leaves open go to the exact solver, on the processor.
-    """
+    """The solver on a GPU; only states that it leaves open go to the solvers on the processor."""
 
     def __init__(self, oracle: Stability, device: torch.device) -> None:
         """Copy the problem to the device.
 
         Args:
-            oracle: whose problem, settings and exact solver are used.
+            oracle: whose problem and settings are used, and whose solvers on the processor.
             device: a CUDA device.
 
         Raises:
             DependencyError: what the solver needs is not installed.
-            InputError: no such device, or an oracle of the criterion `contact`, which only the processor decides.
+            InputError: no such device.
         """
         from falsework.stability.gpu import GpuSolver
 
-        if oracle.settings.criterion != "equilibrium":
-            raise InputError(
-                f"the solver on a GPU does not decide the criterion {oracle.settings.criterion}; "
-                f"use the processor, or the criterion equilibrium"
-            )
         self.holds_keep_stable = oracle.holds_keep_stable
-        self._solver = GpuSolver(oracle.problem, oracle.settings, str(device))
-        self._exact: ExactSolver | GurobiSolver | None = oracle.exact
+        self._solver = GpuSolver(oracle.assembly, oracle.problem, oracle.settings, str(device))
+        self._settle: Callable[[States], Verdicts] | None = oracle.settle
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
         """As `TensorOracle`."""
         verdict, _ = self._solver.check_tensor(states)
-        if self._exact is None:
+        if self._settle is None:
             return verdict
         rest = (verdict == 0).nonzero()[:, 0]
         if len(rest):
-            decided = self._exact.check(states[rest].cpu().numpy()).verdict
+            decided = self._settle(states[rest].cpu().numpy()).verdict
             verdict[rest] = put(decided, states.device)
         return verdict
 
     def without_exact(self) -> DeviceOracle:
         """The same solver alone: nothing waits, and the few states that it leaves open stay so."""
         alone = copy(self)
-        alone._exact = None
+        alone._settle = None
         return alone
 
 
@@ -106,12 +99,8 @@ def without_exact(oracle: TensorOracle) -> TensorOracle:
 
 
 def oracle_on(oracle: Stability, device: torch.device) -> TensorOracle:
-    """The oracle's verdicts for states on a device: by the solver there, or by the oracle itself on the processor.
-
-    Under the criterion `contact` states leave the device, since only the processor decides it.
-    """
-    there = device.type == "cuda" and oracle.settings.criterion == "equilibrium"
-    return DeviceOracle(oracle, device) if there else HostOracle(oracle)
+    """The oracle's verdicts for states on a device: by the solver there, or by the oracle itself on the processor."""
+    return DeviceOracle(oracle, device) if device.type == "cuda" else HostOracle(oracle)
 
 
 class TensorJudge:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.stability.cones import CONES
+from falsework.stability.contact.gpu_layout import add_contact
+from falsework.stability.contact.kernel import build_contact_structure
 from falsework.stability.gpu_driver import CudaDriver, Driver
 from falsework.stability.gpu_layout import KernelBatch, build_layout, kernel_options
 from falsework.stability.problem import Problem
@@ -21,8 +23,12 @@ from falsework.stability.verdict import Solver, Verdicts, proof_of
 if TYPE_CHECKING:
     import torch
 
+    from falsework.assembly.model import Assembly
+
 _STATIC_SHARED = 4 * 1024
 """Shared memory that the kernels have of their own, at most."""
+_CONTACT_THREADS = 256
+"""Threads of a block of the Newton iterations."""
 _CHUNK_BYTES = 2 << 30
 """Device memory for the forces and velocities of one chunk of states."""
 
@@ -48,13 +54,15 @@ class _Stage:
 class GpuSolver:
     """Judges batches of states of one structure on a GPU.
 
-    The same method as `CpuSolver`, with the same certificates: ADMM iterates in float32, both proofs are
-    found in float64, and an interior point method in float64 takes what ADMM leaves open
-    (`docs/decisions/0011`). One kernel does all of ADMM and another all of the interior point method; a list
-    on the device hands states from one to the other.
+    The same methods as on the processor, with the same certificates. Of the equilibrium problem (`CpuSolver`), ADMM
+    iterates in float32, both proofs are found in float64, and an interior point method in float64 takes what ADMM
+    leaves open (`docs/decisions/0011`). Under the criterion `contact` (`ContactSolver`), Newton iterations in float64
+    then say which of the states that are not proven unstable come to rest (`docs/decisions/0013`). Each method is one
+    kernel; lists on the device hand states from one to the next.
 
     Args:
-        problem: the structure.
+        assembly: the structure.
+        problem: the same, scaled.
         settings: what stable means.
         device: a CUDA device, such as `cuda` or `cuda:1`.
         make_driver: makes a device to run on instead, given the compile-time constants of the kernel.
@@ -66,6 +74,7 @@ class GpuSolver:
 
     def __init__(
         self,
+        assembly: Assembly,
         problem: Problem,
         settings: StabilitySettings = StabilitySettings(),
         device: str = "cuda",
@@ -75,6 +84,11 @@ class GpuSolver:
         self.problem = problem
         self.settings = settings
         self.layout = build_layout(problem)
+        self._contact = settings.criterion == "contact"
+        if self._contact:
+            ratio = settings.stiffness_ratio
+            structure = build_contact_structure(assembly, problem, settings.gravity, ratio)
+            self.layout = add_contact(self.layout, structure, settings.gravity, ratio)
         # Without friction both cones are the same ray, and only the octagon's multipliers stay positive.
         quadratic = CONES[settings.friction_cone] if problem.friction > 1e-9 else 0
         constants = {"QUADRATIC": quadratic, "GROUP": self.layout.group_size}
@@ -84,7 +98,7 @@ class GpuSolver:
             {name: self.driver.address(array) for name, array in self._arrays.items()}
         )
         self._options = kernel_options(settings)
-        self._chains: dict[bool, tuple[list[_Stage], list[_Stage], Any]] = {}
+        self._chains: dict[bool, tuple[list[list[_Stage]], Any]] = {}
         self._chunk = 1 << 20
 
     def check(self, states: States, *, certificates: bool = True, guess: NDArray[np.float64] | None = None) -> Verdicts:
@@ -92,23 +106,26 @@ class GpuSolver:
 
         Args:
             states: checked states, shape (batch, parts).
-            certificates: return forces and velocity too.
+            certificates: return forces, velocity and, under `contact`, displacement too.
             guess: contact forces in N to start from, shape (batch, points, 3); overwritten with the forces
-                that were found.
+                that were found. None under `contact`, where all states are loaded from rest.
 
         Returns:
-            Verdicts; `UNDECIDED` where neither proof was found within the limits of the settings.
+            Verdicts; `UNDECIDED` where no proof was found within the limits of the settings.
         """
         batch, problem = len(states), self.problem
         verdicts = Verdicts.blank(
-            batch, points=problem.points if certificates else None, parts=problem.parts if certificates else None
+            batch,
+            points=problem.points if certificates else None,
+            parts=problem.parts if certificates else None,
+            displaced=certificates and self._contact,
         )
         self._in_chunks(
             batch,
             certificates or guess is not None,
             lambda rows: self._check_rows(states, rows, certificates, guess, verdicts),
         )
-        verdicts.proof[:] = proof_of(verdicts.verdict)
+        verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
         verdicts.decided_by[:] = np.where(verdicts.verdict != 0, Solver.GPU, Solver.NONE)
         return verdicts
 
@@ -128,7 +145,7 @@ class GpuSolver:
         self._in_chunks(
             batch,
             False,
-            lambda rows: self._run(states[rows], None, verdict[rows], residual[rows], iterations[rows], None, None),
+            lambda rows: self._run(states[rows], None, verdict[rows], residual[rows], iterations[rows]),
         )
         return verdict, residual
 
@@ -165,20 +182,26 @@ class GpuSolver:
         wanted = certificates or guess is not None
         forces = driver.empty((len(part), problem.points, 3), np.float64) if wanted else None
         velocity = driver.empty((len(part), problem.parts, 6), np.float64) if certificates else None
-        self._run(driver.put(part), start, verdict, residual, iterations, forces, velocity)
+        shown = verdicts.displacement is not None
+        displacement = driver.zeros((len(part), problem.parts, 6), np.float64) if shown else None
+        self._run(driver.put(part), start, verdict, residual, iterations, forces, velocity, displacement)
         verdicts.verdict[rows] = driver.get(verdict)
         verdicts.residual[rows] = driver.get(residual)
         verdicts.iterations[rows] = driver.get(iterations)
         found = None if forces is None else driver.get(forces)
-        if guess is not None and found is not None:
-            guess[rows] = found
         if verdicts.forces is not None and found is not None:
             verdicts.forces[rows] = found
         if verdicts.velocity is not None and velocity is not None:
             verdicts.velocity[rows] = driver.get(velocity)
+        if guess is not None and found is not None:
+            guess[rows] = found
+        if verdicts.displacement is not None and displacement is not None:
+            known = verdicts.stable[rows] | verdicts.slides[rows]
+            verdicts.displacement[rows] = np.where(known[:, None, None], driver.get(displacement), np.nan)
 
     def _chunk_size(self, left: int, certificates: bool) -> int:
-        each = self.problem.points * (12 + 24 * certificates) + self.problem.parts * 48 * certificates
+        parts = self.problem.parts * 48 * (1 + self._contact)
+        each = self.problem.points * (12 + 24 * certificates) + parts * certificates
         return max(1, min(left, self._chunk, _CHUNK_BYTES // max(each, 1)))
 
     def _run(
@@ -188,20 +211,24 @@ class GpuSolver:
         verdict: Any,
         residual: Any,
         iterations: Any,
-        forces: Any,
-        velocity: Any,
+        forces: Any = None,
+        velocity: Any = None,
+        displacement: Any = None,
     ) -> None:
         """Queue the launches that judge a batch; all arguments are device arrays."""
         driver, count = self.driver, len(states)
         if count == 0:
             return
-        admm, interior, multipliers = self._stages(count)
+        chains, by_group = self._stages(count)
         address = driver.address
-        lists = driver.empty((len(admm) + len(interior) + 1, count), np.int32)
-        counters = driver.zeros((2 * (len(admm) + len(interior) + 1),), np.int32)
+        stages = [stage for chain in chains for stage in chain]
+        # List `i` holds what stage `i` takes: the states too large for the stage before it in its chain, or those that
+        # an earlier chain hands on. The first stage takes all.
+        open_list = len(chains[0])
+        rest_list = open_list + len(chains[1])
+        lists = driver.empty((len(stages) + 1, count), np.int32)
+        counters = driver.zeros((2 * (len(stages) + 1),), np.int32)
         handoff = driver.empty((count, self.problem.points, 3), np.float32)
-        stages = [*admm, *interior]
-        open_list = len(stages)
 
         def row(i: int) -> int:
             return address(lists) + i * count * 4
@@ -210,7 +237,6 @@ class GpuSolver:
             return address(counters) + i * 4
 
         for i, stage in enumerate(stages):
-            source = i if i not in (0, len(admm)) else (None if i == 0 else open_list)
             batch = KernelBatch(
                 states=address(states),
                 guess=None if guess is None else address(guess),
@@ -219,17 +245,20 @@ class GpuSolver:
                 iterations=address(iterations),
                 forces=None if forces is None else address(forces),
                 velocity=None if velocity is None else address(velocity),
+                displacement=None if displacement is None else address(displacement),
                 handoff=address(handoff),
-                list=None if source is None else row(source),
-                list_count=None if source is None else counter(2 * source),
+                list=row(i) if i else None,
+                list_count=counter(2 * i) if i else None,
                 ticket=counter(2 * i + 1),
                 large=row(i + 1),
                 large_count=counter(2 * (i + 1)),
                 open=row(open_list),
                 open_count=counter(2 * open_list),
+                rest=row(rest_list),
+                rest_count=counter(2 * rest_list),
                 scratch=None if stage.scratch is None else address(stage.scratch),
                 scratch_stride=stage.pool,
-                points_scratch=address(multipliers),
+                points_scratch=address(by_group),
                 points_stride=self.layout.group_bytes(),
                 pool_bytes=stage.pool,
                 count=count,
@@ -237,15 +266,32 @@ class GpuSolver:
             blocks = min(stage.blocks, count)
             driver.launch(stage.kernel, blocks, stage.threads, stage.shared, (self._structure, self._options, batch))
 
-    def _stages(self, count: int) -> tuple[list[_Stage], list[_Stage], Any]:
-        """Launches for a batch of this size."""
+    def _stages(self, count: int) -> tuple[list[list[_Stage]], Any]:
+        """Launches for a batch of this size, a chain for each method, and memory for what they keep of groups."""
         few = count <= 2 * self.driver.multiprocessors
         if few not in self._chains:
-            admm, interior = self._admm_stages(few), self._interior_stages()
-            rows = max(stage.blocks for stage in interior)
-            multipliers = self.driver.empty((rows * self.layout.group_bytes() // 8,), np.float64)
-            self._chains[few] = admm, interior, multipliers
+            chains = [self._admm_stages(few), self._interior_stages()]
+            if self._contact:
+                chains.append(self._contact_stages(few))
+            rows = max(stage.blocks for chain in chains for stage in chain if "admm" not in stage.kernel)
+            by_group = self.driver.empty((rows * self.layout.group_bytes() // 8,), np.float64)
+            self._chains[few] = chains, by_group
         return self._chains[few]
+
+    def _contact_stages(self, few: bool) -> list[_Stage]:
+        """Newton iterations, from the size that most states have to the largest that fits on chip, and beyond."""
+        driver, layout, threads = self.driver, self.layout, min(self.driver.most_threads, _CONTACT_THREADS)
+        stages: list[_Stage] = []
+        largest = _aligned(layout.contact_bytes())
+        for share in (1.0,) if few else self.settings.gpu.contact_shares:
+            shared = min(_aligned(layout.contact_bytes(share)), self._shared_limit)
+            if shared >= layout.index_bytes():
+                blocks = driver.blocks("contact_shared", threads, shared)
+                stages = [stage for stage in stages if stage.blocks > blocks]
+                stages.append(_Stage("contact_shared", threads, shared, blocks, None, shared))
+        if not stages or stages[-1].shared < largest:
+            stages.append(self._scratch_stage("contact_scratch", threads, largest))
+        return stages
 
     def _admm_stages(self, few: bool) -> list[_Stage]:
         """ADMM with one thread a group of contact points, from the size that most states have to the largest."""

@@ -27,9 +27,19 @@ SOURCES = (
     "admm.cuh",
     "interior_point.cuh",
     "interior.cuh",
+    "lu.cuh",
+    "newton.cuh",
+    "contact.cuh",
     "kernels.cuh",
 )
-KERNELS = ("admm_shared", "admm_scratch", "interior_shared", "interior_scratch")
+KERNELS = (
+    "admm_shared",
+    "admm_scratch",
+    "interior_shared",
+    "interior_scratch",
+    "contact_shared",
+    "contact_scratch",
+)
 """Kernels of the source, in the order of its `PART`s: each is compiled when it is first needed."""
 
 

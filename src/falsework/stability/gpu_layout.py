@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 
@@ -17,6 +18,7 @@ _GROUP_SIZES = (3, 4, 5, 6)
 _GROUP_COST = 3
 """Work of a group of contact points for itself, in contact points."""
 _INT_FIELDS = ("parts", "positions", "groups", "blocks", "levels", "points")
+_SCALAR_FIELDS = ("weight", "friction", "length", "tangential", "unit", "limit")
 _ARRAY_FIELDS = (
     "position",
     "level_start",
@@ -43,6 +45,7 @@ _ARRAY_FIELDS = (
     "flexibility",
     "gravity",
     "gyration",
+    "stiffness",
 )
 
 
@@ -52,9 +55,7 @@ class KernelStructure(ctypes.Structure):
     _fields_ = [
         *((name, ctypes.c_int) for name in _INT_FIELDS),
         *((name, ctypes.c_void_p) for name in _ARRAY_FIELDS),
-        ("weight", ctypes.c_double),
-        ("friction", ctypes.c_double),
-        ("length", ctypes.c_double),
+        *((name, ctypes.c_double) for name in _SCALAR_FIELDS),
     ]
 
 
@@ -62,8 +63,11 @@ class KernelOptions(ctypes.Structure):
     """`Options` of the kernel."""
 
     _fields_ = [
-        *((name, ctypes.c_double) for name in ("rho", "relaxation", "tolerance", "force_bound")),
-        *((name, ctypes.c_int) for name in ("iterations", "first_check", "check_every", "interior_steps")),
+        *((name, ctypes.c_double) for name in ("rho", "relaxation", "tolerance", "force_bound", "first_step")),
+        *(
+            (name, ctypes.c_int)
+            for name in ("iterations", "first_check", "check_every", "interior_steps", "contact_steps")
+        ),
     ]
 
 
@@ -81,6 +85,7 @@ class KernelBatch(ctypes.Structure):
                 "iterations",
                 "forces",
                 "velocity",
+                "displacement",
                 "handoff",
                 "list",
                 "list_count",
@@ -89,6 +94,8 @@ class KernelBatch(ctypes.Structure):
                 "large_count",
                 "open",
                 "open_count",
+                "rest",
+                "rest_count",
                 "scratch",
             )
         ),
@@ -114,10 +121,16 @@ class Layout:
     """Most contact points of a group."""
     ancestors: int
     """Pairs of a part and one of its ancestors in the elimination tree of the complete structure."""
+    tangential: float = 0.0
+    """Tangential over normal stiffness, under the criterion `contact`."""
+    unit: float = 0.0
+    """Metres of displacement of a variable of 1, under the criterion `contact`."""
+    limit: float = 0.0
+    """Movement of a part that falls, m, under the criterion `contact`."""
 
     def kernel_structure(self, addresses: dict[str, int]) -> KernelStructure:
         """Argument of the kernel, given where each array was put."""
-        scalars = {"weight": self.weight, "friction": self.friction, "length": self.length}
+        scalars = {name: getattr(self, name) for name in _SCALAR_FIELDS}
         return KernelStructure(**self.sizes, **addresses, **scalars)
 
     @property
@@ -136,8 +149,14 @@ class Layout:
         n, blocks = self.sizes["positions"], self.sizes["blocks"]
         return self._index_bytes(1.0) + 2 * self.ancestors + 8 * (36 * (n + blocks) + 30 * n)
 
+    def contact_bytes(self, share: float = 1.0) -> int:
+        """Memory for the Newton iterations under `contact` on a state with this share of the structure."""
+        n, _, ancestors = self._counts(share)
+        blocks = -int(-(share**1.5) * self.sizes["blocks"] // 1)
+        return self._index_bytes(share) + 2 * ancestors + 8 * (36 * (n + 2 * blocks) + 36 * n)
+
     def group_bytes(self) -> int:
-        """Memory for multipliers, slacks, local matrices and wrenches of all groups."""
+        """Memory for what the interior point method keeps of all groups; the Newton iterations keep less."""
         return self.groups * (self.group_size * 16 + 21 + 12) * 8
 
     def index_bytes(self) -> int:
@@ -159,15 +178,18 @@ class Layout:
 def kernel_options(settings: StabilitySettings) -> KernelOptions:
     """Argument of the kernel from the settings."""
     gpu = settings.gpu
+    contact = settings.criterion == "contact"
     return KernelOptions(
         rho=gpu.rho,
         relaxation=gpu.relaxation,
         tolerance=settings.tolerance,
         force_bound=settings.force_bound,
+        first_step=FIRST_STEP,
         iterations=gpu.iterations,
         first_check=gpu.first_check,
         check_every=gpu.check_every,
         interior_steps=gpu.interior_steps,
+        contact_steps=gpu.contact_steps if contact else 0,
     )
 
 

@@ -114,9 +114,12 @@ class Stability:
             verdicts = self.exact.check(unique)
         else:
             verdicts = solver.check(unique, certificates=True)
-            accepted = accept(self.assembly, unique, verdicts, self.settings.claim)
-            self.counters.rejected += int((~accepted & (verdicts.verdict != Verdict.UNDECIDED)).sum())
+            accepted = self._accept(unique, verdicts)
             rest = np.flatnonzero(~accepted)
+            if len(rest) and isinstance(solver, GpuSolver) and self._cpu is not None:
+                again = self._cpu.check(unique[rest], certificates=True)
+                verdicts.put(rest, again)
+                rest = rest[~self._accept(unique[rest], again)]
             if len(rest):
                 verdicts.put(rest, self._decide_exactly(unique[rest], verdicts[rest]))
         self._count(verdicts)
@@ -168,8 +171,31 @@ class Stability:
         """Which states are proven stable; arguments as for `judge`. Shape (batch,)."""
         return self.judge(states, parents=parents).stable
 
+    def settle(self, states: States) -> Verdicts:
+        """Judge states that a GPU left open, by the solvers on the processor, the exact one last.
+
+        Args:
+            states: checked states, shape (batch, parts).
+
+        Returns:
+            Verdicts without certificates.
+        """
+        if self._cpu is None:
+            return self.exact.check(states).without_certificates()
+        verdicts = self._cpu.check(states, certificates=False)
+        rest = np.flatnonzero(verdicts.undecided)
+        if len(rest):
+            verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
+        return verdicts
+
+    def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
+        """Which verdicts the checker accepts; the others are counted."""
+        accepted = accept(self.assembly, states, verdicts, self.settings.claim)
+        self.counters.rejected += int((~accepted & ~verdicts.undecided).sum())
+        return accepted
+
     def _make_cpu(self) -> CpuSolver | ContactSolver | None:
-        """The solver on the processor if the settings ask for it."""
+        """The solver on the processor if the settings ask for it, and always under `contact`."""
         if self.settings.criterion == "contact":
             return ContactSolver(self.assembly, self.problem, self.settings)
         return CpuSolver(self.problem, self.settings) if self.settings.solver in ("auto", "cpu") else None
@@ -181,13 +207,20 @@ class Stability:
             states: shape (batch, parts).
             verdicts: of the solver that left them open.
         """
-        decided = self.exact.check(states)
-        if self.settings.criterion == "contact":
+        contact = self.settings.criterion == "contact"
+        # Where equilibrium is proven and no rest was found, the exact solver has nothing to add.
+        rows = np.flatnonzero(~(contact & verdicts.undecided & (verdicts.residual <= self.settings.tolerance)))
+        decided = verdicts[np.arange(len(verdicts))]
+        if not len(rows):
+            return decided
+        exact = self.exact.check(states[rows])
+        if contact:
             # Equilibrium alone does not say that the state stands: what the contact solver left open stays open.
-            slides = decided.stable & (verdicts.slides | np.isposinf(verdicts.residual))
-            decided.verdict[decided.stable & ~slides] = Verdict.UNDECIDED
-            decided.verdict[slides] = Verdict.SLIDES
-            decided.proof[:] = proof_of(decided.verdict, self.settings.criterion)
+            slides = exact.stable & (verdicts.slides[rows] | np.isposinf(verdicts.residual[rows]))
+            exact.verdict[exact.stable & ~slides] = Verdict.UNDECIDED
+            exact.verdict[slides] = Verdict.SLIDES
+            exact.proof[:] = proof_of(exact.verdict, self.settings.criterion)
+        decided.put(rows, exact)
         return decided
 
     def _make_gpu(self) -> GpuSolver | None:
@@ -195,7 +228,7 @@ class Stability:
         if self.settings.solver not in ("auto", "gpu"):
             return None
         try:
-            return GpuSolver(self.problem, self.settings)
+            return GpuSolver(self.assembly, self.problem, self.settings)
         except InputError:  # no torch, no bindings or no device
             if self.settings.solver == "gpu":
                 raise
@@ -208,7 +241,7 @@ class Stability:
 
     def _choose(self, count: int) -> CpuSolver | ContactSolver | GpuSolver | None:
         """Who judges a batch of this size; None for the exact solver."""
-        if self._gpu is not None and (self._cpu is None or count >= _WORTH_A_GPU):
+        if self._gpu is not None and (self.settings.solver == "gpu" or count >= _WORTH_A_GPU):
             return self._gpu
         return self._cpu
 
@@ -216,17 +249,15 @@ class Stability:
         solver = self._choose(len(states))
         if solver is None:
             return self.exact.check(states).without_certificates()
-        verdicts = Verdicts.blank(len(states))
+        verdicts, contact = Verdicts.blank(len(states)), self.settings.criterion == "contact"
         # Look the parents up first: what the children leave behind may push them out.
         known = [None] * len(states) if parents is None else [self._guesses.get(p.tobytes()) for p in parents]
         size = max(_BATCH // max(self._guess_bytes, 1), 16)
         for first in range(0, len(states), size):
             rows = np.arange(first, min(first + size, len(states)))
             guess = None
-            if parents is not None:
-                guess = np.full(
-                    (len(rows), *self._guess_shape), np.nan if self.settings.criterion == "contact" else 0.0
-                )
+            if parents is not None and not (isinstance(solver, GpuSolver) and contact):
+                guess = np.full((len(rows), *self._guess_shape), np.nan if isinstance(solver, ContactSolver) else 0.0)
                 for row, start in zip(range(len(rows)), known[first : first + size], strict=True):
                     if start is not None:
                         guess[row] = start
@@ -241,7 +272,9 @@ class Stability:
             verdicts.put(rows, solved)
         rest = np.flatnonzero(verdicts.verdict == Verdict.UNDECIDED)
         if len(rest):
-            verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
+            again = isinstance(solver, GpuSolver)
+            decided = self.settle(states[rest]) if again else self._decide_exactly(states[rest], verdicts[rest])
+            verdicts.put(rest, decided)
         return verdicts
 
     def _pass_on(self, states: States, origins: States) -> None:

@@ -68,9 +68,13 @@ class GpuSettings:
     """Iterations between two tests for a proof."""
     interior_steps: int = 50
     """Steps of the interior point method before a state is left to the exact solver."""
+    contact_steps: int = 400
+    """Newton iterations under the criterion `contact` before a state counts as not at rest."""
     admm_shares: tuple[float, ...] = (0.5, 1.0)
     """Sizes of state, as shares of the whole structure, that ADMM has a launch for: small states leave room on
     a multiprocessor for more of them."""
+    contact_shares: tuple[float, ...] = (0.5, 1.0)
+    """The same for the Newton iterations."""
 
 
 @dataclass(frozen=True)

@@ -176,6 +176,7 @@ DEVICE void run_admm(const Structure& s, const Options& o, const Batch& b) {
     if (verdict != kUndecided || o.interior_steps == 0) {
       float copy[GROUP * 3];
       write_result(s, a, b, index, verdict, residual, iteration, source_of<OneEach>(s, a, u, q, copy), w);
+      ask_for_rest(o, b, index, verdict);
       continue;
     }
     for (int slot = TID; slot < a.groups; slot += THREADS) {

@@ -82,6 +82,13 @@ alignas(16) static thread_local char host_pool[256 * 1024];
 #define INTERIOR_BLOCKS 1
 #endif
 
+#ifndef CONTACT_THREADS
+#define CONTACT_THREADS 256
+#endif
+#ifndef CONTACT_BLOCKS
+#define CONTACT_BLOCKS 1
+#endif
+
 #ifdef __CUDACC__
 #define ON_CHIP_GROUPS THREADS
 #else
@@ -89,7 +96,7 @@ alignas(16) static thread_local char host_pool[256 * 1024];
 #endif
 
 constexpr int kRays = QUADRATIC ? 3 : 8;  // multipliers a contact point
-constexpr int kStable = 1, kUnstable = -1, kUndecided = 0;
+constexpr int kStable = 1, kUnstable = -1, kUndecided = 0, kSlides = -2;
 constexpr double kMargin = 1e-3;  // both tests ask for this much more, so that rounding cannot overturn them
 constexpr double kBackOff = 0.99;
 constexpr double kHuge = 1e300;
@@ -124,12 +131,17 @@ struct Structure {
   const double* flexibility; // (9, positions) inverse inertia
   const double* gravity;     // (6, positions)
   const double* gyration;    // (positions,) largest radius of gyration
+  const double* stiffness;   // (GROUP, groups) normal, under the criterion `contact`; else null
   double weight, friction, length;
+  double tangential;         // tangential over normal stiffness
+  double unit;               // metres of displacement of a variable of 1
+  double limit;              // movement of a part that falls, m
 };
 
 struct Options {
-  double rho, relaxation, tolerance, force_bound;
+  double rho, relaxation, tolerance, force_bound, first_step;
   int iterations, first_check, check_every, interior_steps;
+  int contact_steps;         // Newton iterations; 0 under the criterion `equilibrium`
 };
 
 // One launch. `list` names the states to take (all where it is null); `*_count` live on the device.
@@ -141,6 +153,7 @@ struct Batch {
   int* iterations;
   double* forces;          // (batch, points, 3) N, or null
   double* velocity;        // (batch, parts, 6), or null
+  double* displacement;    // (batch, parts, 6) m and rad of states at rest or moving away, or null
   float* handoff;          // (batch, points, 3) scaled forces, from ADMM to the interior point method
   const int* list;
   const int* list_count;
@@ -149,9 +162,11 @@ struct Batch {
   int* large_count;
   int* open;               // states that ADMM leaves undecided
   int* open_count;
+  int* rest;               // states of which the Newton iterations say whether they rest
+  int* rest_count;
   char* scratch;           // `scratch_stride` bytes a block, where the pool is not in shared memory
   long long scratch_stride;
-  char* points_scratch;    // `points_stride` bytes a block: what the interior point method keeps of each group
+  char* points_scratch;    // `points_stride` bytes a block: what the later methods keep of each group
   long long points_stride;
   long long pool_bytes;
   int count;

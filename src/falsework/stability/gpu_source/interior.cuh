@@ -239,5 +239,6 @@ DEVICE void run_interior(const Structure& s, const Options& o, const Batch& b) {
       verdict = judge(s, a, o, source, q.r, q.wrench, residual);
     }
     write_result(s, a, b, index, verdict, residual, b.iterations[index] + step, source, q.r);
+    ask_for_rest(o, b, index, verdict);
   }
 }

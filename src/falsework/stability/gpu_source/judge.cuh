@@ -136,6 +136,11 @@ PHASE void write_result(
     }
 }
 
+// Under the criterion `contact`, hands a state on that is not proven unstable.
+DEVICE void ask_for_rest(const Options& o, const Batch& b, int index, int verdict) {
+  if (o.contact_steps && verdict != kUnstable && TID == 0) b.rest[atomicAdd(b.rest_count, 1)] = index;
+}
+
 // Takes the next state of the launch, -1 when there is none.
 DEVICE int next_state(const Batch& b) {
 #ifdef __CUDACC__

@@ -12,3 +12,9 @@ KERNEL((INTERIOR_THREADS, INTERIOR_BLOCKS)) interior_shared(Structure s, Options
 #if !defined(PART) || PART == 3
 KERNEL((INTERIOR_THREADS, 1)) interior_scratch(Structure s, Options o, Batch b) { run_interior<false>(s, o, b); }
 #endif
+#if !defined(PART) || PART == 4
+KERNEL((CONTACT_THREADS, CONTACT_BLOCKS)) contact_shared(Structure s, Options o, Batch b) { run_contact<true>(s, o, b); }
+#endif
+#if !defined(PART) || PART == 5
+KERNEL((CONTACT_THREADS, 1)) contact_scratch(Structure s, Options o, Batch b) { run_contact<false>(s, o, b); }
+#endif

@@ -1,0 +1,37 @@
+"""What the criterion `contact` adds to a structure laid out for the GPU kernel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from falsework.stability.contact.newton import ContactStructure
+from falsework.stability.gpu_layout import Layout
+
+
+def add_contact(layout: Layout, structure: ContactStructure, gravity: float, ratio: float) -> Layout:
+    """Add stiffness and units of displacement to a layout.
+
+    The kernel measures lengths in `layout.length`, masses in the mean mass and accelerations in gravity. With
+    displacements in `scale * gravity` metres, `scale` as in `ContactStructure`, the stiffness of a point is the same
+    number as on the processor.
+
+    Args:
+        layout: of the structure.
+        structure: stiffness and units of the same.
+        gravity: m/s2.
+        ratio: tangential over normal stiffness.
+    """
+    first, count = layout.arrays["group_first"], layout.arrays["group_count"]
+    stiffness = np.zeros((layout.group_size, layout.groups))
+    for i in range(layout.group_size):
+        rows = np.flatnonzero(count > i)
+        stiffness[i, rows] = structure.normal[first[rows] + i]
+    return replace(
+        layout,
+        arrays={**layout.arrays, "stiffness": stiffness},
+        tangential=ratio,
+        unit=structure.scale * gravity,
+        limit=structure.limit,
+    )

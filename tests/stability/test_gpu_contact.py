@@ -1,0 +1,169 @@
+"""The GPU's kernels under the criterion `contact`, as plain C++ and on a GPU, agree with the processor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework.assembly import library, load_structure
+from falsework.assembly.model import Assembly
+from falsework.search.tensor_judge import DeviceOracle
+from falsework.stability import Proof, Stability, StabilitySettings, Verdict, accept, build_problem
+from falsework.stability.contact.cpu import ContactSolver
+from falsework.stability.cpu import CpuSolver
+from falsework.stability.gpu import GpuSolver
+from falsework.stability.settings import EQUILIBRIUM, GpuSettings
+
+CONTACT = StabilitySettings()
+
+
+def on_device(assembly: Assembly, settings: StabilitySettings) -> GpuSolver:
+    problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
+    return GpuSolver(assembly, problem, settings)
+
+
+@pytest.fixture(params=["host", "device"])
+def make_solver(request: pytest.FixtureRequest) -> Callable[..., GpuSolver]:
+    """Makes the solver on the processor, and on a GPU where there is one."""
+    if request.param == "host":
+        return request.getfixturevalue("on_host")
+    if find_spec("torch") is None or find_spec("cuda") is None or find_spec("cuda.bindings") is None:
+        pytest.skip("no torch or no cuda-bindings")
+    import torch
+
+    if not torch.cuda.is_available():
+        pytest.skip("no GPU")
+    return on_device
+
+
+def states_of(scenes: Any, assembly: Assembly, count: int, seed: int) -> Any:
+    near = scenes.few_changes(assembly, count, seed=seed)
+    far = scenes.random_states(assembly, count, seed=seed, shares=(0.35, 0.5, 0.15))
+    return np.concatenate([near, far])
+
+
+@pytest.mark.parametrize("cone", ["quadratic", "octagon"])
+@pytest.mark.parametrize("structure", ["arch:blocks=7", "dome", "corbel", "wall:bricks=3,courses=3"])
+def test_agrees_with_the_processor(
+    scenes: Any, structure: str, cone: Any, make_solver: Callable[..., GpuSolver]
+) -> None:
+    assembly, settings = library.build(structure), replace(CONTACT, cone=cone)
+    states = states_of(scenes, assembly, 60, seed=11)
+    solver = make_solver(assembly, settings)
+    verdicts = solver.check(states)
+    expected = ContactSolver(assembly, solver.problem, settings).check(states, certificates=False)
+    assert verdicts.stable.any()
+    both = ~verdicts.undecided & ~expected.undecided
+    assert both.mean() > 0.98
+    np.testing.assert_array_equal(verdicts.verdict[both], expected.verdict[both])
+    np.testing.assert_array_equal(accept(assembly, states, verdicts, settings.claim), ~verdicts.undecided)
+    assert (verdicts.proof[verdicts.stable] == Proof.DISPLACEMENT).all()
+    assert verdicts.displacement is not None
+    neither = ~verdicts.stable & ~verdicts.slides
+    assert np.isnan(verdicts.displacement[neither]).all()
+    assert np.isfinite(verdicts.displacement[~neither]).all()
+    bare, residual = solver.check_tensor(solver.driver.put(states))
+    np.testing.assert_array_equal(solver.driver.get(bare), verdicts.verdict)
+    np.testing.assert_array_equal(solver.driver.get(residual)[verdicts.stable], verdicts.residual[verdicts.stable])
+
+
+def test_as_many_iterations_as_on_the_processor(scenes: Any, make_solver: Callable[..., GpuSolver]) -> None:
+    """The same method in other coordinates: stable states take the same steps but for rounding."""
+    assembly = library.build("dome")
+    states = states_of(scenes, assembly, 40, seed=4)
+    solver = make_solver(assembly, CONTACT)
+    verdicts = solver.check(states, certificates=False)
+    expected = ContactSolver(assembly, solver.problem, CONTACT).check(states, certificates=False)
+    both = verdicts.stable & expected.stable
+    assert both.sum() > 20
+    assert (verdicts.iterations[both] == expected.iterations[both]).mean() > 0.9
+
+
+@pytest.mark.parametrize("name", ["vault-62", "dome-72"])
+def test_agrees_on_real_structures(
+    scenes: Any, shared_assembly: Callable[[str], Path], name: str, make_solver: Callable[..., GpuSolver]
+) -> None:
+    assembly = load_structure(str(shared_assembly(name)))
+    states = states_of(scenes, assembly, 10, seed=3)
+    solver = make_solver(assembly, CONTACT)
+    verdicts = solver.check(states)
+    expected = ContactSolver(assembly, solver.problem, CONTACT).check(states, certificates=False)
+    both = ~verdicts.undecided & ~expected.undecided
+    np.testing.assert_array_equal(verdicts.verdict[both], expected.verdict[both])
+    np.testing.assert_array_equal(accept(assembly, states, verdicts, CONTACT.claim), ~verdicts.undecided)
+
+
+def test_a_clamped_cube_slides_though_forces_could_hold_it(scenes: Any, make_solver: Callable[..., GpuSolver]) -> None:
+    """Walls that press could hold the cube by friction; without prestress nothing makes them press."""
+    assembly = scenes.clamp(friction=0.6)
+    state = np.array([[1, 2, 2]], np.uint8)
+    verdicts = make_solver(assembly, CONTACT).check(state)
+    assert verdicts.verdict[0] == Verdict.SLIDES
+    assert accept(assembly, state, verdicts, CONTACT.claim).all()
+    assert make_solver(assembly, EQUILIBRIUM).check(state).stable.all()
+    one = replace(CONTACT, gpu=GpuSettings(iterations=1, first_check=1))  # then the interior point method decides
+    assert make_solver(assembly, one).check(state).verdict[0] == Verdict.SLIDES
+
+
+def test_slides_and_unstable_together_are_the_states_that_do_not_rest(
+    scenes: Any, make_solver: Callable[..., GpuSolver]
+) -> None:
+    """A state at rest is in equilibrium, and every state in equilibrium rests, slides or stays open."""
+    assembly = library.build("arch:blocks=7")
+    states = states_of(scenes, assembly, 60, seed=9)
+    verdicts = make_solver(assembly, CONTACT).check(states, certificates=False)
+    problem = build_problem(assembly, cone="quadratic")
+    balanced = CpuSolver(problem, EQUILIBRIUM).check(states, certificates=False)
+    assert verdicts.unstable.any()
+    np.testing.assert_array_equal(verdicts.unstable, balanced.unstable)
+
+
+def test_states_too_large_for_the_chip_are_judged_in_memory(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
+    assembly = library.build("arch:blocks=7")
+    states = states_of(scenes, assembly, 30, seed=2)
+    roomy, tight = on_host(assembly, CONTACT), on_host(assembly, CONTACT, shared_limit=10 * 1024)
+    first, second = roomy.check(states), tight.check(states)
+    assert "contact_scratch" not in roomy.driver.launched  # type: ignore[attr-defined]
+    assert "contact_scratch" in tight.driver.launched  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(first.verdict, second.verdict)
+    np.testing.assert_array_equal(first.displacement, second.displacement)
+
+
+def test_nothing_that_moves_rests(make_solver: Callable[..., GpuSolver]) -> None:
+    assembly = library.build("arch:blocks=5")
+    still = np.where(assembly.boundary, 2, 0).astype(np.uint8)
+    held = np.full(assembly.part_count, 2, np.uint8)
+    verdicts = make_solver(assembly, CONTACT).check(np.stack([still, held]))
+    assert verdicts.stable.all()
+    assert (verdicts.residual == 0).all()
+    assert verdicts.displacement is not None
+    assert (verdicts.displacement == 0).all()
+
+
+def test_what_the_gpu_leaves_open_is_settled_on_the_processor(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
+    """With one Newton iteration and no interior point method much stays open, or slides for want of iterations."""
+    torch = pytest.importorskip("torch")
+    assembly = library.build("arch:blocks=7")
+    states = states_of(scenes, assembly, 30, seed=6)
+    tired = replace(CONTACT, gpu=GpuSettings(contact_steps=1))
+
+    class OnTensors:
+        def check_tensor(self, given: Any) -> Any:
+            return tuple(torch.from_numpy(each) for each in on_host(assembly, tired).check_tensor(given.numpy()))
+
+    oracle = DeviceOracle.__new__(DeviceOracle)
+    oracle._solver, oracle._settle = OnTensors(), Stability(assembly).settle  # type: ignore[assignment]
+    given = torch.from_numpy(states)
+    alone = oracle.without_exact()(given, given).numpy()
+    expected = Stability(assembly).check(states).verdict
+    assert (alone == Verdict.UNDECIDED).any()
+    assert not (alone == Verdict.SLIDES).any()
+    np.testing.assert_array_equal(oracle(given, given).numpy(), expected)
+    decided = alone != Verdict.UNDECIDED
+    np.testing.assert_array_equal(alone[decided], expected[decided])
