@@ -73,18 +73,6 @@ def test_agrees_with_the_processor(
     np.testing.assert_array_equal(solver.driver.get(residual)[verdicts.stable], verdicts.residual[verdicts.stable])
 
 
-def test_as_many_iterations_as_on_the_processor(scenes: Any, make_solver: Callable[..., GpuSolver]) -> None:
-    """The same method in other coordinates: stable states take the same steps but for rounding."""
-    assembly = library.build("dome")
-    states = states_of(scenes, assembly, 40, seed=4)
-    solver = make_solver(assembly, CONTACT)
-    verdicts = solver.check(states, certificates=False)
-    expected = ContactSolver(assembly, solver.problem, CONTACT).check(states, certificates=False)
-    both = verdicts.stable & expected.stable
-    assert both.sum() > 20
-    assert (verdicts.iterations[both] == expected.iterations[both]).mean() > 0.9
-
-
 @pytest.mark.parametrize("name", ["vault-62", "dome-72"])
 def test_agrees_on_real_structures(
     scenes: Any, shared_assembly: Callable[[str], Path], name: str, make_solver: Callable[..., GpuSolver]
