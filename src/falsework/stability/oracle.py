@@ -116,7 +116,7 @@ class Stability:
             verdicts = solver.check(unique, certificates=True)
             accepted = self._accept(unique, verdicts)
             rest = np.flatnonzero(~accepted)
-            if len(rest) and isinstance(solver, GpuSolver) and self._cpu is not None:
+            if len(rest) and solver is self._gpu and self._cpu is not None:
                 again = self._cpu.check(unique[rest], certificates=True)
                 verdicts.put(rest, again)
                 rest = rest[~self._accept(unique[rest], again)]
@@ -263,7 +263,7 @@ class Stability:
         for first in range(0, len(states), size):
             rows = np.arange(first, min(first + size, len(states)))
             guess = None
-            if parents is not None and not (isinstance(solver, GpuSolver) and contact):
+            if parents is not None and not (solver is self._gpu and contact):
                 guess = np.full((len(rows), *self._guess_shape), np.nan if isinstance(solver, ContactSolver) else 0.0)
                 for row, start in zip(range(len(rows)), known[first : first + size], strict=True):
                     if start is not None:
@@ -279,7 +279,7 @@ class Stability:
             verdicts.put(rows, solved)
         rest = np.flatnonzero(verdicts.verdict == Verdict.UNDECIDED)
         if len(rest):
-            if isinstance(solver, GpuSolver):
+            if solver is self._gpu:
                 verdicts.put(rest, self.settle(states[rest], verdicts.residual[rest]))
             else:
                 verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
