@@ -247,7 +247,7 @@ class HalfBlind:
         self.asked += len(states)
         verdict = torch.from_numpy(self.oracle.judge(states.numpy()).verdict)
         verdict[::2] = 0
-        return verdict, None
+        return verdict, torch.full((len(states),), torch.nan, dtype=torch.float64)
 
 
 def half_blind_oracle(assembly: Assembly) -> DeviceOracle:

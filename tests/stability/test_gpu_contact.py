@@ -73,6 +73,19 @@ def test_agrees_with_the_processor(
     np.testing.assert_array_equal(solver.driver.get(residual)[verdicts.stable], verdicts.residual[verdicts.stable])
 
 
+def test_as_many_iterations_as_on_the_processor(scenes: Any, make_solver: Callable[..., GpuSolver]) -> None:
+    """The same method in other coordinates: stable states take the same steps but for rounding."""
+    assembly = library.build("dome")
+    states = states_of(scenes, assembly, 40, seed=4)
+    alone = replace(CONTACT, gpu=GpuSettings(iterations=0, interior_steps=0))
+    solver = make_solver(assembly, alone)
+    verdicts = solver.check(states, certificates=False)
+    expected = ContactSolver(assembly, solver.problem, CONTACT).check(states, certificates=False)
+    both = verdicts.stable & expected.stable
+    assert both.sum() > 20
+    assert (verdicts.iterations[both] == expected.iterations[both]).mean() > 0.9
+
+
 @pytest.mark.parametrize("name", ["vault-62", "dome-72"])
 def test_agrees_on_real_structures(
     scenes: Any, shared_assembly: Callable[[str], Path], name: str, make_solver: Callable[..., GpuSolver]
@@ -146,7 +159,7 @@ def test_what_the_gpu_leaves_open_is_settled_on_the_processor(scenes: Any, on_ho
             return tuple(torch.from_numpy(each) for each in on_host(assembly, tired).check_tensor(given.numpy()))
 
     oracle = DeviceOracle.__new__(DeviceOracle)
-    oracle._solver, oracle._settle = OnTensors(), Stability(assembly).settle  # type: ignore[assignment]
+    oracle._solver, oracle._settle = OnTensors(), Stability(assembly, tired).settle  # type: ignore[assignment]
     given = torch.from_numpy(states)
     alone = oracle.without_exact()(given, given).numpy()
     expected = Stability(assembly).check(states).verdict
@@ -155,3 +168,19 @@ def test_what_the_gpu_leaves_open_is_settled_on_the_processor(scenes: Any, on_ho
     np.testing.assert_array_equal(oracle(given, given).numpy(), expected)
     decided = alone != Verdict.UNDECIDED
     np.testing.assert_array_equal(alone[decided], expected[decided])
+
+
+def test_matrices_alone_may_be_in_memory(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
+    """Between states that fit on chip and those that do not are those of which all but the matrices does."""
+    assembly = library.build("dome")
+    states = states_of(scenes, assembly, 20, seed=2)
+    roomy = on_host(assembly, CONTACT)
+    layout = roomy.layout
+    between = (layout.contact_near_bytes() + layout.contact_bytes()) // 2
+    half = on_host(assembly, CONTACT, shared_limit=between)
+    first, second = roomy.check(states), half.check(states)
+    launched = half.driver.launched  # type: ignore[attr-defined]
+    assert "contact_shared" in launched
+    assert "contact_scratch" in launched
+    np.testing.assert_array_equal(first.verdict, second.verdict)
+    np.testing.assert_array_equal(first.displacement, second.displacement)

@@ -12,7 +12,9 @@ from falsework.search.tensors import import_torch, put
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
     import torch
+    from numpy.typing import NDArray
 
     from falsework.assembly.state import States
     from falsework.stability.oracle import Stability
@@ -69,16 +71,16 @@ class DeviceOracle:
 
         self.holds_keep_stable = oracle.holds_keep_stable
         self._solver = GpuSolver(oracle.assembly, oracle.problem, oracle.settings, str(device))
-        self._settle: Callable[[States], Verdicts] | None = oracle.settle
+        self._settle: Callable[[States, NDArray[np.float64]], Verdicts] | None = oracle.settle
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
         """As `TensorOracle`."""
-        verdict, _ = self._solver.check_tensor(states)
+        verdict, residual = self._solver.check_tensor(states)
         if self._settle is None:
             return verdict
         rest = (verdict == 0).nonzero()[:, 0]
         if len(rest):
-            decided = self._settle(states[rest].cpu().numpy()).verdict
+            decided = self._settle(states[rest].cpu().numpy(), residual[rest].cpu().numpy()).verdict
             verdict[rest] = put(decided, states.device)
         return verdict
 

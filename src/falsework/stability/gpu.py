@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 _STATIC_SHARED = 4 * 1024
 """Shared memory that the kernels have of their own, at most."""
-_CONTACT_THREADS = 256
-"""Threads of a block of the Newton iterations."""
 _CHUNK_BYTES = 2 << 30
 """Device memory for the forces and velocities of one chunk of states."""
 
@@ -46,7 +44,7 @@ class _Stage:
     shared: int
     blocks: int
     scratch: Any
-    """Device memory instead of shared memory, where the largest state does not fit on chip."""
+    """Device memory instead of shared memory, or beside it, where the largest state does not fit on chip."""
     pool: int
     """Bytes that a state may take."""
 
@@ -261,6 +259,7 @@ class GpuSolver:
                 points_scratch=address(by_group),
                 points_stride=self.layout.group_bytes(),
                 pool_bytes=stage.pool,
+                near=int(stage.scratch is not None and stage.shared > 0),
                 count=count,
             )
             blocks = min(stage.blocks, count)
@@ -272,25 +271,28 @@ class GpuSolver:
         if few not in self._chains:
             chains = [self._admm_stages(few), self._interior_stages()]
             if self._contact:
-                chains.append(self._contact_stages(few))
+                chains.append(self._contact_stages())
             rows = max(stage.blocks for chain in chains for stage in chain if "admm" not in stage.kernel)
             by_group = self.driver.empty((rows * self.layout.group_bytes() // 8,), np.float64)
             self._chains[few] = chains, by_group
         return self._chains[few]
 
-    def _contact_stages(self, few: bool) -> list[_Stage]:
-        """Newton iterations, from the size that most states have to the largest that fits on chip, and beyond."""
-        driver, layout, threads = self.driver, self.layout, min(self.driver.most_threads, _CONTACT_THREADS)
-        stages: list[_Stage] = []
+    def _contact_stages(self) -> list[_Stage]:
+        """Newton iterations: on chip, and for states too large for that with their matrices in device memory.
+
+        Registers leave room for one block on a multiprocessor, so there is no gain in a launch for small states.
+        """
+        driver, layout, threads = self.driver, self.layout, self.driver.most_threads
         largest = _aligned(layout.contact_bytes())
-        for share in (1.0,) if few else self.settings.gpu.contact_shares:
-            shared = min(_aligned(layout.contact_bytes(share)), self._shared_limit)
-            if shared >= layout.index_bytes():
-                blocks = driver.blocks("contact_shared", threads, shared)
-                stages = [stage for stage in stages if stage.blocks > blocks]
-                stages.append(_Stage("contact_shared", threads, shared, blocks, None, shared))
-        if not stages or stages[-1].shared < largest:
-            stages.append(self._scratch_stage("contact_scratch", threads, largest))
+        shared = min(largest, self._shared_limit)
+        stages: list[_Stage] = []
+        if shared >= layout.index_bytes():
+            blocks = driver.blocks("contact_shared", threads, shared)
+            stages.append(_Stage("contact_shared", threads, shared, blocks, None, shared))
+        if not stages or shared < largest:
+            near = _aligned(layout.contact_near_bytes())
+            near = near if near <= self._shared_limit else 0
+            stages.append(self._scratch_stage("contact_scratch", threads, largest, near))
         return stages
 
     def _admm_stages(self, few: bool) -> list[_Stage]:
@@ -323,11 +325,11 @@ class GpuSolver:
             stages.append(self._scratch_stage("interior_scratch", threads, largest))
         return stages
 
-    def _scratch_stage(self, kernel: str, threads: int, largest: int) -> _Stage:
+    def _scratch_stage(self, kernel: str, threads: int, largest: int, shared: int = 0) -> _Stage:
         largest = _aligned(largest)
-        blocks = self.driver.blocks(kernel, threads, 0)
+        blocks = self.driver.blocks(kernel, threads, shared)
         scratch = self.driver.empty((blocks * largest // 8,), np.float64)
-        return _Stage(kernel, threads, 0, blocks, scratch, largest)
+        return _Stage(kernel, threads, shared, blocks, scratch, largest)
 
     @property
     def _shared_limit(self) -> int:

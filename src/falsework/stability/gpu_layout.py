@@ -103,6 +103,7 @@ class KernelBatch(ctypes.Structure):
         ("points_scratch", ctypes.c_void_p),
         ("points_stride", ctypes.c_longlong),
         ("pool_bytes", ctypes.c_longlong),
+        ("near", ctypes.c_int),
         ("count", ctypes.c_int),
     ]
 
@@ -154,6 +155,10 @@ class Layout:
         n, _, ancestors = self._counts(share)
         blocks = -int(-(share**1.5) * self.sizes["blocks"] // 1)
         return self._index_bytes(share) + 2 * ancestors + 8 * (36 * (n + 2 * blocks) + 36 * n)
+
+    def contact_near_bytes(self) -> int:
+        """Memory for the same without the matrices, on the largest state."""
+        return self._index_bytes(1.0) + 2 * self.ancestors + 8 * 36 * self.sizes["positions"]
 
     def group_bytes(self) -> int:
         """Memory for what the interior point method keeps of all groups; the Newton iterations keep less."""

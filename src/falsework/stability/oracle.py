@@ -171,22 +171,29 @@ class Stability:
         """Which states are proven stable; arguments as for `judge`. Shape (batch,)."""
         return self.judge(states, parents=parents).stable
 
-    def settle(self, states: States) -> Verdicts:
-        """Judge states that a GPU left open, by the solvers on the processor, the exact one last.
+    def settle(self, states: States, residual: NDArray[np.float64]) -> Verdicts:
+        """Judge states that a GPU left open.
+
+        Under `contact` the solver on the processor, whose iterations are the same, is asked only if it makes more of
+        them. Under both criteria the exact solver comes last.
 
         Args:
             states: checked states, shape (batch, parts).
+            residual: what the GPU said of them, shape (batch,).
 
         Returns:
             Verdicts without certificates.
         """
-        if self._cpu is None:
-            return self.exact.check(states).without_certificates()
-        verdicts = self._cpu.check(states, certificates=False)
-        rest = np.flatnonzero(verdicts.undecided)
+        verdicts = Verdicts.blank(len(states))
+        verdicts.residual[:] = residual
+        rest = np.arange(len(states))
+        steps = self.settings.gpu.contact_steps, self.settings.cpu.contact_steps
+        if isinstance(self._cpu, ContactSolver) and steps[0] < steps[1]:
+            verdicts = self._cpu.check(states, certificates=False)
+            rest = np.flatnonzero(verdicts.undecided)
         if len(rest):
             verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
-        return verdicts
+        return verdicts.without_certificates()
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
         """Which verdicts the checker accepts; the others are counted."""
@@ -272,9 +279,10 @@ class Stability:
             verdicts.put(rows, solved)
         rest = np.flatnonzero(verdicts.verdict == Verdict.UNDECIDED)
         if len(rest):
-            again = solver is self._gpu
-            decided = self.settle(states[rest]) if again else self._decide_exactly(states[rest], verdicts[rest])
-            verdicts.put(rest, decided)
+            if solver is self._gpu:
+                verdicts.put(rest, self.settle(states[rest], verdicts.residual[rest]))
+            else:
+                verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
         return verdicts
 
     def _pass_on(self, states: States, origins: States) -> None:

@@ -169,6 +169,7 @@ struct Batch {
   char* points_scratch;    // `points_stride` bytes a block: what the later methods keep of each group
   long long points_stride;
   long long pool_bytes;
+  int near;                // whether the Newton iterations keep all but their matrices in shared memory
   int count;
 };
 

@@ -35,20 +35,21 @@ PHASE void write_displaced(const Structure& s, const State& a, const Batch& b, i
 template <bool InShared>
 DEVICE void run_contact(const Structure& s, const Options& o, const Batch& b) {
   for (int index = next_state(b); index >= 0; index = next_state(b)) {
-    char* base = InShared ? POOL : b.scratch + BLOCK * b.scratch_stride;
-    char* top = base;
+    char* far = InShared ? nullptr : b.scratch + BLOCK * b.scratch_stride;
+    char* top = InShared || b.near ? POOL : far;
     State a = restrict_to<false>(s, b.states + (long long)index * s.parts, top);
     Newton q;
-    q.m.diagonal = take<double>(top, a.nodes * 36);
-    q.m.lower = take<double>(top, a.storage * 36);
-    q.m.upper = take<double>(top, a.storage * 36);
     q.now = take<double>(top, a.nodes * 6);
     q.ahead = take<double>(top, a.nodes * 6);
     q.step = take<double>(top, a.nodes * 6);
     q.residual = take<double>(top, a.nodes * 6);
     q.ahead_residual = take<double>(top, a.nodes * 6);
     q.between = take<double>(top, a.nodes * 6);
-    if (top - base > b.pool_bytes) {
+    if (!InShared && b.near) top = far;
+    q.m.diagonal = take<double>(top, a.nodes * 36);
+    q.m.lower = take<double>(top, a.storage * 36);
+    q.m.upper = take<double>(top, a.storage * 36);
+    if (InShared && top - POOL > b.pool_bytes) {
       if (TID == 0) b.large[atomicAdd(b.large_count, 1)] = index;
       continue;
     }

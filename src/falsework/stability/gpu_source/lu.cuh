@@ -76,8 +76,10 @@ DEVICE void swap_if(bool yes, double& x, double& y) {
   x = yes ? y : x, y = yes ? kept : y;
 }
 
-// Inverse of a 6 x 6 block in place by elimination with row pivots; false if it is singular.
-DEVICE bool invert_block(double* block) {
+// Inverse of a 6 x 6 block in place by elimination, with row pivots or with the diagonal as it comes; false where a pivot
+// is less than `least` of the largest entry below it, and the block is then left as it was.
+template <bool Exchange>
+DEVICE bool eliminate_block(double* block, double least) {
   double m[6][6];
 #pragma unroll
   for (int i = 0; i < 36; i++) m[i / 6][i % 6] = block[i];
@@ -85,14 +87,19 @@ DEVICE bool invert_block(double* block) {
   bool good = true;
 #pragma unroll
   for (int k = 0; k < 6; k++) {
+    double largest = 0;
 #pragma unroll
     for (int i = k + 1; i < 6; i++) {
+      if (!Exchange) {
+        largest = fmax(largest, fabs(m[i][k]));
+        continue;
+      }
       bool yes = fabs(m[i][k]) > fabs(m[k][k]);
       swaps |= uint32_t(yes) << (k * 5 + i - 1 - k * (k + 1) / 2);
 #pragma unroll
       for (int j = 0; j < 6; j++) swap_if(yes, m[k][j], m[i][j]);
     }
-    good = good && fabs(m[k][k]) > 1e-300;
+    good = good && fabs(m[k][k]) > 1e-300 && fabs(m[k][k]) >= least * largest;
     double inverse = 1.0 / m[k][k];
     m[k][k] = 1.0;
 #pragma unroll
@@ -106,8 +113,9 @@ DEVICE bool invert_block(double* block) {
       for (int j = 0; j < 6; j++) m[i][j] -= share * m[k][j];
     }
   }
+  if (!good) return false;
 #pragma unroll
-  for (int k = 4; k >= 0; k--)
+  for (int k = 4; Exchange && k >= 0; k--)
 #pragma unroll
     for (int i = 5; i > k; i--) {
       bool yes = swaps >> (k * 5 + i - 1 - k * (k + 1) / 2) & 1;
@@ -116,7 +124,28 @@ DEVICE bool invert_block(double* block) {
     }
 #pragma unroll
   for (int i = 0; i < 36; i++) block[i] = m[i / 6][i % 6];
-  return good;
+  return true;
+}
+
+// Inverse of a 6 x 6 block in place; false if it is singular. Nearly all blocks need no exchange of rows, which takes as
+// long as the rest.
+DEVICE bool invert_block(double* block) {
+  return eliminate_block<false>(block, 0.1) || eliminate_block<true>(block, 0.0);
+}
+
+// Neighbouring threads that share an item and add up what they find, where a level has fewer items than threads.
+DEVICE int lanes_for(int items) {
+  int lanes = 1;
+  while (lanes < 8 && 2 * lanes * items <= THREADS) lanes *= 2;
+  return lanes;
+}
+DEVICE double sum_lanes(double x, int lanes) {
+#ifdef __CUDACC__
+  for (int step = lanes >> 1; step; step >>= 1) x += __shfl_xor_sync(0xffffffffu, x, step);
+#else
+  (void)lanes;
+#endif
+  return x;
 }
 
 // Replaces the matrix, level by level, by its factor; false where a pivot block is singular.
@@ -125,31 +154,35 @@ PHASE bool factor_general(const State& a, General m) {
   for (int level = 0; level < a.levels; level++) {
     int node0 = a.level_node[level], nodes = a.level_node[level + 1] - node0;
     int block0 = a.column[node0], blocks = a.column[node0 + nodes] - block0;
-    for (int t = TID; level && t < (nodes + 2 * blocks) * 6; t += THREADS) {
-      int item = t / 6, r = t - item * 6;
+    int rows = level ? (nodes + 2 * blocks) * 6 : 0, lanes = lanes_for(rows);
+    for (int t0 = 0; t0 < rows * lanes; t0 += THREADS) {
+      int t = (t0 + TID) / lanes, lane = (t0 + TID) % lanes, item = t / 6, r = t - item * 6;
       bool above = item >= nodes + blocks;
-      int b = block0 + item - nodes - (above ? blocks : 0), place = item < nodes ? 0 : a.at(b);
-      if (place < 0) continue;
-      int j = item < nodes ? node0 + item : a.block_column[b];
-      int up = item < nodes ? 0 : a.depth[j] - a.depth[a.block_row[b]];
-      const double* mine = above ? m.upper : m.lower;
-      const double* other = above ? m.lower : m.upper;
-      double* row = (item < nodes ? m.diagonal + j * 36 : (above ? m.upper : m.lower) + place * 36) + r * 6;
-      double out[6];
+      int b = block0 + item - nodes - (above ? blocks : 0), place = t >= rows ? -1 : item < nodes ? 0 : a.at(b);
+      double* row = nullptr;
+      double sum[6] = {};
+      if (place >= 0) {
+        int j = item < nodes ? node0 + item : a.block_column[b];
+        int up = item < nodes ? 0 : a.depth[j] - a.depth[a.block_row[b]];
+        const double* mine = above ? m.upper : m.lower;
+        const double* other = above ? m.lower : m.upper;
+        row = (item < nodes ? m.diagonal + j * 36 : (above ? m.upper : m.lower) + place * 36) + r * 6;
+        for (int n = a.row[j] + lane; n < a.row[j + 1]; n += lanes) {
+          int right = a.row_block[n];
+          if (right < 0) continue;
+          int left = a.at(right + up);
+          if (left < 0) continue;
+          const double* x = mine + left * 36 + r * 6;
+          const double* y = other + a.at(right) * 36;
 #pragma unroll
-      for (int k = 0; k < 6; k++) out[k] = row[k];
-      for (int n = a.row[j]; n < a.row[j + 1]; n++) {
-        int right = a.row_block[n];
-        if (right < 0) continue;
-        int left = a.at(right + up);
-        if (left < 0) continue;
-        const double* x = mine + left * 36 + r * 6;
-        const double* y = other + a.at(right) * 36;
-#pragma unroll
-        for (int k = 0; k < 6; k++) out[k] -= dot6(x, y + k * 6);
+          for (int k = 0; k < 6; k++) sum[k] += dot6(x, y + k * 6);
+        }
       }
 #pragma unroll
-      for (int k = 0; k < 6; k++) row[k] = out[k];
+      for (int k = 0; k < 6; k++) sum[k] = sum_lanes(sum[k], lanes);
+      if (row && lane == 0)
+#pragma unroll
+        for (int k = 0; k < 6; k++) row[k] -= sum[k];
     }
     SYNC;
     for (int i = TID; i < nodes; i += THREADS)
@@ -190,33 +223,37 @@ PHASE bool factor_general(const State& a, General m) {
 // Solves with the factor, level by level; overwrites x.
 PHASE void solve_general(const State& a, General m, double* x, double* between, double* out) {
   for (int level = 1; level < a.levels; level++) {
-    int last = a.level_node[level + 1] * 6;
-    for (int t = a.level_node[level] * 6 + TID; t < last; t += THREADS) {
-      int i = t / 6, r = t - i * 6, end = a.row[i + 1];
-      double total = x[t];
-      for (int k = a.row[i]; k < end; k++) {
-        int b = a.row_block[k];
-        if (b >= 0) total -= dot6(m.lower + a.at(b) * 36 + r * 6, x + a.block_column[b] * 6);
-      }
-      x[t] = total;
+    int first = a.level_node[level] * 6, last = a.level_node[level + 1] * 6, lanes = lanes_for(last - first);
+    for (int t0 = 0; t0 < (last - first) * lanes; t0 += THREADS) {
+      int t = first + (t0 + TID) / lanes, lane = (t0 + TID) % lanes, i = t / 6, r = t - i * 6;
+      double sum = 0;
+      if (t < last)
+        for (int k = a.row[i] + lane; k < a.row[i + 1]; k += lanes) {
+          int b = a.row_block[k];
+          if (b >= 0) sum += dot6(m.lower + a.at(b) * 36 + r * 6, x + a.block_column[b] * 6);
+        }
+      sum = sum_lanes(sum, lanes);
+      if (t < last && lane == 0) x[t] -= sum;
     }
     SYNC;
   }
   for (int t = TID; t < a.nodes * 6; t += THREADS) between[t] = dot6(m.diagonal + t * 6, x + t / 6 * 6);
   SYNC;
   for (int level = a.levels - 1; level >= 0; level--) {
-    int last = a.level_node[level + 1] * 6;
-    for (int t = a.level_node[level] * 6 + TID; t < last; t += THREADS) {
-      int j = t / 6, c = t - j * 6, end = a.column[j + 1];
-      double total = between[t];
-      for (int b = a.column[j]; b < end; b++) {
-        int place = a.at(b);
-        if (place < 0) continue;
-        const double* u = m.upper + place * 36 + c;
-        const double* y = out + a.block_row[b] * 6;
-        total -= (u[0] * y[0] + u[6] * y[1]) + (u[12] * y[2] + u[18] * y[3]) + (u[24] * y[4] + u[30] * y[5]);
-      }
-      out[t] = total;
+    int first = a.level_node[level] * 6, last = a.level_node[level + 1] * 6, lanes = lanes_for(last - first);
+    for (int t0 = 0; t0 < (last - first) * lanes; t0 += THREADS) {
+      int t = first + (t0 + TID) / lanes, lane = (t0 + TID) % lanes, j = t / 6, c = t - j * 6;
+      double sum = 0;
+      if (t < last)
+        for (int b = a.column[j] + lane; b < a.column[j + 1]; b += lanes) {
+          int place = a.at(b);
+          if (place < 0) continue;
+          const double* u = m.upper + place * 36 + c;
+          const double* y = out + a.block_row[b] * 6;
+          sum += (u[0] * y[0] + u[6] * y[1]) + (u[12] * y[2] + u[18] * y[3]) + (u[24] * y[4] + u[30] * y[5]);
+        }
+      sum = sum_lanes(sum, lanes);
+      if (t < last && lane == 0) out[t] = between[t] - sum;
     }
     SYNC;
   }
