@@ -28,10 +28,12 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
+from states import Recorder, find
 
-from falsework.assembly import Assembly, load_structure
+from falsework.assembly import load_structure
 from falsework.search import Planner, PlannerSettings, SupportGuide, find_plans, task_of
-from falsework.stability import Stability, StabilitySettings, Verdicts
+from falsework.stability import Stability, StabilitySettings
+from falsework.stability.settings import EQUILIBRIUM
 
 STRUCTURES = ("vault", "vault-62", "dome-72", "dog-35", "dome-37", "bottle-12", "dome")
 
@@ -54,31 +56,6 @@ class Options:
     """File to which the lines are appended as well."""
 
 
-def load(name: str) -> Assembly:
-    """A structure of the paper where it is found, else a built-in one or a path."""
-    named = os.environ.get("FALSEWORK_DATA")
-    folder = Path(named) if named else Path(__file__).resolve().parents[2] / "shared"
-    path = folder / "assemblies" / name
-    return load_structure(path if path.is_dir() else name)
-
-
-class Recorder:
-    """Passes questions on to an oracle and writes them down."""
-
-    def __init__(self, oracle: Stability) -> None:
-        self.oracle = oracle
-        self.asked: list[tuple[np.ndarray, np.ndarray]] = []
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.oracle, name)
-
-    def judge(self, states: np.ndarray, *, parents: np.ndarray | None = None) -> Verdicts:
-        """As `Stability.judge`."""
-        if parents is not None:
-            self.asked.append((states.copy(), parents.copy()))
-        return self.oracle.judge(states, parents=parents)
-
-
 def spread(values: list[float]) -> dict[str, float]:
     """Median and range."""
     return {"median": float(np.median(values)), "least": min(values), "most": max(values)}
@@ -86,20 +63,20 @@ def spread(values: list[float]) -> dict[str, float]:
 
 def verdicts(name: str, options: Options) -> Iterator[dict[str, Any]]:
     """Cost of both criteria on what a search asks."""
-    assembly = load(name)
+    assembly = load_structure(find(name))
     recorder = Recorder(Stability(assembly))
     planning = Planner(task_of(assembly, options.robots), recorder, guide=SupportGuide(assembly)).run()
-    equilibrium = StabilitySettings(criterion="equilibrium")
+    questions = recorder.states, recorder.parents
     times: dict[str, list[float]] = {"contact": [], "equilibrium": []}
     counts: dict[str, Any] = {}
     for _ in range(options.repeat):
-        for criterion, settings in (("contact", StabilitySettings()), ("equilibrium", equilibrium)):
+        for criterion, settings in (("contact", StabilitySettings()), ("equilibrium", EQUILIBRIUM)):
             oracle = Stability(assembly, settings)
             begun = time.perf_counter()
-            found = [oracle.judge(states, parents=parents) for states, parents in recorder.asked]
+            found = [oracle.judge(states, parents=parents) for states, parents in zip(*questions, strict=True)]
             times[criterion].append(time.perf_counter() - begun)
             counts[criterion] = int(sum(batch.stable.sum() for batch in found))
-    asked = sum(len(states) for states, _ in recorder.asked)
+    asked = sum(map(len, recorder.states))
     ratios = [a / b for a, b in zip(times["contact"], times["equilibrium"], strict=True)]
     cold = []
     states = planning.routes[0].states
@@ -119,7 +96,7 @@ def verdicts(name: str, options: Options) -> Iterator[dict[str, Any]]:
 
 def replay(name: str, options: Options) -> Iterator[dict[str, Any]]:
     """Time of a replay of a whole plan."""
-    assembly = load(name)
+    assembly = load_structure(find(name))
     oracle = Stability(assembly)
     plan = find_plans(assembly, task_of(assembly, options.robots), oracle=oracle).plans[0]
     assert oracle.replayer is not None
@@ -134,7 +111,7 @@ def replay(name: str, options: Options) -> Iterator[dict[str, Any]]:
 
 def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:
     """Time of a plan that is proven and whose replay stands."""
-    assembly = load(name)
+    assembly = load_structure(find(name))
     whole, search, states, fail, asked = [], [], 0, 0, []
     for seed in range(options.seeds):
         oracle = Stability(assembly)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,16 +25,14 @@ class Recorder:
         self.states: list[States] = []
         self.parents: list[States] = []
 
-    @property
-    def holds_keep_stable(self) -> bool:
-        """As `Stability.holds_keep_stable`."""
-        return self.oracle.holds_keep_stable
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.oracle, name)
 
     def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """As `Stability.judge`."""
-        assert parents is not None
-        self.states.append(states.copy())
-        self.parents.append(parents.copy())
+        """As `Stability.judge`; states without parents, such as the ends of a task, are not written down."""
+        if parents is not None:
+            self.states.append(states.copy())
+            self.parents.append(parents.copy())
         return self.oracle.judge(states, parents=parents)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -17,7 +18,7 @@ from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.structure import build_structure
 from falsework.stability.verdict import Solver, Verdicts, proof_of
 
-TASK = 16
+_TASK = 16
 """States a thread takes at a time: few enough to share hard states out, enough to hide the cost of a call."""
 
 
@@ -35,6 +36,25 @@ def kernel_options(settings: StabilitySettings) -> Options:
     )
 
 
+class Workers:
+    """Threads that share the rows of a batch; compiled code runs in them without the interpreter's lock."""
+
+    def __init__(self, threads: int | None) -> None:
+        """Start as many threads, or one a core."""
+        self._threads = threads or os.cpu_count() or 1
+        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
+
+    def run(self, work: Callable[[slice], None], batch: int) -> None:
+        """Call `work` for runs of rows that cover a batch."""
+        task = batch if self._pool is None else min(_TASK, -(-batch // self._threads))
+        rows = [slice(first, first + task) for first in range(0, batch, max(task, 1))]
+        if self._pool is None or len(rows) < 2:
+            for run in rows:
+                work(run)
+        else:
+            list(self._pool.map(work, rows))
+
+
 class CpuSolver:
     """Judges batches of states of one structure with compiled code.
 
@@ -47,8 +67,7 @@ class CpuSolver:
         self.settings = settings
         self.structure = build_structure(problem)
         self._options = kernel_options(settings)
-        self._threads = settings.cpu.threads or os.cpu_count() or 1
-        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
+        self._workers = Workers(settings.cpu.threads)
 
     def check(
         self,
@@ -81,8 +100,7 @@ class CpuSolver:
         velocity = verdicts.velocity if verdicts.velocity is not None else np.zeros((0, problem.parts, 6))
         steps = np.zeros(batch, np.int32)
 
-        def work(first: int) -> None:
-            rows = slice(first, first + task)
+        def work(rows: slice) -> None:
             rest = (
                 self._options,
                 forces[rows],
@@ -98,13 +116,7 @@ class CpuSolver:
             else:
                 solve_range_near(self.structure, states[rows], parents[rows], RINGS, *rest)
 
-        task = batch if self._pool is None else min(TASK, -(-batch // self._threads))
-        starts = range(0, batch, max(task, 1))
-        if self._pool is None or len(starts) < 2:
-            for first in starts:
-                work(first)
-        else:
-            list(self._pool.map(work, starts))
+        self._workers.run(work, batch)
         if verdicts.forces is not None and forces is not verdicts.forces:
             verdicts.forces[:] = forces
         verdicts.iterations[:] += steps

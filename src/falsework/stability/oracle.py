@@ -90,9 +90,9 @@ class Stability:
     @cached_property
     def replayer(self) -> Replayer | None:
         """Replays sequences of states of the structure; None under `equilibrium`, which knows no history."""
-        if self.settings.criterion == "equilibrium":
+        if not isinstance(self._cpu, ContactSolver):
             return None
-        return Replayer(self.assembly, self.settings, problem=self.problem)
+        return Replayer(self.assembly, self.settings, solver=self._cpu)
 
     def check(self, states: ArrayLike) -> Verdicts:
         """Judge states and return the proofs, each accepted by the certificate checker.

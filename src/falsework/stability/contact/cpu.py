@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
-
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +10,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, States
 from falsework.stability.contact.kernel import ContactOptions, build_contact_structure, solve_contact_state
 from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, RESTS, make_contact_work
-from falsework.stability.cpu import TASK, kernel_options
+from falsework.stability.cpu import Workers, kernel_options
 from falsework.stability.cpu_kernel import solve_state
 from falsework.stability.judge import STABLE, UNDECIDED, UNSTABLE
 from falsework.stability.neighbourhood import RINGS, fall_near
@@ -42,8 +39,7 @@ class ContactSolver:
         self.contact_structure = build_contact_structure(assembly, problem, settings.gravity, settings.stiffness_ratio)
         self._options = kernel_options(settings)
         self._contact_options = ContactOptions(settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS, FIRST_STEP)
-        self._threads = settings.cpu.threads or os.cpu_count() or 1
-        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
+        self._workers = Workers(settings.cpu.threads)
 
     def check(
         self,
@@ -88,8 +84,7 @@ class ContactSolver:
         origins = states[:0] if parents is None else parents
         steps = np.zeros(batch, np.int32)
 
-        def work(first: int) -> None:
-            rows = slice(first, first + task)
+        def work(rows: slice) -> None:
             _judge_range(
                 self.structure,
                 self.contact_structure,
@@ -109,13 +104,7 @@ class ContactSolver:
                 steps[rows],
             )
 
-        task = batch if self._pool is None else min(TASK, -(-batch // self._threads))
-        starts = range(0, batch, max(task, 1))
-        if self._pool is None or len(starts) < 2:
-            for first in starts:
-                work(first)
-        else:
-            list(self._pool.map(work, starts))
+        self._workers.run(work, batch)
         if verdicts.displacement is not None and displacement is not verdicts.displacement:
             verdicts.displacement[:] = displacement
         verdicts.iterations[:] += steps

@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states
 from falsework.errors import InputError
-from falsework.stability.contact.kernel import ContactOptions, build_contact_structure
-from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, OPEN, RESTS
+from falsework.stability.contact.cpu import ContactSolver
+from falsework.stability.contact.kernel import ContactOptions
+from falsework.stability.contact.newton import FIRST_STEP, OPEN, RESTS
 from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.stiffness import structure_size
-from falsework.stability.problem import Problem, build_problem
+from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
-from falsework.stability.structure import build_structure
 
 Array = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ class Replayer:
         assembly: Assembly,
         settings: StabilitySettings = StabilitySettings(),
         replay: ReplaySettings = ReplaySettings(),
-        problem: Problem | None = None,
+        solver: ContactSolver | None = None,
     ) -> None:
         """Lay the structure out.
 
@@ -114,14 +114,16 @@ class Replayer:
             assembly: the structure.
             settings: cone, gravity, tolerance and stiffness ratio.
             replay: how steps are taken.
-            problem: the equilibrium problem of the assembly under these settings, if it is at hand.
+            solver: of the assembly under these settings, if it is at hand; its layout then serves both.
         """
         self.assembly = assembly
         self.settings = settings
         self.replay_settings = replay
-        self.problem = problem or build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
-        self._structure = build_structure(self.problem)
-        self._contact = build_contact_structure(assembly, self.problem, settings.gravity, settings.stiffness_ratio)
+        if solver is None:
+            problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
+            solver = ContactSolver(assembly, problem, settings)
+        self.problem = solver.problem
+        self._structure, self._contact = solver.structure, solver.contact_structure
         self._options = ContactOptions(settings.tolerance, replay.steps, 0, replay.first_step)
         self._noise = self._draw_noise(replay)
         self._size = structure_size(assembly)
@@ -250,7 +252,6 @@ def replay_plans(replayer: Replayer, plans: Sequence[States]) -> list[Replay]:
 
 
 __all__ = [
-    "MOVES_AWAY",
     "History",
     "Replay",
     "ReplaySettings",
