@@ -31,7 +31,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 
@@ -44,11 +44,11 @@ from falsework.learn.imitation import Network
 from falsework.learn.material import find_pairs
 from falsework.learn.policy import Policy, transfer
 from falsework.learn.policy_settings import PolicySettings, recommended
-from falsework.learn.settings import METHODS, RefinePhase, TrainSettings
+from falsework.learn.settings import METHODS, Criterion, RefinePhase, TrainSettings
 from falsework.learn.train import TrainResult, train
 from falsework.search.shards import Shards, joined
-from falsework.search.tensor_judge import oracle_on
-from falsework.stability import Stability
+from falsework.search.tensor_judge import TensorOracle, oracle_on
+from falsework.stability import Stability, StabilitySettings
 
 TABLE_3: dict[str, tuple[float, float, float, float, float]] = {
     "bottle-12:2": (95.7, 86.5, 0.28, 97, 2),
@@ -95,7 +95,7 @@ def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, *
     target = TABLE_3.get(f"{row}:{robots}")
     minutes = options.minutes or (target[4] if target and options.device != "cpu" else 0.0)
     given: dict[str, Any] = {"robots": robots, "seed": seed, "minutes": minutes, "steps": options.steps}
-    given |= {"data": options.data, "widths": tuple(options.widths)}
+    given |= {"data": options.data, "widths": tuple(options.widths), "criterion": options.criterion}
     if options.method:
         given["method"] = options.method
     if options.policy:
@@ -145,27 +145,29 @@ def evaluated(
     """Success on all states of both sets, or on all pairs."""
     device = next(result.policy.parameters()).device
     filled = settings.resolved(assembly.part_count, device.type)
-    environment = Environment(assembly, settings.robots, device=device, clearance=settings.removable_only_if_clear)
+    oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
+    clearance = settings.removable_only_if_clear
+    environment = Environment(assembly, settings.robots, oracle=oracle, device=device, clearance=clearance)
     network: Any = Network(result.policy, filled.precision)
     if settings.policy.two_states or one_state:
         narrow = replace(filled, data="width64")
-        pairs = find_pairs(assembly, narrow, oracle_on(Stability(assembly), device), device=device)
+        pairs = find_pairs(assembly, narrow, oracle_on(oracle, device), device=device)
         sets: Any = {
             "train": (pairs.train.states, pairs.train.targets),
             "test": (pairs.test.states, pairs.test.targets),
         }
         network = OneState(network) if one_state else network
     else:
-        data = protocol(assembly, settings, str(device))
+        data = protocol(assembly, settings, oracle_on(oracle, device), str(device))
         sets = {"train": (data.train, None), "test": (data.test, None)}
     chosen = EvaluateSettings(states=options.states, search=options.search)
     return evaluate(environment, network, sets, chosen, shards=Shards.of_group())
 
 
-def protocol(assembly: Any, settings: TrainSettings, device: str) -> Dataset:
+def protocol(assembly: Any, settings: TrainSettings, oracle: TensorOracle, device: str) -> Dataset:
     """The two sets of the paper's protocol; the same states as in training, since the seed is."""
     task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
-    return build_dataset(assembly, task, DataSettings(seed=settings.data_seed), device=device)
+    return build_dataset(assembly, task, DataSettings(seed=settings.data_seed), oracle=oracle, device=device)
 
 
 def line(
@@ -183,6 +185,7 @@ def line(
         robots=settings.robots,
         seed=settings.seed,
         data=settings.data,
+        criterion=settings.criterion,
         method=settings.method,
         policy=result.policy.settings.kind,
         two_states=settings.policy.two_states,
@@ -299,6 +302,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=0.0, help="default: what the table allows")
     parser.add_argument("--steps", type=int, default=0, help="in place of minutes")
     parser.add_argument("--data", choices=("wide", "width64"), default="wide")
+    parser.add_argument("--criterion", choices=get_args(Criterion), default="contact", help="what stable means")
     parser.add_argument("--widths", nargs="*", type=int, default=[], help="of the wide searches")
     parser.add_argument("--method", choices=METHODS, default="")
     parser.add_argument("--imitation-steps", type=int, help="of imitation before the refinement; 0 for any number")

@@ -188,6 +188,7 @@ def test_a_deadline_is_kept_while_the_planner_hangs(live: Any) -> None:
         with contextlib.suppress(ProcessLookupError):  # a planner that hangs may have been replaced
             os.kill(planner, signal.SIGCONT)
     assert answer["outcome"] == "not_yet"
+    assert answer["criterion"] == live.pool.settings.criterion
     assert answer["plans"] == []
     assert answer["deadline_passed"]
     assert "200 ms" in answer["reason"]

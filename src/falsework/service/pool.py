@@ -25,6 +25,7 @@ from falsework.errors import FalseworkError, InputError
 from falsework.service.metrics import Metrics
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import NOT_YET, Done, Failed, Item, Kind, Ready, Recipe, refusal, work
+from falsework.stability.verdict import Criterion
 
 KINDS: tuple[Kind, ...] = get_args(Kind)
 START_SECONDS = 300.0
@@ -342,12 +343,13 @@ class Pool:
         if ticket.kind == "stability":
             _give(ticket, Reply(503, refusal(f"no verdict within {seconds:g} s; try again, or ask about fewer states")))
         else:
-            _give(ticket, Reply(200, not_yet(seconds)))
+            _give(ticket, Reply(200, not_yet(seconds, self.settings.criterion)))
 
 
-def not_yet(seconds: float) -> bytes:
+def not_yet(seconds: float, criterion: Criterion) -> bytes:
     """The answer to a request for a plan whose time is up: neither a plan nor a no."""
     record = {
+        "criterion": criterion,
         "outcome": NOT_YET,
         "decided_by": "nobody",
         "direction": None,
