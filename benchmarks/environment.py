@@ -39,9 +39,9 @@ from falsework.learn.policy_settings import PolicySettings
 from falsework.learn.ppo import PPO
 from falsework.learn.ppo_settings import PpoSettings
 from falsework.search import StateGraph
-from falsework.search.shards import Shards, joined
 from falsework.search.tensor_judge import oracle_on
 from falsework.stability import Stability
+from falsework.utils.distributed import Shards, joined
 
 
 @dataclass(frozen=True)

@@ -32,10 +32,10 @@ from states import find
 from falsework.assembly import Assembly, load_structure
 from falsework.search import BeamSearch, BeamSettings, StateGraph, Task
 from falsework.search.device_beam import DeviceBeam
-from falsework.search.shards import Shards, joined
 from falsework.search.tensor_judge import oracle_on
 from falsework.stability import Stability
 from falsework.stability.settings import EQUILIBRIUM
+from falsework.utils.distributed import Shards, joined
 
 TARGET = {("vault-62", 64): 2.0, ("vault-62", 1024): 15.0, ("dome-72", 64): 4.0}
 """Seconds asked for, with two robots on one H200."""

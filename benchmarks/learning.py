@@ -46,9 +46,9 @@ from falsework.learn.policy import Policy, transfer
 from falsework.learn.policy_settings import PolicySettings, recommended
 from falsework.learn.settings import METHODS, Criterion, RefinePhase, TrainSettings
 from falsework.learn.train import TrainResult, train
-from falsework.search.shards import Shards, joined
 from falsework.search.tensor_judge import TensorOracle, oracle_on
 from falsework.stability import Stability, StabilitySettings
+from falsework.utils.distributed import Shards, joined
 
 TABLE_3: dict[str, tuple[float, float, float, float, float]] = {
     "bottle-12:2": (95.7, 86.5, 0.28, 97, 2),

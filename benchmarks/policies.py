@@ -31,7 +31,7 @@ from falsework.learn.generalist import GeneralistSettings, fine_tune, train_gene
 from falsework.learn.policy import PolicySettings, make_policy, masked_log_probabilities
 from falsework.learn.policy_table import policy_table
 from falsework.learn.transfer import Budget, compare_networks, transfer_experiment
-from falsework.search.tensors import choose_device
+from falsework.utils.tensors import choose_device
 
 
 @dataclass(frozen=True)

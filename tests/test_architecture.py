@@ -17,6 +17,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "falsework"
 # From top to bottom: a room imports only from itself and from rooms before it.
 ROOMS = (
     "errors",
+    "utils",
     "geometry",
     "assembly",
     "stability",
@@ -28,7 +29,7 @@ ROOMS = (
     "interop",
     "cli",
 )
-CORE = ("errors", "geometry", "assembly", "stability", "search", "cli")
+CORE = ("errors", "utils", "geometry", "assembly", "stability", "search", "cli")
 
 # Distribution names whose import name differs.
 IMPORT_NAMES = {"python-fcl": "fcl"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from falsework.geometry.bits import intersect, pack, unpack
+from falsework.utils.bits import intersect, pack, unpack
 
 
 @pytest.mark.parametrize("members", [1, 7, 64, 65, 200])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from falsework.geometry import ContactSettings, clearance_table, find_contacts, load_meshes
-from falsework.geometry.bits import unpack
 from falsework.geometry.cover import Triangles
 from falsework.geometry.sweep import Sweeper
+from falsework.utils.bits import unpack
 
 TOLERANCE = 1e-4
 

@@ -15,7 +15,7 @@ from falsework.learn.policy_settings import PolicySettings
 from falsework.learn.ppo import PPO
 from falsework.learn.ppo_settings import PpoSettings
 from falsework.search import BeamSearch, BeamSettings, task_of
-from falsework.search.shards import joined
+from falsework.utils.distributed import joined
 
 
 def main() -> None:

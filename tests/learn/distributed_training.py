@@ -15,7 +15,7 @@ from falsework.learn.policy_settings import PolicySettings
 from falsework.learn.refine_settings import RefineSettings
 from falsework.learn.settings import ImitationSettings, ImproveRounds, RefinePhase, TrainSettings
 from falsework.learn.trainer import Trainer
-from falsework.search.shards import Shards, joined
+from falsework.utils.distributed import Shards, joined
 
 
 def main() -> None:

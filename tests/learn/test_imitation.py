@@ -20,7 +20,7 @@ from falsework.learn.policy_settings import PolicySettings  # noqa: E402
 from falsework.learn.settings import ImitationSettings, TrainSettings  # noqa: E402
 from falsework.learn.solved import SolvedStates  # noqa: E402
 from falsework.learn.watch import Memory, WatchedEnvironment  # noqa: E402
-from falsework.search.shards import Shards  # noqa: E402
+from falsework.utils.distributed import Shards  # noqa: E402
 
 SMALL = PolicySettings("mlp")
 

@@ -38,7 +38,7 @@ from falsework.learn.settings import (  # noqa: E402
 )
 from falsework.learn.train import TrainResult, train  # noqa: E402
 from falsework.learn.trainer import Trainer  # noqa: E402
-from falsework.search.archive import write_whole  # noqa: E402
+from falsework.utils.archive import write_whole  # noqa: E402
 
 SMALL = TrainSettings(
     method="search",

@@ -9,7 +9,7 @@ import numpy as np
 
 from falsework.search import BeamSettings, Direction, Task
 from falsework.search.device_beam import DeviceBeam
-from falsework.search.shards import Shards, joined
+from falsework.utils.distributed import Shards, joined
 
 PARTS = 18
 

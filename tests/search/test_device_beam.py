@@ -11,19 +11,19 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.errors import InputError
-from falsework.geometry.bits import pack
 from falsework.geometry.clearance import ClearanceTable
 from falsework.search import BeamSearch, BeamSettings, Direction, ExhaustiveSearch, Outcome, Route, StateGraph, Task
 from falsework.search.clustering import k_means
 from falsework.search.device_beam import DeviceBeam
 from falsework.search.devices import beam_search
 from falsework.search.hashing import StateHash
-from falsework.search.shards import Shards
 from falsework.search.tensor_clusters import find_centers
 from falsework.search.tensor_judge import HostOracle
 from falsework.search.tensor_rules import TensorRules
-from falsework.search.tensors import choose_device, mix, put, uniform
 from falsework.stability import Stability
+from falsework.utils.bits import pack
+from falsework.utils.distributed import Shards
+from falsework.utils.tensors import choose_device, mix, put, uniform
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[gpu]'")
 

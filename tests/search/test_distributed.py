@@ -11,7 +11,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[gpu]'")
 
-from falsework.search.shards import Shards, joined  # noqa: E402
+from falsework.utils.distributed import Shards, joined  # noqa: E402
 
 SCRIPT = Path(__file__).with_name("distributed_search.py")
 

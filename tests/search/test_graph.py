@@ -11,8 +11,8 @@ import pytest
 
 from falsework.errors import InputError
 from falsework.search import BeamSearch, BeamSettings, ExhaustiveSearch, StateGraph, Task
-from falsework.search.archive import read_archive, write_archive
 from falsework.search.graph import FORMAT
+from falsework.utils.archive import read_archive, write_archive
 
 
 @pytest.fixture

@@ -51,10 +51,10 @@ class MakeDataset(Command):
     def run(self, output: Output) -> Exit:
         """Search, compare, save."""
         from falsework.cli.arguments import parse_parts
-        from falsework.learn.door import check_torch
-        from falsework.search.shards import joined
         from falsework.search.tensor_judge import oracle_on
         from falsework.stability import Stability, StabilitySettings
+        from falsework.utils.distributed import joined
+        from falsework.utils.optional_packages import check_torch
 
         check_torch()
         from falsework.learn.data import DataSettings, build_dataset, task_for

@@ -59,7 +59,7 @@ class Evaluate(Command):
 
     def run(self, output: Output) -> Exit:
         """Load, play, count."""
-        from falsework.learn.door import check_torch
+        from falsework.utils.optional_packages import check_torch
 
         check_torch()
         from falsework.learn.checkpoint import load_run
@@ -67,9 +67,9 @@ class Evaluate(Command):
         from falsework.learn.evaluate import EvaluateSettings, evaluate
         from falsework.learn.hindsight import OneState
         from falsework.learn.imitation import Network
-        from falsework.search.shards import joined
         from falsework.search.tensor_judge import oracle_on
         from falsework.stability import Stability, StabilitySettings
+        from falsework.utils.distributed import joined
 
         if self.states is not None and self.states < 1:
             raise InputError(f"--states {self.states} leaves nothing to evaluate; give at least 1")

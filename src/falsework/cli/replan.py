@@ -120,7 +120,7 @@ class MakeReplan(Command):
         if self.structure.given():
             option = next(iter(self.structure.given()))
             raise InputError(f"--{option}: a run is for one structure as it was trained; leave the option out")
-        from falsework.learn.door import check_torch
+        from falsework.utils.optional_packages import check_torch
 
         check_torch()
         import torch

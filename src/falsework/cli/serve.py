@@ -73,7 +73,7 @@ class Serve(Command):
 
     def _load(self) -> tuple[Assembly, Path | None]:
         """The structure, and the run if there is one."""
-        from falsework.learn.door import check_torch
+        from falsework.utils.optional_packages import check_torch
 
         folder = Path(self.structure.spec)
         if not (folder / "run.json").is_file():

@@ -46,7 +46,7 @@ class Subject:
         """
         if run is None:
             return self
-        from falsework.learn.door import check_torch
+        from falsework.utils.optional_packages import check_torch
 
         check_torch()
         from falsework.learn.checkpoint import load_run
@@ -143,8 +143,8 @@ class SubjectOptions(LoadOptions):
 
     def _run(self, path: Path) -> Subject:
         from falsework.assembly.state import complete_state
-        from falsework.learn.door import check_torch
         from falsework.search.task import Direction
+        from falsework.utils.optional_packages import check_torch
         from falsework.viewer.timeline import Timeline
 
         check_torch()

@@ -73,7 +73,7 @@ class Train(Command):
 
     def run(self, output: Output) -> Exit:
         """Search, learn, save."""
-        from falsework.learn.door import check_torch
+        from falsework.utils.optional_packages import check_torch
 
         check_torch()
         from falsework.learn.data import task_for

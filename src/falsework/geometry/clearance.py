@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.geometry.bits import pack, unpack
 from falsework.geometry.contact import Contacts
 from falsework.geometry.directions import exit_directions
 from falsework.geometry.exhaustion import all_ways
 from falsework.geometry.mesh import TriangleMesh
 from falsework.geometry.sweep import Sweeper
+from falsework.utils.bits import pack, unpack
 
 Array = NDArray[np.float64]
 

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from falsework.geometry.bits import intersect, pack
 from falsework.geometry.boxes import box_pairs
 from falsework.geometry.collision import Body, shrink
 from falsework.geometry.cones import Cones, Pieces, cones_between
 from falsework.geometry.contact import Contacts
 from falsework.geometry.directions import sphere_directions
 from falsework.geometry.mesh import TriangleMesh
+from falsework.utils.bits import intersect, pack
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
-from falsework.search.archive import write_whole
 from falsework.search.task import Direction
+from falsework.utils.archive import write_whole
 from falsework.viewer.timeline import NOBODY, Timeline
 
 if TYPE_CHECKING:

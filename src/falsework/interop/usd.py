@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from falsework import __version__
 from falsework.interop.tracks import Track, Tracks, tracks_of
-from falsework.search.archive import write_whole
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.archive import write_whole
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
 from falsework.viewer.timeline import NOBODY
 

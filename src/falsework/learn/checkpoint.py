@@ -17,7 +17,7 @@ from falsework.errors import FalseworkError, InputError
 from falsework.learn import policy as policies
 from falsework.learn.policy import Policy, make_policy
 from falsework.learn.settings import TrainSettings, from_json
-from falsework.search.archive import write_whole
+from falsework.utils.archive import write_whole
 
 FORMAT = "falsework.run/1"
 CHECKPOINT_FORMAT = "falsework.checkpoint/1"
@@ -172,7 +172,7 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
     Raises:
         InputError: no run, a damaged one, one of another version or structure, or no such device.
     """
-    from falsework.search.tensors import choose_device
+    from falsework.utils.tensors import choose_device
 
     folder = Path(folder)
     where = choose_device(device) if isinstance(device, str) else device

@@ -10,7 +10,7 @@ from falsework.errors import InputError
 from falsework.learn.distributed import gather_rows
 from falsework.learn.ppo_settings import CurriculumSettings
 from falsework.learn.rules import Rules
-from falsework.search.shards import Shards
+from falsework.utils.distributed import Shards
 
 _FAR = 0.75
 """Starts beyond this share of the horizon say whether the policy is ready to begin farther away."""

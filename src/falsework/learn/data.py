@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
-from falsework.search.archive import read_archive, write_archive
 from falsework.search.beam import BeamSettings
 from falsework.search.device_beam import DeviceBeam
 from falsework.search.graph import criterion_of, read_criterion
 from falsework.search.hashing import StateIndex
-from falsework.search.shards import Shards
 from falsework.search.task import Direction, Task
 from falsework.search.tensor_judge import TensorOracle, oracle_on
-from falsework.search.tensors import choose_device
 from falsework.stability.verdict import Criterion
+from falsework.utils.archive import read_archive, write_archive
+from falsework.utils.distributed import Shards
+from falsework.utils.tensors import choose_device
 
 if TYPE_CHECKING:
     import torch

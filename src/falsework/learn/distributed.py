@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import torch
 
-from falsework.search.shards import Shards
+from falsework.utils.distributed import Shards
 
 
 def average_gradients(parameters: Iterable[torch.nn.Parameter], shards: Shards) -> None:

@@ -16,8 +16,8 @@ from falsework.learn.rules import Rules
 from falsework.learn.verdict_table import VerdictTable
 from falsework.search.judge import Oracle
 from falsework.search.tensor_judge import HostOracle, TensorOracle, oracle_on, without_exact
-from falsework.search.tensors import choose_device, put
 from falsework.stability.oracle import Stability
+from falsework.utils.tensors import choose_device, put
 
 if TYPE_CHECKING:
     from falsework.learn.rollout import Policy, Rollouts

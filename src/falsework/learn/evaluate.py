@@ -14,8 +14,8 @@ from falsework.assembly.state import States
 from falsework.learn.distributed import summed
 from falsework.learn.environment import Environment
 from falsework.learn.rollout import Policy
-from falsework.search.shards import Shards
-from falsework.search.tensors import put
+from falsework.utils.distributed import Shards
+from falsework.utils.tensors import put
 
 Sets = Mapping[str, tuple[States, States | None]]
 """States, and targets if there are any, by the name of the set, such as `train` and `test`."""

@@ -16,8 +16,8 @@ from falsework.learn.data import search_states, task_for
 from falsework.learn.environment import Environment
 from falsework.learn.solved import SolvedStates
 from falsework.search.tensor_judge import HostOracle
-from falsework.search.tensors import choose_device
 from falsework.stability.oracle import Stability
+from falsework.utils.tensors import choose_device
 
 Draw = np.random.Generator
 

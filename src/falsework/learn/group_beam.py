@@ -9,7 +9,7 @@ import torch
 from falsework.learn.environment import Environment
 from falsework.learn.policy import masked_log_probabilities
 from falsework.learn.rollout import Policy, evaluate
-from falsework.search.tensors import place_in_group
+from falsework.utils.tensors import place_in_group
 
 _SPARE = 2
 """Candidates judged for each state that is kept, since some fall."""

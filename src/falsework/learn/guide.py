@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
-from falsework.learn.door import check_torch
 from falsework.search.task import Direction, Task
+from falsework.utils.optional_packages import check_torch
 
 if TYPE_CHECKING:
     import torch

@@ -20,7 +20,7 @@ from falsework.learn.settings import ImitationSettings
 from falsework.learn.solved import SolvedStates
 from falsework.learn.watch import Memory
 from falsework.learn.ways import TaskSource
-from falsework.search.shards import Shards
+from falsework.utils.distributed import Shards
 
 _LOW = -1e30
 """Stands for minus infinity where one would make NaN of a gradient."""

@@ -19,7 +19,7 @@ from falsework.learn.settings import TrainSettings
 from falsework.learn.solved import SolvedStates
 from falsework.learn.watch import WatchedEnvironment
 from falsework.learn.ways import TaskSource
-from falsework.search.shards import Shards
+from falsework.utils.distributed import Shards
 
 
 class Learner(Protocol):

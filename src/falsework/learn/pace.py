@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from falsework.learn.distributed import decided, summed
-from falsework.search.shards import Shards
+from falsework.utils.distributed import Shards
 
 _LONGEST = 0.05
 """Share of a run that one stretch of it may take."""

@@ -16,7 +16,7 @@ from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
 from falsework.search.graph import StateGraph
 from falsework.search.hashing import StateIndex
-from falsework.search.tensors import put
+from falsework.utils.tensors import put
 
 _WORD = 64
 _TARGETS = 1024

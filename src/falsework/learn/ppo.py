@@ -18,7 +18,7 @@ from falsework.learn.ppo_settings import PpoSettings
 from falsework.learn.rollout import Rollouts, play
 from falsework.learn.saved import load_saved, saved_tensors
 from falsework.learn.storage import Storage
-from falsework.search.shards import Shards
+from falsework.utils.distributed import Shards
 
 if TYPE_CHECKING:
     from falsework.learn.curriculum import Curriculum

@@ -22,7 +22,7 @@ from falsework.learn.refine_settings import RefineSettings
 from falsework.learn.saved import load_saved, saved_tensors
 from falsework.learn.solved import SolvedStates
 from falsework.learn.ways import TaskSource
-from falsework.search.shards import Shards
+from falsework.utils.distributed import Shards
 
 _FEWEST = 16
 """Rollouts of one collection, at least."""

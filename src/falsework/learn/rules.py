@@ -14,7 +14,7 @@ from falsework.errors import InputError, StateError
 from falsework.search.hashing import StateHash
 from falsework.search.task import STAGE, Clearance, Task
 from falsework.search.tensor_rules import WaysOut, hash_states
-from falsework.search.tensors import choose_device, put
+from falsework.utils.tensors import choose_device, put
 
 
 class Rules:

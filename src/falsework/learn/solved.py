@@ -7,7 +7,7 @@ import torch
 
 from falsework.learn.rules import Rules
 from falsework.search.hashing import StateHash
-from falsework.search.tensors import in_sorted, put
+from falsework.utils.tensors import in_sorted, put
 
 _CHUNK = 1 << 16
 """States hashed at once."""

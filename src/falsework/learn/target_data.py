@@ -15,13 +15,13 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.learn.data import Report, check_states, search_states
 from falsework.learn.pairs import Pairs, PairSource
-from falsework.search.archive import read_archive, write_archive
 from falsework.search.graph import StateGraph, criterion_of, read_criterion
 from falsework.search.many_beams import search_many
-from falsework.search.shards import Shards
 from falsework.search.task import Direction, Task
 from falsework.search.tensor_judge import TensorOracle, oracle_on, without_exact
-from falsework.search.tensors import choose_device
+from falsework.utils.archive import read_archive, write_archive
+from falsework.utils.distributed import Shards
+from falsework.utils.tensors import choose_device
 
 if TYPE_CHECKING:
     import torch

@@ -21,7 +21,7 @@ from falsework.learn.distributed import summed
 from falsework.learn.settings import TrainSettings
 from falsework.learn.trainer import Report, Trainer
 from falsework.learn.trainer import TrainResult as TrainResult
-from falsework.search.shards import joined
+from falsework.utils.distributed import joined
 
 
 def train(

@@ -38,11 +38,11 @@ from falsework.learn.refine import Refinement
 from falsework.learn.settings import TrainSettings, as_json
 from falsework.learn.solved import SolvedStates
 from falsework.learn.watch import WatchedEnvironment
-from falsework.search.shards import Shards
 from falsework.search.tensor_judge import oracle_on
-from falsework.search.tensors import put
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.distributed import Shards
+from falsework.utils.tensors import put
 
 Report = Callable[[float, str], None]
 """Told how far the run is, between 0 and 1, and words."""

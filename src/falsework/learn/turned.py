@@ -10,7 +10,7 @@ from falsework.assembly.state import States
 from falsework.learn.ways import TaskSource
 from falsework.search.hashing import StateHash
 from falsework.search.tensor_rules import hash_states
-from falsework.search.tensors import in_sorted, put
+from falsework.utils.tensors import in_sorted, put
 
 
 class TurnedTasks:

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import torch
 
 from falsework.learn.rules import Rules
-from falsework.search.tensors import mix
 from falsework.stability.verdict import Verdict
+from falsework.utils.tensors import mix
 
 _UNKNOWN, _STABLE = int(Verdict.UNDECIDED), int(Verdict.STABLE)
 _LEAST = 1 << 10

@@ -21,7 +21,7 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.graph import StateGraph
 from falsework.search.hashing import StateIndex
-from falsework.search.tensors import put
+from falsework.utils.tensors import put
 
 _TRIES = 8
 """Times that walks without an allowed start are walked again."""

@@ -14,9 +14,9 @@ from falsework.robots.builtin import BUILTIN, builtin_robot
 from falsework.robots.cell import Cell, CellRobot, Gripper, Margins, Obstacle, Placement
 from falsework.robots.model import RobotModel
 from falsework.robots.shapes import block, cylinder, move, pose
-from falsework.robots.table import Table, read_text
 from falsework.robots.urdf import load_urdf
 from falsework.robots.validate import check_cell
+from falsework.utils.toml_table import Table, read_text
 
 Array = NDArray[np.float64]
 

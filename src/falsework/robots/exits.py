@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
-from falsework.geometry.bits import pack, unpack
 from falsework.geometry.clearance import ClearanceTable
 from falsework.geometry.sweep import Sweeper, includes_one
+from falsework.utils.bits import pack, unpack
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.robots.robot_plan import RobotPlan, Trajectory
-from falsework.search.archive import write_whole
 from falsework.search.task import Direction
+from falsework.utils.archive import write_whole
 
 Array = NDArray[np.float64]
 Format = Literal["ros2-json", "ros2-yaml", "csv", "rapid"]

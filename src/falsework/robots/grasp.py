@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.errors import StateError
-from falsework.geometry.bits import intersect, pack
 from falsework.robots.cell import CellRobot, Gripper
 from falsework.robots.chain import make_obstacles
 from falsework.robots.collision import CLEAR, Bodies, Chain, Rules, make_work
 from falsework.robots.connect import check_many
 from falsework.robots.faces import Face, faces_of
 from falsework.robots.parts import PartShapes
+from falsework.utils.bits import intersect, pack
 
 Array = NDArray[np.float64]
 

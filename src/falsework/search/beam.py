@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
-from falsework.search.archive import read_archive, write_archive
 from falsework.search.frontier import Frontier, expand
 from falsework.search.guide import Guide
 from falsework.search.hashing import StateHash
@@ -30,6 +29,7 @@ from falsework.search.result import (
 )
 from falsework.search.selection import Selector
 from falsework.search.task import Direction, Task
+from falsework.utils.archive import read_archive, write_archive
 
 FORMAT = "falsework.beam/1"
 

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.search.archive import read_archive, write_archive
 from falsework.search.frontier import expand
 from falsework.search.guide import Guide
 from falsework.search.hashing import StateHash
 from falsework.search.judge import Judge, Oracle
 from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
 from falsework.search.task import Direction, Task
+from falsework.utils.archive import read_archive, write_archive
 
 FORMAT = "falsework.depth-first/1"
 

@@ -22,13 +22,13 @@ from falsework.search.result import (
     Stop,
     beam_failure,
 )
-from falsework.search.shards import Shards
 from falsework.search.task import Direction, Task
 from falsework.search.tensor_clusters import find_centers
 from falsework.search.tensor_judge import TensorJudge, TensorOracle
 from falsework.search.tensor_rules import TensorRules
-from falsework.search.tensors import import_torch, mix, place_in_group
 from falsework.stability.verdict import Verdict
+from falsework.utils.distributed import Shards
+from falsework.utils.tensors import import_torch, mix, place_in_group
 
 if TYPE_CHECKING:
     import torch

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from falsework.search.beam import BeamSearch, BeamSettings
 from falsework.search.device_beam import DeviceBeam
-from falsework.search.shards import joined
 from falsework.search.task import Task
 from falsework.search.tensor_judge import oracle_on
-from falsework.search.tensors import import_torch
+from falsework.utils.distributed import joined
+from falsework.utils.tensors import import_torch
 
 if TYPE_CHECKING:
     from falsework.stability.oracle import Stability

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
-from falsework.search.archive import read_archive, write_archive
 from falsework.search.hashing import StateHash, StateIndex, merge
 from falsework.search.result import Route
 from falsework.search.task import Direction, Task
 from falsework.stability.verdict import Criterion
+from falsework.utils.archive import read_archive, write_archive
 
 FORMAT = "falsework.graph/1"
 

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.search.shards import Shards
 from falsework.search.task import Direction, Task
 from falsework.search.tensor_judge import TensorJudge, TensorOracle
 from falsework.search.tensor_rules import TensorRules
-from falsework.search.tensors import import_torch, mix, place_in_group, uniform
 from falsework.stability.verdict import Verdict
+from falsework.utils.distributed import Shards
+from falsework.utils.tensors import import_torch, mix, place_in_group, uniform
 
 if TYPE_CHECKING:
     import torch

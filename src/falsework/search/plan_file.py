@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
 from falsework.errors import StateError
-from falsework.search.json_file import Reader, write_json
 from falsework.search.plan_replay import PlanReplay
 from falsework.search.task import Direction
 from falsework.stability.certificate import Claim
 from falsework.stability.contact.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Proof, Verdict
+from falsework.utils.json_file import Reader, write_json
 
 if TYPE_CHECKING:
     from falsework.search.plan import Plan

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
 from falsework.search.adaptive import AdaptiveBeam, AdaptiveSettings
-from falsework.search.archive import read_archive, write_archive
 from falsework.search.beam import BeamSearch
 from falsework.search.guide import Guide, NoveltyGuide
 from falsework.search.judge import Oracle
 from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
 from falsework.search.task import Direction, Task
+from falsework.utils.archive import read_archive, write_archive
 
 FORMAT = "falsework.planner/1"
 

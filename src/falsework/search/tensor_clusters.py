@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from falsework.search.tensors import import_torch, mix, uniform
+from falsework.utils.tensors import import_torch, mix, uniform
 
 if TYPE_CHECKING:
     import torch

@@ -6,8 +6,8 @@ from copy import copy
 from typing import TYPE_CHECKING, Protocol
 
 from falsework.search.judge import Oracle
-from falsework.search.shards import Shards
-from falsework.search.tensors import import_torch, put
+from falsework.utils.distributed import Shards
+from falsework.utils.tensors import import_torch, put
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED
-from falsework.geometry.bits import unpack
 from falsework.geometry.clearance import ClearanceTable
 from falsework.search.hashing import StateHash
 from falsework.search.task import Clearance, Direction, Task
-from falsework.search.tensors import import_torch, put
+from falsework.utils.bits import unpack
+from falsework.utils.tensors import import_torch, put
 
 if TYPE_CHECKING:
     import torch

@@ -244,7 +244,7 @@ def _load_policy(recipe: Recipe) -> tuple[Any, str]:
     """The policy of a run and what it is in words."""
     if recipe.run is None:
         return None, ""
-    from falsework.learn.door import check_torch
+    from falsework.utils.optional_packages import check_torch
 
     check_torch()
     import torch

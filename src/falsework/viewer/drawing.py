@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.search.archive import write_whole
+from falsework.utils.archive import write_whole
 from falsework.viewer.arrows import Arrows
 from falsework.viewer.look import look_at
 from falsework.viewer.palette import INK

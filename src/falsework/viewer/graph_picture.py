@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.errors import DependencyError
-from falsework.search.archive import write_whole
 from falsework.search.graph import StateGraph
+from falsework.utils.archive import write_whole
 from falsework.viewer.look import look_at
 from falsework.viewer.palette import INK, ROBOTS
 from falsework.viewer.timeline import Timeline

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NoReturn
 
 from falsework.errors import PlanError
-from falsework.search.archive import write_whole
+from falsework.utils.archive import write_whole
 
 
 def write_json(path: Path | str, data: Mapping[str, Any], spread: Container[str]) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from falsework.errors import InputError
-from falsework.search.tensors import choose_device, import_torch
+from falsework.utils.tensors import choose_device, import_torch
 
 if TYPE_CHECKING:
     import torch

@@ -1,0 +1,1 @@
+"""Tools without a domain: files, tensors, processes, optional packages."""
