@@ -12,7 +12,7 @@ import pytest
 from falsework.assembly import Assembly, load_assembly, load_structure, save_assembly
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry import ContactSettings, TriangleMesh
-from falsework.geometry.obj import obj_text
+from falsework.geometry.mesh.obj import obj_text
 
 FACES = np.array(
     [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),

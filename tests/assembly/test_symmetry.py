@@ -8,7 +8,7 @@ import pytest
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.model import ContactWarning
 from falsework.assembly.symmetry import _motions, _same_contacts, symmetries
-from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.stability import Stability
 from falsework.stability.settings import EQUILIBRIUM
 

@@ -10,8 +10,8 @@ import pytest
 
 from falsework.errors import InputError
 from falsework.geometry import ContactSettings, clearance_table, find_contacts, load_meshes
-from falsework.geometry.directions import exit_directions, sphere_directions
-from falsework.geometry.sweep import Sweeper
+from falsework.geometry.clearance.directions import exit_directions, sphere_directions
+from falsework.geometry.clearance.sweep import Sweeper
 
 TOLERANCE = 1e-4
 

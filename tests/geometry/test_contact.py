@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 
 from falsework.errors import InputError
 from falsework.geometry import Contacts, ContactSettings, find_contacts, load_meshes
-from falsework.geometry.collision import Body
+from falsework.geometry.mesh.collision import Body
 
 REAL = ["bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72"]
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from falsework.geometry import ContactSettings, clearance_table, find_contacts, load_meshes
-from falsework.geometry.cover import Triangles
-from falsework.geometry.sweep import Sweeper
+from falsework.geometry.clearance.cover import Triangles
+from falsework.geometry.clearance.sweep import Sweeper
 from falsework.utils.bits import unpack
 
 TOLERANCE = 1e-4
@@ -137,7 +137,7 @@ def test_quarters_of_triangles_make_up_the_whole():
 
 
 def test_says_for_which_parts_ways_may_be_missing(shapes, monkeypatch):
-    monkeypatch.setattr("falsework.geometry.exhaustion._SWEEPS", 0)
+    monkeypatch.setattr("falsework.geometry.clearance.exhaustion._SWEEPS", 0)
     table = table_of(slot(shapes)[0], 500)
     assert table.exact.tolist() == [False, False, True, True]
     assert table.doubt(np.array([False, False, True, True])) == ""

@@ -9,7 +9,7 @@ import pytest
 
 from falsework.errors import AssemblyError
 from falsework.geometry import ContactSettings, find_contacts
-from falsework.geometry.overlap import depth
+from falsework.geometry.contact.overlap import depth
 
 
 def test_depth_of_a_layer_is_its_thickness(shapes):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from falsework.geometry.polygon import newell_normal, triangulate
+from falsework.geometry.mesh.polygon import newell_normal, triangulate
 
 
 def star(corners: int, seed: int) -> np.ndarray:

@@ -9,7 +9,7 @@ from trimesh.exchange.stl import export_stl_ascii
 
 from falsework.errors import InputError, MeshError
 from falsework.geometry import load_meshes
-from falsework.geometry.obj import obj_text, read_obj
+from falsework.geometry.mesh.obj import obj_text, read_obj
 
 Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], float)
 """Turns z up into the y up of glTF."""

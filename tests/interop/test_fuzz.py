@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from falsework.assembly import Assembly, load_structure
 from falsework.errors import FalseworkError
-from falsework.geometry.obj import obj_text
+from falsework.geometry.mesh.obj import obj_text
 from falsework.interop.compas_read import load_compas
 from falsework.interop.compas_write import compas_of
 from falsework.interop.gltf import gltf_of

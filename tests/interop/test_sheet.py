@@ -72,7 +72,7 @@ def test_missing_parts_are_marked(arch: Assembly) -> None:
 
 
 def test_names_do_not_become_formulas() -> None:
-    from falsework.geometry.mesh import TriangleMesh
+    from falsework.geometry.mesh.mesh import TriangleMesh
 
     arch = load_structure("arch:blocks=3")
     names = ('=HYPERLINK("http://x")', "+1", "@a", "-b", "c,d")

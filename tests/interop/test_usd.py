@@ -92,7 +92,7 @@ def test_a_plan_moves_and_the_validators_have_nothing_to_say(
 
 
 def test_names_that_usd_does_not_allow(tmp_path: Path) -> None:
-    from falsework.geometry.mesh import TriangleMesh
+    from falsework.geometry.mesh.mesh import TriangleMesh
 
     arch = load_structure("arch:blocks=3")
     names = ('key "stone"\n', "surface", "3", "schlußstein", "physics")

@@ -12,8 +12,8 @@ from scipy.spatial import ConvexHull
 from falsework.assembly import load_structure
 from falsework.cli.main import main
 from falsework.errors import StateError
-from falsework.geometry.collision import inside
-from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.mesh.collision import inside
+from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.builtin import builtin_robot
 from falsework.robots.cell import CellRobot, Gripper, Placement
 from falsework.robots.decompose import convex_pieces

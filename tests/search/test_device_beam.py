@@ -11,7 +11,7 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.errors import InputError
-from falsework.geometry.clearance import ClearanceTable
+from falsework.geometry.clearance.table import ClearanceTable
 from falsework.search import BeamSearch, BeamSettings, Direction, ExhaustiveSearch, Outcome, Route, StateGraph, Task
 from falsework.search.clustering import k_means
 from falsework.search.device_beam import DeviceBeam

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import AssemblyError
-from falsework.geometry.clearance import ClearanceTable, clearance_table
-from falsework.geometry.collision import nearest
-from falsework.geometry.contact import Contacts, ContactSettings, find_contacts
-from falsework.geometry.mesh import MassProperties, TriangleMesh, mass_properties
+from falsework.geometry.clearance.table import ClearanceTable, clearance_table
+from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
+from falsework.geometry.mesh.collision import nearest
+from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
 
 DENSITY = 2400.0
 """Default density, kg/m3: concrete."""

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.errors import AssemblyError, InputError
-from falsework.geometry.contact import ContactSettings
-from falsework.geometry.obj import obj_text
-from falsework.geometry.read import load_meshes, unit_length
+from falsework.geometry.contact.interfaces import ContactSettings
+from falsework.geometry.mesh.obj import obj_text
+from falsework.geometry.mesh.read import load_meshes, unit_length
 
 FORMAT = "falsework.assembly/1"
 FILE = "assembly.json"

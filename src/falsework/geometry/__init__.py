@@ -1,10 +1,10 @@
 """Meshes in, numbers out: masses, contacts, clearance. Knows nothing of stability."""
 
-from falsework.geometry.clearance import ClearanceTable, clearance_table
-from falsework.geometry.contact import Contacts, ContactSettings, find_contacts
-from falsework.geometry.mesh import MassProperties, TriangleMesh, mass_properties
-from falsework.geometry.read import load_meshes
-from falsework.geometry.repair import RepairWarning, check_mesh
+from falsework.geometry.clearance.table import ClearanceTable, clearance_table
+from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
+from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
+from falsework.geometry.mesh.read import load_meshes
+from falsework.geometry.mesh.repair import RepairWarning, check_mesh
 
 __all__ = [
     "ClearanceTable",

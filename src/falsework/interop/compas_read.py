@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.errors import AssemblyError, InputError, MeshError
-from falsework.geometry.mesh import TriangleMesh
-from falsework.geometry.polygon import triangulate
-from falsework.geometry.read import unit_length
-from falsework.geometry.repair import check_mesh
+from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.polygon import triangulate
+from falsework.geometry.mesh.read import unit_length
+from falsework.geometry.mesh.repair import check_mesh
 
 LARGEST_FILE = 512 * 1024 * 1024
 """Bytes; a file beyond that is refused rather than read into memory."""

@@ -11,7 +11,7 @@ import torch
 from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.learn.data import search_states, task_for
 from falsework.learn.environment import Environment
 from falsework.learn.solved import SolvedStates

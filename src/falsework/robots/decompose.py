@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from falsework.geometry.collision import inside
-from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.mesh.collision import inside
+from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.shapes import Pieces, hull
 
 Array = NDArray[np.float64]

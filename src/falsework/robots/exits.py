@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
-from falsework.geometry.clearance import ClearanceTable
-from falsework.geometry.sweep import Sweeper, includes_one
+from falsework.geometry.clearance.sweep import Sweeper, includes_one
+from falsework.geometry.clearance.table import ClearanceTable
 from falsework.utils.bits import pack, unpack
 
 Array = NDArray[np.float64]

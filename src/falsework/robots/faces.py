@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 

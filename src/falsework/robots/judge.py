@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from falsework.errors import DependencyError
-from falsework.geometry.collision import shrink
-from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.mesh.collision import shrink
+from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.cell import Cell
 from falsework.robots.parts import PartShapes
 from falsework.robots.shapes import inverse_pose

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.cell import Placement
 from falsework.robots.decompose import convex_pieces
 from falsework.robots.shapes import Pieces, move, move_pieces

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED
-from falsework.geometry.clearance import ClearanceTable
+from falsework.geometry.clearance.table import ClearanceTable
 from falsework.search.hashing import StateHash
 from falsework.search.task import Clearance, Direction, Task
 from falsework.utils.bits import unpack

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from falsework.assembly.library import build, structures
-from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh
 
 NAMES = [entry.name for entry in structures()]
 SPECS = [

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 

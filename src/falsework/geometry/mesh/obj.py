@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import MeshError
-from falsework.geometry.mesh import TriangleMesh
-from falsework.geometry.polygon import triangulate
+from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.polygon import triangulate
 
 
 def read_obj(file: Path) -> list[tuple[str, NDArray[np.float64], NDArray[np.int64]]]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from falsework.geometry.patches import Patches
+from falsework.geometry.contact.patches import Patches
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.geometry.contact import Contacts
-from falsework.geometry.directions import exit_directions
-from falsework.geometry.exhaustion import all_ways
-from falsework.geometry.mesh import TriangleMesh
-from falsework.geometry.sweep import Sweeper
+from falsework.geometry.clearance.directions import exit_directions
+from falsework.geometry.clearance.exhaustion import all_ways
+from falsework.geometry.clearance.sweep import Sweeper
+from falsework.geometry.contact.interfaces import Contacts
+from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.utils.bits import pack, unpack
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.cones import Cones
+from falsework.geometry.clearance.cones import Cones
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from falsework.geometry.boxes import iterate_box_pairs
-from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.mesh.boxes import iterate_box_pairs
+from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 

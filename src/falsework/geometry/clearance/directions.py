@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.contact import Contacts
+from falsework.geometry.contact.interfaces import Contacts
 
 Array = NDArray[np.float64]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.geometry.cover import DEEPEST, Triangles, uncovered
-from falsework.geometry.sweep import Sweeper, Ways
+from falsework.geometry.clearance.cover import DEEPEST, Triangles, uncovered
+from falsework.geometry.clearance.sweep import Sweeper, Ways
 
 _SWEEPS = 192
 """Directions that are swept for one part before it is given up."""

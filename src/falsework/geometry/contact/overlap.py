@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import AssemblyError
-from falsework.geometry.boxes import box_pairs
-from falsework.geometry.collision import Body, inside, shrink
-from falsework.geometry.mesh import TriangleMesh
-from falsework.geometry.patches import face_patches
+from falsework.geometry.contact.patches import face_patches
+from falsework.geometry.mesh.boxes import box_pairs
+from falsework.geometry.mesh.collision import Body, inside, shrink
+from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 

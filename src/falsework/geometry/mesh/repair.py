@@ -11,9 +11,9 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import KDTree
 
 from falsework.errors import MeshError
-from falsework.geometry.collision import inside
-from falsework.geometry.mesh import TriangleMesh
-from falsework.geometry.polygon import newell_normal, triangulate
+from falsework.geometry.mesh.collision import inside
+from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.polygon import newell_normal, triangulate
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]

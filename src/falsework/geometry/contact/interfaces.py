@@ -11,11 +11,11 @@ import shapely
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.geometry.grouping import curved_groups, planes, segment_mean, segment_sum
-from falsework.geometry.mesh import TriangleMesh
-from falsework.geometry.narrow import Narrow, Reach, merged, narrow_places
-from falsework.geometry.overlap import check_overlap
-from falsework.geometry.patches import Patches, face_patches, frames_of
+from falsework.geometry.contact.grouping import curved_groups, planes, segment_mean, segment_sum
+from falsework.geometry.contact.narrow_phase import Narrow, Reach, merged, narrow_places
+from falsework.geometry.contact.overlap import check_overlap
+from falsework.geometry.contact.patches import Patches, face_patches, frames_of
+from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 

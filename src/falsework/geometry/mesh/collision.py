@@ -8,7 +8,7 @@ import fcl
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 

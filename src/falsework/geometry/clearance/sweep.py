@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from falsework.geometry.boxes import box_pairs
-from falsework.geometry.collision import Body, shrink
-from falsework.geometry.cones import Cones, Pieces, cones_between
-from falsework.geometry.contact import Contacts
-from falsework.geometry.directions import sphere_directions
-from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.clearance.cones import Cones, Pieces, cones_between
+from falsework.geometry.clearance.directions import sphere_directions
+from falsework.geometry.contact.interfaces import Contacts
+from falsework.geometry.mesh.boxes import box_pairs
+from falsework.geometry.mesh.collision import Body, shrink
+from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.utils.bits import intersect, pack
 
 Array = NDArray[np.float64]

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.boxes import iterate_box_pairs
-from falsework.geometry.creases import Creases, Surface, expand, rises
-from falsework.geometry.mesh import TriangleMesh
+from falsework.geometry.contact.creases import Creases, Surface, expand, rises
+from falsework.geometry.mesh.boxes import iterate_box_pairs
+from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError, MeshError
-from falsework.geometry.mesh import TriangleMesh
-from falsework.geometry.obj import read_obj
-from falsework.geometry.repair import check_mesh
+from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.obj import read_obj
+from falsework.geometry.mesh.repair import check_mesh
 
 SUFFIXES = (".obj", ".stl", ".ply", ".glb")
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}

@@ -1,0 +1,1 @@
+"""Collision-free translations of a part out of a structure."""

@@ -1,0 +1,1 @@
+"""Contact patches between part meshes."""

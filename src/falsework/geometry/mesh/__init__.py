@@ -1,0 +1,1 @@
+"""Triangle meshes: reading, repair, collision queries."""
