@@ -31,9 +31,9 @@ from states import asked_states
 
 from falsework.assembly import Assembly, load_structure
 from falsework.stability import Criterion, Problem, StabilitySettings, Verdict, accept, build_problem
-from falsework.stability.contact.cpu import ContactSolver
-from falsework.stability.cpu import CpuSolver
-from falsework.stability.gpu import GpuSolver
+from falsework.stability.contact.solver import ContactSolver
+from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.shared_inverse import SharedInverse, SharedInverseSettings
 
 _MOST = 1 << 16

@@ -16,7 +16,7 @@ from falsework.learn.rollout import Rollouts, choose_actions, play  # noqa: E402
 from falsework.search import Direction, StateGraph, Task, find_plans, task_of  # noqa: E402
 from falsework.search.tensor_judge import DeviceOracle, HostOracle, without_exact  # noqa: E402
 from falsework.stability import Stability, StabilitySettings, Verdict, Verdicts  # noqa: E402
-from falsework.stability.exact import ExactSolver  # noqa: E402
+from falsework.stability.reference.clarabel import ExactSolver  # noqa: E402
 
 EQUILIBRIUM = StabilitySettings(criterion="equilibrium")
 """The criterion that the exact solver decides."""

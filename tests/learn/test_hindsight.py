@@ -12,7 +12,7 @@ from falsework.learn.environment import Environment  # noqa: E402
 from falsework.learn.hindsight import OneState, relabel  # noqa: E402
 from falsework.learn.pairs import sample_pairs  # noqa: E402
 from falsework.search import Direction, StateGraph, Task  # noqa: E402
-from falsework.stability.exact import ExactSolver  # noqa: E402
+from falsework.stability.reference.clarabel import ExactSolver  # noqa: E402
 
 
 def replay(bottle: Assembly, exact: ExactSolver, states, targets, actions) -> None:

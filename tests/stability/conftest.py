@@ -22,8 +22,8 @@ from scipy.optimize import linprog
 from falsework.assembly.model import Assembly
 from falsework.geometry import TriangleMesh
 from falsework.stability import StabilitySettings, build_problem
-from falsework.stability.gpu import GpuSolver
-from falsework.stability.gpu_driver import kernel_source
+from falsework.stability.gpu.driver import kernel_source
+from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.settings import EQUILIBRIUM
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")

@@ -17,7 +17,7 @@ from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.stability import Claim, ExactSolver, Stability, StabilitySettings, Verdict, Verdicts, accept
 from falsework.stability.certificate import residual_bound_of_velocity, residual_of_forces
-from falsework.stability.program import into_cone
+from falsework.stability.reference.conic_program import into_cone
 
 CONES = ("octagon", "quadratic")
 

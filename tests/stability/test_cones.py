@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from falsework.stability.cones import OCTAGON, QUADRATIC, project, project_derivative, support
-from falsework.stability.program import into_cone
+from falsework.stability.cpu.cones import OCTAGON, QUADRATIC, project, project_derivative, support
+from falsework.stability.reference.conic_program import into_cone
 
 BOTH = pytest.mark.parametrize("cone", [OCTAGON, QUADRATIC])
 NUMBER = st.floats(-10, 10, allow_nan=False, allow_subnormal=False)

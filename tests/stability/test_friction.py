@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from falsework.assembly import library
 from falsework.assembly.model import Assembly
 from falsework.stability import ExactSolver, Stability, StabilitySettings, Verdict, accept, build_problem
-from falsework.stability.cpu import CpuSolver
+from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import Cone
 from falsework.stability.settings import CpuSettings, GpuSettings
 

@@ -15,10 +15,10 @@ from falsework.assembly import library, load_structure
 from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
 from falsework.stability import Solver, Stability, StabilitySettings, Verdict, accept, build_problem, oracle
-from falsework.stability.cpu import CpuSolver
-from falsework.stability.gpu import GpuSolver, MemoryWarning
-from falsework.stability.gpu_driver import KERNELS, CudaDriver, compile_kernel
-from falsework.stability.gpu_layout import build_layout
+from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.gpu.driver import KERNELS, CudaDriver, compile_kernel
+from falsework.stability.gpu.layout import build_layout
+from falsework.stability.gpu.solver import GpuSolver, MemoryWarning
 from falsework.stability.settings import EQUILIBRIUM, GpuSettings
 
 SMALL = ("arch:blocks=7", "wall:bricks=3,courses=3", "corbel", "bottle", "polycube")

@@ -15,9 +15,9 @@ from falsework.assembly import library, load_structure
 from falsework.assembly.model import Assembly
 from falsework.search.tensor_judge import DeviceOracle
 from falsework.stability import Proof, Stability, StabilitySettings, Verdict, accept, build_problem
-from falsework.stability.contact.cpu import ContactSolver
-from falsework.stability.cpu import CpuSolver
-from falsework.stability.gpu import GpuSolver
+from falsework.stability.contact.solver import ContactSolver
+from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.settings import EQUILIBRIUM, GpuSettings
 
 CONTACT = StabilitySettings()

@@ -8,7 +8,7 @@ import pytest
 from falsework.assembly import Assembly
 from falsework.assembly.library.blocks import box, gather
 from falsework.stability import Stability, StabilitySettings, Verdict
-from falsework.stability.contact.cpu import ContactSolver
+from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.motion import motion_of
 
 

@@ -13,12 +13,12 @@ from falsework.assembly import library
 from falsework.assembly.model import Assembly
 from falsework.errors import AssemblyError, InputError
 from falsework.stability import CpuSettings, ExactSolver, StabilitySettings, build_problem
-from falsework.stability.admm import factor_admm
-from falsework.stability.cpu import CpuSolver
-from falsework.stability.elimination import eliminate, factor, solve
+from falsework.stability.cpu.admm import factor_admm
+from falsework.stability.cpu.elimination import eliminate, factor, solve
+from falsework.stability.cpu.layout import add_wrenches, build_structure, make_work, restrict
+from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import Problem
-from falsework.stability.program import wrench_matrix
-from falsework.stability.structure import add_wrenches, build_structure, make_work, restrict
+from falsework.stability.reference.conic_program import wrench_matrix
 
 STRUCTURES = ("arch:blocks=7", "wall:bricks=3,courses=3", "dome")
 

@@ -24,7 +24,7 @@ from falsework.stability import (
     build_problem,
 )
 from falsework.stability.certificate import Claim, residual_bound_of_velocity, residual_of_forces
-from falsework.stability.cpu import CpuSolver
+from falsework.stability.cpu.solver import CpuSolver
 
 CONES = ("octagon", "quadratic")
 SCALES = tuple(10.0**power for power in range(-3, 4))

@@ -14,8 +14,8 @@ from falsework.assembly.state import HELD, States, action_mask, apply_actions, h
 from falsework.errors import PlanError
 from falsework.search.task import Direction
 from falsework.stability.certificate import Claim, accept, residual_of_displacement, residual_of_forces
-from falsework.stability.exact import ExactSolver
 from falsework.stability.oracle import Stability
+from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdicts
 

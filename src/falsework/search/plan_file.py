@@ -19,7 +19,7 @@ from falsework.errors import StateError
 from falsework.search.plan_replay import PlanReplay
 from falsework.search.task import Direction
 from falsework.stability.certificate import Claim
-from falsework.stability.contact.stiffness import TANGENTIAL_RATIO
+from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import Reader, write_json
 

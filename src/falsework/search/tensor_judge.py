@@ -67,7 +67,7 @@ class DeviceOracle:
             DependencyError: what the solver needs is not installed.
             InputError: no such device.
         """
-        from falsework.stability.gpu import GpuSolver
+        from falsework.stability.gpu.solver import GpuSolver
 
         self.holds_keep_stable = oracle.holds_keep_stable
         self._solver = GpuSolver(oracle.assembly, oracle.problem, oracle.settings, str(device))

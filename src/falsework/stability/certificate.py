@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.stability.contact.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
+from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
 from falsework.stability.verdict import Criterion, Verdict, Verdicts
 
 Array = NDArray[np.float64]

@@ -14,13 +14,13 @@ from falsework.assembly.state import States, as_states
 from falsework.errors import InputError
 from falsework.stability.cache import VerdictCache
 from falsework.stability.certificate import accept
-from falsework.stability.contact.cpu import ContactSolver
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.cpu import CpuSolver
-from falsework.stability.exact import ExactSolver
-from falsework.stability.gpu import GpuSolver
-from falsework.stability.gurobi import GurobiSolver
+from falsework.stability.contact.solver import ContactSolver
+from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.problem import build_problem
+from falsework.stability.reference.clarabel import ExactSolver
+from falsework.stability.reference.gurobi import GurobiSolver
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from falsework.errors import InputError
 from falsework.stability.certificate import Claim
-from falsework.stability.contact.stiffness import TANGENTIAL_RATIO
 from falsework.stability.problem import FORCE_BOUND, TOLERANCE, Cone
+from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Criterion
 
 SolverName = Literal["auto", "cpu", "gpu", "exact", "gurobi"]

@@ -25,7 +25,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states
 from falsework.errors import DependencyError, InputError
 from falsework.stability.problem import Problem, build_problem
-from falsework.stability.program import block_diagonal, wrench_matrix
+from falsework.stability.reference.conic_program import block_diagonal, wrench_matrix
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts
 

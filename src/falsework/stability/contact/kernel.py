@@ -16,10 +16,10 @@ from falsework.stability.contact.newton import (
     ContactStructure,
     find_rest,
 )
-from falsework.stability.contact.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
-from falsework.stability.judge import MARGIN
+from falsework.stability.cpu.layout import restrict, set_gravity
+from falsework.stability.cpu.termination import MARGIN
 from falsework.stability.problem import Problem
-from falsework.stability.structure import restrict, set_gravity
+from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
 
 
 class ContactOptions(NamedTuple):

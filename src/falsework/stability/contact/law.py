@@ -15,7 +15,7 @@ import math
 
 import numba as nb
 
-from falsework.stability.cones import QUADRATIC
+from falsework.stability.cpu.cones import QUADRATIC
 
 _C = math.cos(math.pi / 8)
 _S = math.sin(math.pi / 8)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
-from falsework.stability.structure import FAST
+from falsework.stability.cpu.layout import FAST
 
 
 @nb.njit(fastmath=True)

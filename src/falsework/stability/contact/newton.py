@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from falsework.stability.contact.law import contact_force, gauge, gauge_gradient
 from falsework.stability.contact.lu import add_pair, factor_lu, solve_lu
-from falsework.stability.structure import FAST, clear_matrix, pair_strain, pair_stress, point_strain
+from falsework.stability.cpu.layout import FAST, clear_matrix, pair_strain, pair_stress, point_strain
 
 RESTS, MOVES_AWAY, OPEN = 1, -1, 0
 

@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states
 from falsework.errors import InputError
-from falsework.stability.contact.cpu import ContactSolver
 from falsework.stability.contact.kernel import ContactOptions
 from falsework.stability.contact.newton import FIRST_STEP, OPEN, RESTS
 from falsework.stability.contact.replay_kernel import replay_range
-from falsework.stability.contact.stiffness import structure_size
+from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
+from falsework.stability.stiffness import structure_size
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import numba as nb
 from falsework.stability.contact.kernel import lacks_contact
 from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.newton import MOVES_AWAY, RESTS, evaluate, find_rest, make_contact_work
-from falsework.stability.structure import make_work, restrict, set_gravity
+from falsework.stability.cpu.layout import make_work, restrict, set_gravity
 
 
 @nb.njit(cache=True)

@@ -110,7 +110,7 @@ class KernelBatch(ctypes.Structure):
 
 @dataclass(frozen=True)
 class Layout:
-    """Arrays of one structure as the kernel reads them; see `Structure` in `gpu_source/common.cuh`."""
+    """Arrays of one structure as the kernel reads them; see `Structure` in `gpu/kernels/common.cuh`."""
 
     sizes: dict[str, int]
     arrays: dict[str, NDArray]

@@ -12,9 +12,9 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
-from falsework.stability.cpu_kernel import solve_state
-from falsework.stability.judge import UNDECIDED, UNSTABLE
-from falsework.stability.structure import make_work
+from falsework.stability.cpu.kernel import solve_state
+from falsework.stability.cpu.layout import make_work
+from falsework.stability.cpu.termination import UNDECIDED, UNSTABLE
 
 RINGS = (1, 3)
 """Contacts away from a changed part, tried in turn. Three rings or more alone gain only half as much."""

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
-from falsework.stability.cones import CONES
-from falsework.stability.contact.gpu_layout import add_contact
 from falsework.stability.contact.kernel import build_contact_structure
-from falsework.stability.gpu_driver import CudaDriver, Driver
-from falsework.stability.gpu_layout import KernelBatch, build_layout, kernel_options
+from falsework.stability.cpu.cones import CONES
+from falsework.stability.gpu.contact_layout import add_contact
+from falsework.stability.gpu.driver import CudaDriver, Driver
+from falsework.stability.gpu.layout import KernelBatch, build_layout, kernel_options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdicts, proof_of

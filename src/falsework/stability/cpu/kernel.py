@@ -8,10 +8,10 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
-from falsework.stability.admm import factor_admm, run_admm
-from falsework.stability.interior import run_interior
-from falsework.stability.judge import STABLE, UNDECIDED
-from falsework.stability.structure import make_work, restrict
+from falsework.stability.cpu.admm import factor_admm, run_admm
+from falsework.stability.cpu.interior_point import run_interior
+from falsework.stability.cpu.layout import make_work, restrict
+from falsework.stability.cpu.termination import STABLE, UNDECIDED
 
 
 @nb.njit(cache=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from falsework.stability.contact.newton import ContactStructure
-from falsework.stability.gpu_layout import Layout
+from falsework.stability.gpu.layout import Layout
 
 
 def add_contact(layout: Layout, structure: ContactStructure, gravity: float, ratio: float) -> Layout:

@@ -18,10 +18,9 @@ import math
 import numba as nb
 import numpy as np
 
-from falsework.stability.cones import OCTAGON
-from falsework.stability.elimination import factor, solve
-from falsework.stability.judge import UNDECIDED, judge
-from falsework.stability.structure import (
+from falsework.stability.cpu.cones import OCTAGON
+from falsework.stability.cpu.elimination import factor, solve
+from falsework.stability.cpu.layout import (
     FAST,
     add_wrenches,
     clear_matrix,
@@ -31,6 +30,7 @@ from falsework.stability.structure import (
     point_strain,
     set_gravity,
 )
+from falsework.stability.cpu.termination import UNDECIDED, judge
 
 _RAY_X = np.array([math.cos(k * math.pi / 4) for k in range(8)])
 _RAY_Y = np.array([math.sin(k * math.pi / 4) for k in range(8)])

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
-from falsework.stability.cpu_kernel import solve_range
-from falsework.stability.judge import Options
-from falsework.stability.neighbourhood import RINGS, solve_range_near
+from falsework.stability.cpu.kernel import solve_range
+from falsework.stability.cpu.layout import build_structure
+from falsework.stability.cpu.neighbourhood import RINGS, solve_range_near
+from falsework.stability.cpu.termination import Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
-from falsework.stability.structure import build_structure
 from falsework.stability.verdict import Solver, Verdicts, proof_of
 
 _TASK = 16

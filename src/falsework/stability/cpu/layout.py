@@ -8,8 +8,8 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.stability.cones import CONES
-from falsework.stability.elimination import Elimination, eliminate
+from falsework.stability.cpu.cones import CONES
+from falsework.stability.cpu.elimination import Elimination, eliminate
 from falsework.stability.problem import Problem
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}

@@ -18,7 +18,13 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states
 from falsework.stability.certificate import Claim, residual_bound_of_velocity, residual_of_forces
 from falsework.stability.problem import Problem, build_problem
-from falsework.stability.program import Program, into_cone, least_acceleration, least_squares, without_slip
+from falsework.stability.reference.conic_program import (
+    Program,
+    into_cone,
+    least_acceleration,
+    least_squares,
+    without_slip,
+)
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 

@@ -10,13 +10,13 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, States
 from falsework.stability.contact.kernel import ContactOptions, build_contact_structure, solve_contact_state
 from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, RESTS, make_contact_work
-from falsework.stability.cpu import Workers, kernel_options
-from falsework.stability.cpu_kernel import solve_state
-from falsework.stability.judge import STABLE, UNDECIDED, UNSTABLE
-from falsework.stability.neighbourhood import RINGS, fall_near
+from falsework.stability.cpu.kernel import solve_state
+from falsework.stability.cpu.layout import build_structure, make_work
+from falsework.stability.cpu.neighbourhood import RINGS, fall_near
+from falsework.stability.cpu.solver import Workers, kernel_options
+from falsework.stability.cpu.termination import STABLE, UNDECIDED, UNSTABLE
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
-from falsework.stability.structure import build_structure, make_work
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 _WARM_STEPS = 8

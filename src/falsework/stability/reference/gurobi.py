@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
-from falsework.stability.exact import ExactSolver
 from falsework.stability.problem import Problem
-from falsework.stability.program import Program, least_acceleration
+from falsework.stability.reference.clarabel import ExactSolver
+from falsework.stability.reference.conic_program import Program, least_acceleration
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver
 

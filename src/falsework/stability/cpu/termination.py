@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
-from falsework.stability.cones import support
-from falsework.stability.structure import FAST, add_wrenches, pair_strain, point_strain, set_gravity
+from falsework.stability.cpu.cones import support
+from falsework.stability.cpu.layout import FAST, add_wrenches, pair_strain, point_strain, set_gravity
 
 STABLE, UNSTABLE, UNDECIDED = 1, -1, 0
 MARGIN = 1e-3

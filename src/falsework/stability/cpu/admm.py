@@ -9,10 +9,9 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 
-from falsework.stability.cones import project
-from falsework.stability.elimination import factor, solve
-from falsework.stability.judge import UNDECIDED, judge
-from falsework.stability.structure import (
+from falsework.stability.cpu.cones import project
+from falsework.stability.cpu.elimination import factor, solve
+from falsework.stability.cpu.layout import (
     FAST,
     add_wrenches,
     clear_matrix,
@@ -21,6 +20,7 @@ from falsework.stability.structure import (
     point_strain,
     set_gravity,
 )
+from falsework.stability.cpu.termination import UNDECIDED, judge
 
 
 @nb.njit(fastmath=FAST, cache=True)

@@ -85,7 +85,7 @@ class Driver(Protocol):
 
 def kernel_source() -> str:
     """The whole source: C++17, for NVRTC or, with one thread a block, for any other compiler."""
-    folder = resources.files("falsework.stability.gpu_source")
+    folder = resources.files("falsework.stability.gpu.kernels")
     return "".join(f'#line 1 "{name}"\n{folder.joinpath(name).read_text(encoding="utf-8")}' for name in SOURCES)
 
 

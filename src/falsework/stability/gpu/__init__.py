@@ -1,0 +1,1 @@
+"""Verdicts on CUDA GPUs: one thread block a state."""

@@ -1,0 +1,1 @@
+"""Conic programs solved by Clarabel or Gurobi."""
