@@ -39,7 +39,7 @@ from falsework.learn.policy_settings import PolicySettings
 from falsework.learn.ppo import PPO
 from falsework.learn.ppo_settings import PpoSettings
 from falsework.search import StateGraph
-from falsework.search.tensor_judge import oracle_on
+from falsework.search.device.oracle import oracle_on
 from falsework.stability import Stability
 from falsework.utils.distributed import Shards, joined
 

@@ -31,8 +31,8 @@ from states import find
 
 from falsework.assembly import Assembly, load_structure
 from falsework.search import BeamSearch, BeamSettings, StateGraph, Task
-from falsework.search.device_beam import DeviceBeam
-from falsework.search.tensor_judge import oracle_on
+from falsework.search.device.beam import DeviceBeam
+from falsework.search.device.oracle import oracle_on
 from falsework.stability import Stability
 from falsework.stability.settings import EQUILIBRIUM
 from falsework.utils.distributed import Shards, joined

@@ -46,7 +46,7 @@ from falsework.learn.policy import Policy, transfer
 from falsework.learn.policy_settings import PolicySettings, recommended
 from falsework.learn.settings import METHODS, Criterion, RefinePhase, TrainSettings
 from falsework.learn.train import TrainResult, train
-from falsework.search.tensor_judge import TensorOracle, oracle_on
+from falsework.search.device.oracle import TensorOracle, oracle_on
 from falsework.stability import Stability, StabilitySettings
 from falsework.utils.distributed import Shards, joined
 

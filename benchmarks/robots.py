@@ -41,7 +41,7 @@ from falsework.robots.hybrid import HybridResult, HybridSettings, plan_robots
 from falsework.robots.keyframes import KeyframeGraph
 from falsework.robots.shapes import inverse_pose, pose
 from falsework.robots.validate import check_cell
-from falsework.search.guide import Guide
+from falsework.search.problem.guide import Guide
 from falsework.stability import Stability
 
 STRUCTURES = {

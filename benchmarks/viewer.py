@@ -21,7 +21,7 @@ import numpy as np
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.search import find_plans, task_of
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 from falsework.viewer.model import Model
 from falsework.viewer.page import Page
 from falsework.viewer.sheet import contact_sheet, one_state

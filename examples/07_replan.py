@@ -9,7 +9,7 @@ from falsework.assembly import load_structure
 from falsework.learn.difference import difference
 from falsework.learn.replan import Replanner
 from falsework.search import Task, find_plans
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 
 
 def main() -> None:

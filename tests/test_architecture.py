@@ -151,4 +151,4 @@ def test_the_check_sees_a_violation() -> None:
     )
     at_load = {name.split(".")[0] for name, _ in imported_at_load(tree)}
     assert at_load == {"typing", "gurobipy", "matplotlib"}
-    assert "falsework.search.plan" in {name for name, _ in imports(tree)}
+    assert "falsework.search.plans.plan" in {name for name, _ in imports(tree)}

@@ -14,7 +14,7 @@ from falsework.assembly import Assembly, load_structure
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.store import save_assembly
 from falsework.search import Plan
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 
 Run = Callable[..., Any]
 ARCH = load_structure("arch:blocks=5")

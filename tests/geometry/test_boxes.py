@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from falsework.geometry import boxes
+from falsework.geometry.mesh import boxes
 
 
 @pytest.mark.parametrize("stretch", [(1, 1, 1), (9, 0.4, 0.4), (0.4, 0.4, 9), (0.2, 3, 3)])

@@ -19,7 +19,7 @@ from falsework.interop.compas_read import load_compas
 from falsework.interop.compas_write import compas_of
 from falsework.interop.gltf import gltf_of
 from falsework.search import Plan
-from falsework.search.plan_file import to_json
+from falsework.search.plans.plan_file import to_json
 
 MANY = settings(
     max_examples=120,

@@ -18,7 +18,7 @@ from falsework.cli.main import main
 from falsework.errors import PlanError
 from falsework.interop.sheet import COLUMNS, sheet_csv, site_sheet, way_in_words
 from falsework.search import Plan, find_plans
-from falsework.search.task import Task
+from falsework.search.problem.task import Task
 
 
 def table(plan: Plan, assembly: Assembly) -> list[dict[str, str]]:

@@ -19,7 +19,7 @@ from falsework.learn.data import FORMAT, Dataset, DataSettings, build_dataset, t
 from falsework.learn.settings import TrainSettings  # noqa: E402
 from falsework.learn.train import train  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
-from falsework.search.tensor_judge import HostOracle  # noqa: E402
+from falsework.search.device.oracle import HostOracle  # noqa: E402
 from falsework.stability import Stability, StabilitySettings  # noqa: E402
 from falsework.utils.archive import read_archive, write_archive  # noqa: E402
 

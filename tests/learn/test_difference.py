@@ -12,9 +12,9 @@ from falsework.errors import PlanError
 from falsework.learn.difference import difference
 from falsework.learn.replan import Replanner
 from falsework.search import Plan
-from falsework.search.find import find_plans
+from falsework.search.find_plans import find_plans
 from falsework.search.planner import PlannerSettings
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 
 ARCH = load_structure("arch:blocks=7")
 

@@ -14,7 +14,7 @@ from falsework.errors import InputError, StateError  # noqa: E402
 from falsework.learn.environment import Environment  # noqa: E402
 from falsework.learn.rollout import Rollouts, choose_actions, play  # noqa: E402
 from falsework.search import Direction, StateGraph, Task, find_plans, task_of  # noqa: E402
-from falsework.search.tensor_judge import DeviceOracle, HostOracle, without_exact  # noqa: E402
+from falsework.search.device.oracle import DeviceOracle, HostOracle, without_exact  # noqa: E402
 from falsework.stability import Stability, StabilitySettings, Verdict, Verdicts  # noqa: E402
 from falsework.stability.reference.clarabel import ExactSolver  # noqa: E402
 

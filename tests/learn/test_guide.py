@@ -15,8 +15,8 @@ from falsework.learn.clock import Clock, TimedOracle, TimeUp
 from falsework.learn.guide import PolicyGuide
 from falsework.learn.policy import PolicySettings, make_policy
 from falsework.search import BeamSearch, BeamSettings
-from falsework.search.find import find_plans, task_of
-from falsework.search.task import Direction
+from falsework.search.find_plans import find_plans, task_of
+from falsework.search.problem.task import Direction
 from falsework.stability import Stability
 
 ARCH = load_structure("arch:blocks=5")

@@ -18,8 +18,8 @@ from falsework.learn.improve import improve, solve_all
 from falsework.learn.policy import PolicySettings, make_policy
 from falsework.learn.solved import SolvedStates
 from falsework.search import ExhaustiveSearch, StateGraph
-from falsework.search.find import task_of
-from falsework.search.task import Task
+from falsework.search.find_plans import task_of
+from falsework.search.problem.task import Task
 
 ARCH = load_structure("arch:blocks=5")
 

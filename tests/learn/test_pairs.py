@@ -12,7 +12,7 @@ from falsework.errors import InputError  # noqa: E402
 from falsework.learn.environment import Environment  # noqa: E402
 from falsework.learn.pairs import PairSource, sample_pairs  # noqa: E402
 from falsework.search import Direction, StateGraph, Task  # noqa: E402
-from falsework.search.hashing import StateIndex  # noqa: E402
+from falsework.search.problem.hashing import StateIndex  # noqa: E402
 
 
 def successors(graph: StateGraph, row: int) -> dict[int, int]:

@@ -20,7 +20,7 @@ from falsework.errors import FalseworkError, InputError, StateError
 from falsework.learn.replan import Decider, Replanner, ReplanSettings, Request, replan
 from falsework.search import ExhaustiveSearch, Outcome, find_plans
 from falsework.search.planner import Planner
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 from falsework.stability import Proof, Stability, StabilitySettings
 from falsework.stability.contact.replay import History, Replay, Replayer
 

@@ -16,7 +16,7 @@ from falsework.assembly.state import HELD, INSTALLED, REMOVED  # noqa: E402
 from falsework.errors import InputError, StateError  # noqa: E402
 from falsework.learn.rules import Rules  # noqa: E402
 from falsework.search import Direction, Task  # noqa: E402
-from falsework.search.hashing import StateHash  # noqa: E402
+from falsework.search.problem.hashing import StateHash  # noqa: E402
 
 STAGE = np.array([2, 0, 1])
 VALUES = np.array([INSTALLED, HELD, REMOVED], dtype=np.uint8)

@@ -15,10 +15,10 @@ from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn.data import task_for  # noqa: E402
 from falsework.learn.target_data import Searched, TargetDataSettings, target_dataset  # noqa: E402
-from falsework.search.hashing import StateIndex  # noqa: E402
-from falsework.search.many_beams import search_many  # noqa: E402
-from falsework.search.task import Direction, Task  # noqa: E402
-from falsework.search.tensor_judge import oracle_on  # noqa: E402
+from falsework.search.device.oracle import oracle_on  # noqa: E402
+from falsework.search.device.parallel_beams import search_many  # noqa: E402
+from falsework.search.problem.hashing import StateIndex  # noqa: E402
+from falsework.search.problem.task import Direction, Task  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
 

@@ -21,7 +21,7 @@ from falsework.learn.target_data import TargetDataSettings, target_dataset  # no
 from falsework.learn.turned import TurnedTasks  # noqa: E402
 from falsework.learn.ways import Ways  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
-from falsework.search.tensor_judge import HostOracle  # noqa: E402
+from falsework.search.device.oracle import HostOracle  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
 CPU = torch.device("cpu")

@@ -16,7 +16,7 @@ from falsework.learn.environment import Environment  # noqa: E402
 from falsework.learn.pairs import PairSource  # noqa: E402
 from falsework.learn.ways import Ways, _Reach  # noqa: E402
 from falsework.search import Direction, StateGraph  # noqa: E402
-from falsework.search.hashing import StateIndex  # noqa: E402
+from falsework.search.problem.hashing import StateIndex  # noqa: E402
 
 CPU = torch.device("cpu")
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from falsework.search import BeamSettings, Direction, Task
-from falsework.search.device_beam import DeviceBeam
+from falsework.search.device.beam import DeviceBeam
 from falsework.utils.distributed import Shards, joined
 
 PARTS = 18

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from falsework.search import Direction, Outcome, Task
-from falsework.search.adaptive import AdaptiveBeam, AdaptiveSettings
+from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 
 
 def misled(states: Any, actions: Any, direction: Direction) -> Any:

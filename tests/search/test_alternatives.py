@@ -11,8 +11,8 @@ from scipy.stats import kendalltau
 
 from falsework.errors import InputError
 from falsework.search import Alternatives, Direction, ExhaustiveSearch, Route, StateGraph, Task, choose_alternatives
-from falsework.search.alternatives import order_distance, state_distance
-from falsework.search.guide import NoveltyGuide
+from falsework.search.plans.alternatives import order_distance, state_distance
+from falsework.search.problem.guide import NoveltyGuide
 
 
 def full_graph(rules: Any, seed: int, parts: int, robots: int = 2) -> StateGraph:

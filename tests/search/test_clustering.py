@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.cluster.vq import kmeans2
 
-from falsework.search.clustering import k_means
+from falsework.search.beam.k_means import k_means
 
 
 def test_separated_clusters_are_found() -> None:

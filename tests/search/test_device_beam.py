@@ -13,13 +13,13 @@ from falsework.assembly import load_structure
 from falsework.errors import InputError
 from falsework.geometry.clearance.table import ClearanceTable
 from falsework.search import BeamSearch, BeamSettings, Direction, ExhaustiveSearch, Outcome, Route, StateGraph, Task
-from falsework.search.clustering import k_means
-from falsework.search.device_beam import DeviceBeam
-from falsework.search.devices import beam_search
-from falsework.search.hashing import StateHash
-from falsework.search.tensor_clusters import find_centers
-from falsework.search.tensor_judge import HostOracle
-from falsework.search.tensor_rules import TensorRules
+from falsework.search.backend import beam_search
+from falsework.search.beam.k_means import k_means
+from falsework.search.device.beam import DeviceBeam
+from falsework.search.device.k_means import find_centers
+from falsework.search.device.oracle import HostOracle
+from falsework.search.device.rules import TensorRules
+from falsework.search.problem.hashing import StateHash
 from falsework.stability import Stability
 from falsework.utils.bits import pack
 from falsework.utils.distributed import Shards

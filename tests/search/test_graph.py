@@ -11,7 +11,7 @@ import pytest
 
 from falsework.errors import InputError
 from falsework.search import BeamSearch, BeamSettings, ExhaustiveSearch, StateGraph, Task
-from falsework.search.graph import FORMAT
+from falsework.search.problem.state_graph import FORMAT
 from falsework.utils.archive import read_archive, write_archive
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from falsework.search.hashing import StateHash, StateIndex, merge
+from falsework.search.problem.hashing import StateHash, StateIndex, merge
 
 
 @given(st.integers(0, 2**32), st.integers(1, 30))

@@ -10,13 +10,13 @@ import pytest
 from falsework.assembly import load_structure
 from falsework.errors import InputError
 from falsework.search import Direction, StateGraph, Task
-from falsework.search import many_beams as module
-from falsework.search.tensor_judge import HostOracle
+from falsework.search.device import parallel_beams as module
+from falsework.search.device.oracle import HostOracle
 from falsework.stability import Stability
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[gpu]'")
 
-from falsework.search.many_beams import ManySearches, search_many  # noqa: E402
+from falsework.search.device.parallel_beams import ManySearches, search_many  # noqa: E402
 
 BOTH = pytest.mark.parametrize("direction", list(Direction))
 BOTTLE = load_structure("bottle")

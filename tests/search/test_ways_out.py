@@ -10,12 +10,12 @@ import pytest
 from falsework.assembly.model import Assembly
 from falsework.geometry import TriangleMesh
 from falsework.search import find_plans
-from falsework.search.beam import BeamSearch, BeamSettings
+from falsework.search.beam.beam import BeamSearch, BeamSettings
 from falsework.search.depth_first import DepthFirstSearch
 from falsework.search.exhaustive import ExhaustiveSearch
 from falsework.search.planner import Planner
-from falsework.search.result import Outcome
-from falsework.search.task import Direction, Task
+from falsework.search.problem.result import Outcome
+from falsework.search.problem.task import Direction, Task
 
 AXIS = np.array([0.237, 0.171, 1.0])
 FACES = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),

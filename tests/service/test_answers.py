@@ -12,8 +12,8 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from falsework.assembly.state import complete_state, empty_state
-from falsework.search.plan import Plan
-from falsework.search.plan_file import from_json, plan_schema
+from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_file import from_json, plan_schema
 from falsework.stability import Stability, StabilitySettings
 
 HALF = [1, 2, 0, 2, 1, 2, 2]

@@ -18,8 +18,8 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.cli.main import main
-from falsework.search.plan import Plan
-from falsework.search.plan_file import from_json
+from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_file import from_json
 
 TOKEN = "a-token-of-many-letters"
 

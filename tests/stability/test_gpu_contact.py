@@ -13,7 +13,7 @@ import pytest
 
 from falsework.assembly import library, load_structure
 from falsework.assembly.model import Assembly
-from falsework.search.tensor_judge import DeviceOracle
+from falsework.search.device.oracle import DeviceOracle
 from falsework.stability import Proof, Stability, StabilitySettings, Verdict, accept, build_problem
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver

@@ -16,7 +16,7 @@ from falsework.assembly import load_structure
 from falsework.cli.main import main
 from falsework.errors import InputError
 from falsework.search import Plan
-from falsework.search.graph import StateGraph
+from falsework.search.problem.state_graph import StateGraph
 from falsework.viewer.drawing import drawing, flat_axis, outlines
 from falsework.viewer.film import frame_places
 from falsework.viewer.graph_picture import covered, graph_figure, places_of
@@ -155,7 +155,7 @@ def test_frames_pass_every_state_and_end_at_the_end() -> None:
 def graph() -> StateGraph:
     """All states of an arch of four blocks."""
     from falsework.search.exhaustive import ExhaustiveSearch
-    from falsework.search.task import Task
+    from falsework.search.problem.task import Task
     from falsework.stability import Stability
 
     arch = load_structure("arch:blocks=4,thickness=0.3")

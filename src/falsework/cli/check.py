@@ -15,8 +15,8 @@ from falsework.errors import InputError
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
-    from falsework.search.plan import Plan
-    from falsework.search.plan_check import PlanReport
+    from falsework.search.plans.plan import Plan
+    from falsework.search.plans.plan_check import PlanReport
     from falsework.stability import StabilitySettings
     from falsework.stability.contact.replay import Replay
 
@@ -67,7 +67,7 @@ class CheckPlan(Command):
     def run(self, output: Output) -> Exit:
         """Load, compare, verify, replay."""
         from falsework.cli.loading import structure_of
-        from falsework.search.plan import Plan
+        from falsework.search.plans.plan import Plan
         from falsework.stability import StabilitySettings
 
         if self.by != "contact" and not self.replay:

@@ -51,7 +51,7 @@ class MakeDataset(Command):
     def run(self, output: Output) -> Exit:
         """Search, compare, save."""
         from falsework.cli.arguments import parse_parts
-        from falsework.search.tensor_judge import oracle_on
+        from falsework.search.device.oracle import oracle_on
         from falsework.stability import Stability, StabilitySettings
         from falsework.utils.distributed import joined
         from falsework.utils.optional_packages import check_torch

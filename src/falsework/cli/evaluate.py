@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from falsework.learn.data import Dataset
     from falsework.learn.evaluate import Sets
     from falsework.learn.policy import Policy
-    from falsework.search.tensor_judge import TensorOracle
+    from falsework.search.device.oracle import TensorOracle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +67,7 @@ class Evaluate(Command):
         from falsework.learn.evaluate import EvaluateSettings, evaluate
         from falsework.learn.hindsight import OneState
         from falsework.learn.imitation import Network
-        from falsework.search.tensor_judge import oracle_on
+        from falsework.search.device.oracle import oracle_on
         from falsework.stability import Stability, StabilitySettings
         from falsework.utils.distributed import joined
 

@@ -15,7 +15,7 @@ from falsework.errors import InputError
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
-    from falsework.search.plan import Plan
+    from falsework.search.plans.plan import Plan
 
 Format = Literal["folder", "glb", "gltf", "usd", "compas", "compas-assembly", "compas-dem"]
 
@@ -80,7 +80,7 @@ class Export(Command):
     def _load(self) -> tuple[Assembly, Plan | None]:
         """The structure, and the plan if one was named."""
         from falsework.cli.loading import structure_of
-        from falsework.search.plan import Plan
+        from falsework.search.plans.plan import Plan
 
         path = Path(self.structure.spec)
         if not _is_plan(path):

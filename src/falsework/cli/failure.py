@@ -13,7 +13,7 @@ from falsework.cli.motion import Motion, describe, motions
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
-    from falsework.search.result import SearchResult
+    from falsework.search.problem.result import SearchResult
     from falsework.stability import Stability
 
 LOOKED_AT = 16
@@ -63,8 +63,8 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
         oracle: decides which parts move in the states where the search broke off.
         result: end of the search.
     """
-    from falsework.search.result import Outcome
-    from falsework.search.task import Direction
+    from falsework.search.problem.result import Outcome
+    from falsework.search.problem.task import Direction
 
     proven = result.outcome is Outcome.PROVED_IMPOSSIBLE
     disassembly = result.direction is Direction.DISASSEMBLY

@@ -38,8 +38,8 @@ class MakeGraph(Command):
     def run(self, output: Output) -> Exit:
         """Search, connect, save."""
         from falsework.cli.failure import explain
-        from falsework.search.devices import beam_search
-        from falsework.search.graph import StateGraph
+        from falsework.search.backend import beam_search
+        from falsework.search.problem.state_graph import StateGraph
         from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)

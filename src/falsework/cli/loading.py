@@ -9,7 +9,7 @@ from falsework.errors import PlanError
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.search.plan import Plan
+    from falsework.search.plans.plan import Plan
 
 
 def load(spec: str, **options: Any) -> Assembly:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-    from falsework.search.result import SearchProgress
+    from falsework.search.problem.result import SearchProgress
 
 LOG_EVERY = 30.0
 """Seconds between two lines of progress where the error stream is no terminal."""

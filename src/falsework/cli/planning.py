@@ -16,8 +16,8 @@ from falsework.errors import InputError
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
-    from falsework.search.beam import BeamSettings
-    from falsework.search.task import Task
+    from falsework.search.beam.beam import BeamSettings
+    from falsework.search.problem.task import Task
     from falsework.stability import Stability
 
 
@@ -44,7 +44,7 @@ class TaskOptions:
         Raises:
             InputError: parts or states that the structure does not have; the message says what to do.
         """
-        from falsework.search.task import Task
+        from falsework.search.problem.task import Task
 
         return Task.create(
             assembly.boundary,
@@ -75,8 +75,8 @@ class SearchOptions:
         Raises:
             InputError: a width below one.
         """
-        from falsework.search.beam import BeamSettings
-        from falsework.search.task import Direction
+        from falsework.search.beam.beam import BeamSettings
+        from falsework.search.problem.task import Direction
 
         return BeamSettings(self.width, Direction(self.direction), seed=self.seed)
 

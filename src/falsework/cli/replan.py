@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.learn.answer import Replan
     from falsework.learn.request import Request
-    from falsework.search.plan import Plan
+    from falsework.search.plans.plan import Plan
     from falsework.stability import Stability
 
 SHOWN = 8
@@ -82,7 +82,7 @@ class MakeReplan(Command):
         """Ask, prove, compare, save."""
         from falsework.learn.difference import difference
         from falsework.learn.replan import Replanner
-        from falsework.search.plan import Plan
+        from falsework.search.plans.plan import Plan
         from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)
@@ -140,7 +140,7 @@ class MakeReplan(Command):
 
     def _request(self, assembly: Assembly, robots: int, clear: bool) -> Request:
         from falsework.learn.request import Request
-        from falsework.search.task import Direction
+        from falsework.search.problem.task import Direction
 
         return Request(
             parse_state(self.state, "--state", assembly),
@@ -187,7 +187,7 @@ class MakeReplan(Command):
         """Say why there is no plan, and what moves where the search broke off."""
         from falsework.cli.failure import explain
         from falsework.cli.motion import describe, motions
-        from falsework.search.result import Outcome
+        from falsework.search.problem.result import Outcome
         from falsework.stability.motion import motion_of
 
         moving = []

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from falsework.robots.cell import Cell
     from falsework.robots.hybrid import HybridResult
     from falsework.robots.robot_plan import RobotPlan
-    from falsework.search.guide import Guide
-    from falsework.search.task import Task
+    from falsework.search.problem.guide import Guide
+    from falsework.search.problem.task import Task
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +88,7 @@ class PlanRobots(Command):
         return self._report(result, output)
 
     def _task(self, assembly: Assembly, cell: Cell) -> Task:
-        from falsework.search.task import Task
+        from falsework.search.problem.task import Task
 
         return Task.create(
             assembly.boundary,
@@ -270,7 +270,7 @@ class ExportRobots(Command):
         """Load and write."""
         from falsework.robots.export import export_plan
         from falsework.robots.robot_plan import RobotPlan
-        from falsework.search.task import Direction
+        from falsework.search.problem.task import Direction
 
         plan = RobotPlan.load(self.plan)
         if self.assembly_order and plan.direction is Direction.DISASSEMBLY:

@@ -45,7 +45,7 @@ class MakeSheet(Command):
         from falsework.cli.loading import structure_of
         from falsework.cli.planning import writable
         from falsework.interop.sheet import sheet_csv, site_sheet, write_sheet
-        from falsework.search.plan import Plan
+        from falsework.search.plans.plan import Plan
 
         kind = self.out.suffix.lower()
         if kind not in (".pdf", ".csv"):

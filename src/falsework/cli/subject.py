@@ -15,8 +15,8 @@ from falsework.errors import InputError, PlanError
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.search.graph import StateGraph
-    from falsework.search.plan import Plan
+    from falsework.search.plans.plan import Plan
+    from falsework.search.problem.state_graph import StateGraph
     from falsework.stability.verdict import Criterion
     from falsework.viewer.arms import Arms
     from falsework.viewer.proof import StateProof
@@ -87,7 +87,7 @@ class SubjectOptions(LoadOptions):
             InputError: nothing that can be shown; the message says what to do.
         """
         from falsework.cli.loading import load
-        from falsework.search.task import Direction
+        from falsework.search.problem.task import Direction
         from falsework.viewer.timeline import Timeline
 
         path, direction = Path(self.spec), Direction(self.order)
@@ -115,7 +115,7 @@ class SubjectOptions(LoadOptions):
 
     def _plan(self, path: Path, direction: Any) -> Subject:
         from falsework.cli.loading import structure_of
-        from falsework.search.plan import Plan
+        from falsework.search.plans.plan import Plan
         from falsework.viewer.timeline import Timeline
 
         plan = Plan.load(path)
@@ -143,7 +143,7 @@ class SubjectOptions(LoadOptions):
 
     def _run(self, path: Path) -> Subject:
         from falsework.assembly.state import complete_state
-        from falsework.search.task import Direction
+        from falsework.search.problem.task import Direction
         from falsework.utils.optional_packages import check_torch
         from falsework.viewer.timeline import Timeline
 
@@ -166,7 +166,7 @@ class SubjectOptions(LoadOptions):
 
         from falsework.assembly.library import is_built_in
         from falsework.cli.loading import load
-        from falsework.search.graph import StateGraph
+        from falsework.search.problem.state_graph import StateGraph
         from falsework.viewer.timeline import Timeline, holders
 
         graph = StateGraph.load(path)

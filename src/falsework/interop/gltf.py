@@ -26,7 +26,7 @@ from falsework.viewer.timeline import NOBODY
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.geometry.mesh.mesh import TriangleMesh
-    from falsework.search.plan import Plan
+    from falsework.search.plans.plan import Plan
 
 Kind = Literal["glb", "gltf"]
 

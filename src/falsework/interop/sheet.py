@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 from falsework.utils.archive import write_whole
 from falsework.viewer.timeline import NOBODY, Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.search.plan import Plan
+    from falsework.search.plans.plan import Plan
 
 COLUMNS = (
     "step",

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
-from falsework.search.plan_check import check_identity
-from falsework.search.task import Direction
+from falsework.search.plans.plan_check import check_identity
+from falsework.search.problem.task import Direction
 from falsework.viewer.look import diagonal
 from falsework.viewer.timeline import NOBODY, holders, way_out
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.search.plan import Plan
+    from falsework.search.plans.plan import Plan
 
 Value = TypeVar("Value", bool, int)
 

@@ -25,7 +25,7 @@ from falsework.viewer.timeline import NOBODY
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.geometry.mesh.mesh import TriangleMesh
-    from falsework.search.plan import Plan
+    from falsework.search.plans.plan import Plan
 
 FRAMES = 24
 """Time codes a second."""

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.learn.replays import Replayed
-from falsework.search.plan import Plan
-from falsework.search.result import Outcome, SearchResult
-from falsework.search.task import Direction
+from falsework.search.plans.plan import Plan
+from falsework.search.problem.result import Outcome, SearchResult
+from falsework.search.problem.task import Direction
 from falsework.stability.verdict import Criterion
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from falsework.assembly.state import Mask, States
-from falsework.search.judge import Oracle
+from falsework.search.problem.oracle import Oracle
 from falsework.stability.verdict import Verdict, Verdicts
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ class TimedOracle:
         self._between = between or (lambda: None)
 
     def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """As `falsework.search.judge.Oracle`.
+        """As `falsework.search.problem.oracle.Oracle`.
 
         Raises:
             TimeUp: the clock has run out.

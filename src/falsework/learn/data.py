@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
-from falsework.search.beam import BeamSettings
-from falsework.search.device_beam import DeviceBeam
-from falsework.search.graph import criterion_of, read_criterion
-from falsework.search.hashing import StateIndex
-from falsework.search.task import Direction, Task
-from falsework.search.tensor_judge import TensorOracle, oracle_on
+from falsework.search.beam.beam import BeamSettings
+from falsework.search.device.beam import DeviceBeam
+from falsework.search.device.oracle import TensorOracle, oracle_on
+from falsework.search.problem.hashing import StateIndex
+from falsework.search.problem.state_graph import criterion_of, read_criterion
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Criterion
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.distributed import Shards

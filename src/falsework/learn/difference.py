@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import PlanError
-from falsework.search.plan import Plan
-from falsework.search.task import Direction
+from falsework.search.plans.plan import Plan
+from falsework.search.problem.task import Direction
 
 _NAMED = 5
 """Parts that the text names one by one, at most."""

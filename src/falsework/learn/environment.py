@@ -14,8 +14,8 @@ from falsework.assembly.model import Assembly
 from falsework.errors import StateError
 from falsework.learn.rules import Rules
 from falsework.learn.verdict_table import VerdictTable
-from falsework.search.judge import Oracle
-from falsework.search.tensor_judge import HostOracle, TensorOracle, oracle_on, without_exact
+from falsework.search.device.oracle import HostOracle, TensorOracle, oracle_on, without_exact
+from falsework.search.problem.oracle import Oracle
 from falsework.stability.oracle import Stability
 from falsework.utils.tensors import choose_device, put
 

@@ -14,13 +14,13 @@ from falsework.learn.answer import Decider
 from falsework.learn.clock import Clock
 from falsework.learn.guide import PolicyGuide
 from falsework.learn.job import Job
-from falsework.search.beam import BeamSearch, BeamSettings
+from falsework.search.beam.beam import BeamSearch, BeamSettings
 from falsework.search.exhaustive import ExhaustiveSearch
-from falsework.search.graph import StateGraph
-from falsework.search.guide import Guide
 from falsework.search.planner import Planner, PlannerSettings
-from falsework.search.result import Outcome, SearchResult, Stop
-from falsework.search.task import Direction
+from falsework.search.problem.guide import Guide
+from falsework.search.problem.result import Outcome, SearchResult, Stop
+from falsework.search.problem.state_graph import StateGraph
+from falsework.search.problem.task import Direction
 
 _PLAIN_LEVELS = 4
 """Levels of the plain search for each level of the one that the policy guides, which asks a network too. A count, not

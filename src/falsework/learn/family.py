@@ -15,7 +15,7 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.learn.data import search_states, task_for
 from falsework.learn.environment import Environment
 from falsework.learn.solved import SolvedStates
-from falsework.search.tensor_judge import HostOracle
+from falsework.search.device.oracle import HostOracle
 from falsework.stability.oracle import Stability
 from falsework.utils.tensors import choose_device
 

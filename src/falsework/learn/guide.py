@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
-from falsework.search.task import Direction, Task
+from falsework.search.problem.task import Direction, Task
 from falsework.utils.optional_packages import check_torch
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ _BATCH = 4096
 
 
 class PolicyGuide:
-    """Scores actions by the logarithm of the probability that a policy gives them; a `falsework.search.guide.Guide`.
+    """Scores actions by the logarithm of the probability that a policy gives them; a `falsework.search.problem.guide.Guide`.
 
     In disassembly that is the probability of the action in the state. In assembly an action is undone, and what counts
     is the probability with which the policy would take it from the state before: summed up along a way, both are the
@@ -84,7 +84,7 @@ class PolicyGuide:
         return self._seconds[nearest] * max(rows / 2 ** (nearest - 1), 1.0) ** 0.5
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float64]:
-        """As `falsework.search.guide.Guide`.
+        """As `falsework.search.problem.guide.Guide`.
 
         Raises:
             InputError: from the target, without a task.

@@ -20,9 +20,9 @@ from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States, as_states, describe_action
 from falsework.errors import DependencyError, InputError, StateError
-from falsework.search.graph import StateGraph
-from falsework.search.judge import Oracle
-from falsework.search.task import Direction, Task
+from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.state_graph import StateGraph
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 

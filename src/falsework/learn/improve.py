@@ -22,9 +22,9 @@ from falsework.learn.environment import Environment
 from falsework.learn.group_beam import search_from
 from falsework.learn.rollout import Policy, Rollouts
 from falsework.learn.solved import SolvedStates
-from falsework.search.guide import SupportGuide
 from falsework.search.planner import Planner, PlannerSettings
-from falsework.search.task import Task
+from falsework.search.problem.guide import SupportGuide
+from falsework.search.problem.task import Task
 
 _ROWS = 1 << 14
 """Rollouts whose states are in memory together."""

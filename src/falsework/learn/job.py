@@ -17,12 +17,12 @@ from falsework.learn.guide import PolicyGuide
 from falsework.learn.prover import Prover
 from falsework.learn.replays import TimedReplayer
 from falsework.learn.request import Request
-from falsework.search.alternatives import Alternatives, choose_alternatives
-from falsework.search.graph import StateGraph
-from falsework.search.plan import Plan
 from falsework.search.planner import insertion_steps
-from falsework.search.result import Outcome, Route, SearchResult
-from falsework.search.task import Direction, Task
+from falsework.search.plans.alternatives import Alternatives, choose_alternatives
+from falsework.search.plans.plan import Plan
+from falsework.search.problem.result import Outcome, Route, SearchResult
+from falsework.search.problem.state_graph import StateGraph
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdicts
 
 _SAMPLES_GPU, _SAMPLES_CPU = 16, 4

@@ -21,7 +21,7 @@ from falsework.learn.settings import TrainSettings
 from falsework.learn.target_data import Searched, TargetDataset, TargetDataSettings, target_dataset
 from falsework.learn.turned import TurnedTasks
 from falsework.learn.ways import TaskSource, Ways
-from falsework.search.tensor_judge import TensorOracle
+from falsework.search.device.oracle import TensorOracle
 from falsework.utils.distributed import Shards
 from falsework.utils.tensors import put
 

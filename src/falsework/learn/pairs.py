@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
-from falsework.search.graph import StateGraph
-from falsework.search.hashing import StateIndex
+from falsework.search.problem.hashing import StateIndex
+from falsework.search.problem.state_graph import StateGraph
 from falsework.utils.tensors import put
 
 _WORD = 64

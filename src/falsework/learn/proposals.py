@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.learn.guide import PolicyGuide
-from falsework.search.task import Direction, Task
+from falsework.search.problem.task import Direction, Task
 
 Stable = Callable[[NDArray[np.int64], States, States], Mask]
 """Which states stand: their tasks, shape (batch,), states and parents, shapes (batch, parts), to shape (batch,)."""

@@ -15,8 +15,8 @@ from falsework.learn.clock import Pace
 from falsework.learn.guide import PolicyGuide
 from falsework.learn.job import Job, Kit
 from falsework.learn.proposals import Rollout, roll_out
-from falsework.search.result import Route
-from falsework.search.task import Direction, Task
+from falsework.search.problem.result import Route
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
 
 _SHARE = 0.6

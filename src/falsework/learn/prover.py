@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, Mask, States, complete_state
-from falsework.search.find import plan_of
-from falsework.search.plan import Plan
-from falsework.search.result import Route
-from falsework.search.task import Task
+from falsework.search.find_plans import plan_of
+from falsework.search.plans.plan import Plan
+from falsework.search.problem.result import Route
+from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 

@@ -27,8 +27,8 @@ from falsework.learn.job import ReplanSettings as ReplanSettings
 from falsework.learn.propose import follow_greedily, follow_samples, with_time
 from falsework.learn.prover import Prover
 from falsework.learn.request import Request as Request
-from falsework.search.guide import Guide, SupportGuide
-from falsework.search.task import Direction
+from falsework.search.problem.guide import Guide, SupportGuide
+from falsework.search.problem.task import Direction
 from falsework.stability.oracle import Stability
 
 _END = object()

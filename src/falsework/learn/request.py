@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States, as_states, complete_state, held_count
 from falsework.errors import InputError, StateError
-from falsework.search.task import STAGE, Direction, Task
+from falsework.search.problem.task import STAGE, Direction, Task
 
 MOST_PLANS = 1000
 """Alternatives that can be asked for."""

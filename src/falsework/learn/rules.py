@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, as_states
 from falsework.errors import InputError, StateError
-from falsework.search.hashing import StateHash
-from falsework.search.task import STAGE, Clearance, Task
-from falsework.search.tensor_rules import WaysOut, hash_states
+from falsework.search.device.rules import WaysOut, hash_states
+from falsework.search.problem.hashing import StateHash
+from falsework.search.problem.task import STAGE, Clearance, Task
 from falsework.utils.tensors import choose_device, put
 
 

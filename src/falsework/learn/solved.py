@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from falsework.learn.rules import Rules
-from falsework.search.hashing import StateHash
+from falsework.search.problem.hashing import StateHash
 from falsework.utils.tensors import in_sorted, put
 
 _CHUNK = 1 << 16

@@ -15,10 +15,10 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.learn.data import Report, check_states, search_states
 from falsework.learn.pairs import Pairs, PairSource
-from falsework.search.graph import StateGraph, criterion_of, read_criterion
-from falsework.search.many_beams import search_many
-from falsework.search.task import Direction, Task
-from falsework.search.tensor_judge import TensorOracle, oracle_on, without_exact
+from falsework.search.device.oracle import TensorOracle, oracle_on, without_exact
+from falsework.search.device.parallel_beams import search_many
+from falsework.search.problem.state_graph import StateGraph, criterion_of, read_criterion
+from falsework.search.problem.task import Direction, Task
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.distributed import Shards
 from falsework.utils.tensors import choose_device

@@ -38,7 +38,7 @@ from falsework.learn.refine import Refinement
 from falsework.learn.settings import TrainSettings, as_json
 from falsework.learn.solved import SolvedStates
 from falsework.learn.watch import WatchedEnvironment
-from falsework.search.tensor_judge import oracle_on
+from falsework.search.device.oracle import oracle_on
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.distributed import Shards

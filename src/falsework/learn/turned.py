@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.learn.ways import TaskSource
-from falsework.search.hashing import StateHash
-from falsework.search.tensor_rules import hash_states
+from falsework.search.device.rules import hash_states
+from falsework.search.problem.hashing import StateHash
 from falsework.utils.tensors import in_sorted, put
 
 

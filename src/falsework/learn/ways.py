@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.search.graph import StateGraph
-from falsework.search.hashing import StateIndex
+from falsework.search.problem.hashing import StateIndex
+from falsework.search.problem.state_graph import StateGraph
 from falsework.utils.tensors import put
 
 _TRIES = 8

@@ -16,7 +16,7 @@ from falsework.robots.cell import Cell
 from falsework.robots.judge import Judge
 from falsework.robots.parts import place_parts
 from falsework.robots.robot_plan import RobotPlan, Trajectory
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

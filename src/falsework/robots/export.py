@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.robots.robot_plan import RobotPlan, Trajectory
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 from falsework.utils.archive import write_whole
 
 Array = NDArray[np.float64]

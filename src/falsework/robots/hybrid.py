@@ -29,9 +29,9 @@ from falsework.robots.proposals import Proposals
 from falsework.robots.ranking import Ease, Ranking
 from falsework.robots.robot_plan import RobotPlan
 from falsework.robots.schedule import make_robot_plan
-from falsework.search.guide import Guide, RememberingGuide
-from falsework.search.result import Outcome, Route, SearchResult
-from falsework.search.task import Task
+from falsework.search.problem.guide import Guide, RememberingGuide
+from falsework.search.problem.result import Outcome, Route, SearchResult
+from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
 
 _SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)

@@ -13,7 +13,7 @@ from falsework.errors import InputError, StateError
 from falsework.robots.cell import Cell
 from falsework.robots.exits import Exits
 from falsework.robots.keyframes import KeyframeGraph, Node
-from falsework.search.task import Task
+from falsework.search.problem.task import Task
 
 
 def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: Exits) -> Task:

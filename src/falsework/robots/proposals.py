@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, Mask, States
 from falsework.robots.rollouts import Taste, roll_out
-from falsework.search.adaptive import AdaptiveBeam, AdaptiveSettings
-from falsework.search.guide import Guide, SupportGuide
+from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.planner import Planner, PlannerSettings
-from falsework.search.result import Route, SearchResult, Stop
-from falsework.search.task import Direction, Task
+from falsework.search.problem.guide import Guide, SupportGuide
+from falsework.search.problem.result import Route, SearchResult, Stop
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import Stability
 
 _LEVELS = 8

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from falsework.assembly.state import Mask, States
 from falsework.robots.keyframes import KeyframeGraph, Node
 from falsework.robots.proposals import Proposals
-from falsework.search.guide import Guide
-from falsework.search.task import Direction
+from falsework.search.problem.guide import Guide
+from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from falsework.errors import PlanError
 from falsework.robots.robot_plan_file import read_robot_plan, write_robot_plan
-from falsework.search.plan import Plan
-from falsework.search.task import Direction
+from falsework.search.plans.plan import Plan
+from falsework.search.problem.task import Direction
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

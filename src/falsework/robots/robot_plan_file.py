@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.search.plan import Plan
-from falsework.search.plan_file import from_json as plan_from_json
-from falsework.search.plan_file import to_json as plan_to_json
+from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_file import from_json as plan_from_json
+from falsework.search.plans.plan_file import to_json as plan_to_json
 from falsework.utils.json_file import Reader, write_json
 
 if TYPE_CHECKING:

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
-from falsework.search.result import Route, Stop
-from falsework.search.task import Direction, Task
+from falsework.search.problem.result import Route, Stop
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import Stability
 
 Taste = Callable[[States, Mask], NDArray[np.floating]]
-"""Scores the actions that lead out of states, as a `falsework.search.guide.Guide` in disassembly."""
+"""Scores the actions that lead out of states, as a `falsework.search.problem.guide.Guide` in disassembly."""
 
 
 def roll_out(

@@ -14,9 +14,9 @@ from falsework.robots.keyframes import Edge, Leg, Node
 from falsework.robots.model import RobotModel
 from falsework.robots.robot_plan import Keyframe, RobotPlan, Step, Trajectory, cell_identity, records_of
 from falsework.robots.timing import time_path
-from falsework.search.find import plan_of
-from falsework.search.result import Route
-from falsework.search.task import Task
+from falsework.search.find_plans import plan_of
+from falsework.search.problem.result import Route
+from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
 
 Array = NDArray[np.float64]

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.search.frontier import expand
-from falsework.search.guide import Guide
-from falsework.search.hashing import StateHash
-from falsework.search.judge import Judge, Oracle
-from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
-from falsework.search.task import Direction, Task
+from falsework.search.beam.frontier import expand
+from falsework.search.problem.guide import Guide
+from falsework.search.problem.hashing import StateHash
+from falsework.search.problem.oracle import Judge, Oracle
+from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
+from falsework.search.problem.task import Direction, Task
 from falsework.utils.archive import read_archive, write_archive
 
 FORMAT = "falsework.depth-first/1"

@@ -7,11 +7,11 @@ from functools import cached_property
 from pathlib import Path
 
 from falsework.errors import InputError
-from falsework.search.beam import BeamSearch, BeamSettings
-from falsework.search.graph import StateGraph
-from falsework.search.judge import Oracle
-from falsework.search.result import Outcome, Progress, SearchResult, Stop
-from falsework.search.task import Direction, Task
+from falsework.search.beam.beam import BeamSearch, BeamSettings
+from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.result import Outcome, Progress, SearchResult, Stop
+from falsework.search.problem.state_graph import StateGraph
+from falsework.search.problem.task import Direction, Task
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
-from falsework.search.adaptive import AdaptiveBeam, AdaptiveSettings
-from falsework.search.beam import BeamSearch
-from falsework.search.guide import Guide, NoveltyGuide
-from falsework.search.judge import Oracle
-from falsework.search.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
-from falsework.search.task import Direction, Task
+from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
+from falsework.search.beam.beam import BeamSearch
+from falsework.search.problem.guide import Guide, NoveltyGuide
+from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
+from falsework.search.problem.task import Direction, Task
 from falsework.utils.archive import read_archive, write_archive
 
 FORMAT = "falsework.planner/1"

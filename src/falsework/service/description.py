@@ -13,7 +13,7 @@ from pydantic.json_schema import models_json_schema
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states, complete_state, empty_state
 from falsework.errors import StateError
-from falsework.search.plan_file import plan_schema
+from falsework.search.plans.plan_file import plan_schema
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import NOT_YET
 from falsework.stability.verdict import Criterion

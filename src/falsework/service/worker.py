@@ -20,8 +20,8 @@ import numpy as np
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.search.plan_file import to_json
-from falsework.search.result import Outcome
+from falsework.search.plans.plan_file import to_json
+from falsework.search.problem.result import Outcome
 from falsework.stability.motion import motion_of
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import CpuSettings, StabilitySettings

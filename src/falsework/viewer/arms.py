@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 from falsework.viewer.look import Look
 from falsework.viewer.palette import robot_color, unit_rgb
 from falsework.viewer.render import Solid

@@ -10,7 +10,7 @@ import numpy as np
 
 from falsework.assembly.state import INSTALLED, REMOVED, States, complete_state, empty_state
 from falsework.errors import InputError
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

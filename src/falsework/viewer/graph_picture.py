@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.errors import DependencyError
-from falsework.search.graph import StateGraph
+from falsework.search.problem.state_graph import StateGraph
 from falsework.utils.archive import write_whole
 from falsework.viewer.look import look_at
 from falsework.viewer.palette import INK, ROBOTS

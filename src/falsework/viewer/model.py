@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, States, action_mask
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
@@ -27,8 +27,8 @@ from falsework.viewer.timeline import NOBODY, Timeline
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.learn.guide import PolicyGuide
-    from falsework.search.graph import StateGraph
-    from falsework.search.plan import Plan
+    from falsework.search.plans.plan import Plan
+    from falsework.search.problem.state_graph import StateGraph
 
 _PROOFS = 64
 """Proofs of states that are remembered."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from falsework.errors import DependencyError, FalseworkError, InputError
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 from falsework.viewer.arms import bounds_with_arms
 from falsework.viewer.arrows import KINDS
 from falsework.viewer.disruption import Tool

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.state import HELD, REMOVED, Mask, States, as_states
-from falsework.search.plan_check import check_identity
-from falsework.search.task import Direction
+from falsework.search.plans.plan_check import check_identity
+from falsework.search.problem.task import Direction
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.search.plan import Plan
+    from falsework.search.plans.plan import Plan
 
 Array = NDArray[np.float64]
 

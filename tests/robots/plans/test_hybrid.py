@@ -18,7 +18,7 @@ from falsework.robots.keyframes import KeyframeSettings
 from falsework.robots.proposals import Proposals
 from falsework.robots.shapes import block
 from falsework.search import Direction, Task
-from falsework.search.guide import SupportGuide
+from falsework.search.problem.guide import SupportGuide
 from falsework.stability import Stability
 
 

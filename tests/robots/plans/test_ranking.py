@@ -13,7 +13,7 @@ from falsework.robots.keyframes import KeyframeGraph
 from falsework.robots.ranking import Ease
 from falsework.robots.rollouts import roll_out
 from falsework.search import Direction, Task
-from falsework.search.guide import RememberingGuide, SupportGuide
+from falsework.search.problem.guide import RememberingGuide, SupportGuide
 from falsework.stability import Stability
 
 ARCH = load_structure("arch:blocks=5")

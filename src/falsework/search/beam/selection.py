@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask
-from falsework.search.clustering import k_means
-from falsework.search.frontier import Frontier
-from falsework.search.judge import Judge
+from falsework.search.beam.frontier import Frontier
+from falsework.search.beam.k_means import k_means
+from falsework.search.problem.oracle import Judge
 
 Rows = NDArray[np.int64]
 Confirmed = Callable[[Rows], Mask]

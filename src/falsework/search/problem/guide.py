@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, Mask, States
-from falsework.search.result import Route
-from falsework.search.task import Direction
+from falsework.search.problem.result import Route
+from falsework.search.problem.task import Direction
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
-from falsework.search.beam import BeamSearch, BeamSettings
-from falsework.search.device_beam import DeviceBeam
-from falsework.search.task import Task
-from falsework.search.tensor_judge import oracle_on
+from falsework.search.beam.beam import BeamSearch, BeamSettings
+from falsework.search.device.beam import DeviceBeam
+from falsework.search.device.oracle import oracle_on
+from falsework.search.problem.task import Task
 from falsework.utils.distributed import joined
 from falsework.utils.tensors import import_torch
 

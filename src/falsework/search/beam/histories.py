@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import Mask, States
 
 if TYPE_CHECKING:
-    from falsework.search.beam import Level
+    from falsework.search.beam.beam import Level
     from falsework.stability.contact.replay import History, Replayer
 
 _BYTES = 256 << 20

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.search.task import Direction, Task
-from falsework.search.tensor_judge import TensorJudge, TensorOracle
-from falsework.search.tensor_rules import TensorRules
+from falsework.search.device.oracle import TensorJudge, TensorOracle
+from falsework.search.device.rules import TensorRules
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
 from falsework.utils.distributed import Shards
 from falsework.utils.tensors import import_torch, mix, place_in_group, uniform

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, States
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 
 
 class Outcome(StrEnum):

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
-from falsework.search.hashing import StateHash, StateIndex, merge
-from falsework.search.result import Route
-from falsework.search.task import Direction, Task
+from falsework.search.problem.hashing import StateHash, StateIndex, merge
+from falsework.search.problem.result import Route
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Criterion
 from falsework.utils.archive import read_archive, write_archive
 

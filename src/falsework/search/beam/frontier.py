@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States, held_count
-from falsework.search.hashing import Hashes, StateHash, merge
-from falsework.search.task import Direction, Task
+from falsework.search.problem.hashing import Hashes, StateHash, merge
+from falsework.search.problem.task import Direction, Task
 
 _CHUNK = 4096
 

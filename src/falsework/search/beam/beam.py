@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
-from falsework.search.frontier import Frontier, expand
-from falsework.search.guide import Guide
-from falsework.search.hashing import StateHash
-from falsework.search.histories import Histories
-from falsework.search.judge import Judge, Oracle
-from falsework.search.result import (
+from falsework.search.beam.frontier import Frontier, expand
+from falsework.search.beam.histories import Histories
+from falsework.search.beam.selection import Selector
+from falsework.search.problem.guide import Guide
+from falsework.search.problem.hashing import StateHash
+from falsework.search.problem.oracle import Judge, Oracle
+from falsework.search.problem.result import (
     Outcome,
     Progress,
     Route,
@@ -27,8 +28,7 @@ from falsework.search.result import (
     Stop,
     beam_failure,
 )
-from falsework.search.selection import Selector
-from falsework.search.task import Direction, Task
+from falsework.search.problem.task import Direction, Task
 from falsework.utils.archive import read_archive, write_archive
 
 FORMAT = "falsework.beam/1"

@@ -11,8 +11,11 @@ import numpy as np
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.search.beam import BeamSettings, Level
-from falsework.search.result import (
+from falsework.search.beam.beam import BeamSettings, Level
+from falsework.search.device.k_means import find_centers
+from falsework.search.device.oracle import TensorJudge, TensorOracle
+from falsework.search.device.rules import TensorRules
+from falsework.search.problem.result import (
     Outcome,
     Progress,
     Route,
@@ -22,10 +25,7 @@ from falsework.search.result import (
     Stop,
     beam_failure,
 )
-from falsework.search.task import Direction, Task
-from falsework.search.tensor_clusters import find_centers
-from falsework.search.tensor_judge import TensorJudge, TensorOracle
-from falsework.search.tensor_rules import TensorRules
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
 from falsework.utils.distributed import Shards
 from falsework.utils.tensors import import_torch, mix, place_in_group

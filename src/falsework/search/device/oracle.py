@@ -5,7 +5,7 @@ from __future__ import annotations
 from copy import copy
 from typing import TYPE_CHECKING, Protocol
 
-from falsework.search.judge import Oracle
+from falsework.search.problem.oracle import Oracle
 from falsework.utils.distributed import Shards
 from falsework.utils.tensors import import_torch, put
 

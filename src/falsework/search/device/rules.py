@@ -8,8 +8,8 @@ import numpy as np
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED
 from falsework.geometry.clearance.table import ClearanceTable
-from falsework.search.hashing import StateHash
-from falsework.search.task import Clearance, Direction, Task
+from falsework.search.problem.hashing import StateHash
+from falsework.search.problem.task import Clearance, Direction, Task
 from falsework.utils.bits import unpack
 from falsework.utils.tensors import import_torch, put
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, Mask, States
 from falsework.errors import PlanError
-from falsework.search.plan_check import PlanReport, check_identity, check_proofs, check_with_solver
-from falsework.search.plan_file import Need, needs_of, read_plan, write_plan
-from falsework.search.plan_replay import PlanReplay
-from falsework.search.result import Route
-from falsework.search.task import Direction, Task
+from falsework.search.plans.plan_check import PlanReport, check_identity, check_proofs, check_with_solver
+from falsework.search.plans.plan_file import Need, needs_of, read_plan, write_plan
+from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.problem.result import Route
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import Claim
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdicts

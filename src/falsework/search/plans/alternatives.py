@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
-from falsework.search.graph import StateGraph
-from falsework.search.result import Route, Stop
+from falsework.search.problem.result import Route, Stop
+from falsework.search.problem.state_graph import StateGraph
 
 _CHUNK = 8192
 _TRIES = 200

@@ -7,11 +7,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from falsework.search.beam import BeamSearch, BeamSettings
-from falsework.search.guide import Guide
-from falsework.search.judge import Oracle
-from falsework.search.result import Progress, SearchResult, Stop
-from falsework.search.task import Direction, Task
+from falsework.search.beam.beam import BeamSearch, BeamSettings
+from falsework.search.problem.guide import Guide
+from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.result import Progress, SearchResult, Stop
+from falsework.search.problem.task import Direction, Task
 
 _WIDER = 4
 """Each time in a row that the beam dies at one place, it comes back this many times wider ..."""

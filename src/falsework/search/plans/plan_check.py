@@ -12,7 +12,7 @@ import numpy as np
 
 from falsework.assembly.state import HELD, States, action_mask, apply_actions, held_count, undo_mask
 from falsework.errors import PlanError
-from falsework.search.task import Direction
+from falsework.search.problem.task import Direction
 from falsework.stability.certificate import Claim, accept, residual_of_displacement, residual_of_forces
 from falsework.stability.oracle import Stability
 from falsework.stability.reference.clarabel import ExactSolver
@@ -21,7 +21,7 @@ from falsework.stability.verdict import Verdicts
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.search.plan import Plan
+    from falsework.search.plans.plan import Plan
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
 from falsework.errors import StateError
-from falsework.search.plan_replay import PlanReplay
-from falsework.search.task import Direction
+from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.problem.task import Direction
 from falsework.stability.certificate import Claim
 from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import Reader, write_json
 
 if TYPE_CHECKING:
-    from falsework.search.plan import Plan
+    from falsework.search.plans.plan import Plan
 
 FORMAT = "falsework.plan/2"
 OLD_FORMAT = "falsework.plan/1"
@@ -81,7 +81,7 @@ _KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "st
 
 def plan_schema() -> dict[str, Any]:
     """The JSON Schema (draft 2020-12) of plan files."""
-    text = resources.files("falsework.search").joinpath("plan.schema.json").read_text(encoding="utf-8")
+    text = resources.files("falsework.search.plans").joinpath("plan.schema.json").read_text(encoding="utf-8")
     return json.loads(text)
 
 

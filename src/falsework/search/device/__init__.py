@@ -1,0 +1,1 @@
+"""Beam search on tensors, on one or several GPUs."""

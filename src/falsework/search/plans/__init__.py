@@ -1,0 +1,1 @@
+"""Plans: validation, replay, files and alternatives."""

@@ -1,0 +1,1 @@
+"""Tasks, states, guides and results of a search."""
