@@ -118,7 +118,7 @@ def policy_guide(run: Path, assembly: Assembly, cell: Cell) -> Guide:
 
     from falsework.learn.checkpoint import load_run
     from falsework.learn.data import task_for
-    from falsework.learn.guide import PolicyGuide
+    from falsework.replan.policy_guide import PolicyGuide
 
     torch.set_num_threads(1)
     task = task_for(assembly, cell.robot_count, clearance=True)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from falsework.assembly import Assembly, load_structure
-from falsework.learn.difference import difference
+from falsework.replan.plan_diff import difference
 from falsework.robots.cell import Cell, Placement
 from falsework.robots.cell_file import load_cell
 from falsework.robots.check import check_robot_plan

@@ -22,6 +22,7 @@ ROOMS = (
     "assembly",
     "stability",
     "search",
+    "replan",
     "learn",
     "robots",
     "viewer",
@@ -29,7 +30,7 @@ ROOMS = (
     "interop",
     "cli",
 )
-CORE = ("errors", "utils", "geometry", "assembly", "stability", "search", "cli")
+CORE = ("errors", "utils", "geometry", "assembly", "stability", "search", "replan", "cli")
 
 # Distribution names whose import name differs.
 IMPORT_NAMES = {"python-fcl": "fcl"}

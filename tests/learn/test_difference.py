@@ -9,8 +9,8 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.errors import PlanError
-from falsework.learn.difference import difference
-from falsework.learn.replan import Replanner
+from falsework.replan.plan_diff import difference
+from falsework.replan.replanner import Replanner
 from falsework.search import Plan
 from falsework.search.find_plans import find_plans
 from falsework.search.planner import PlannerSettings

@@ -11,9 +11,9 @@ import torch
 from falsework.assembly import load_structure
 from falsework.assembly.state import action_mask
 from falsework.errors import InputError
-from falsework.learn.clock import Clock, TimedOracle, TimeUp
-from falsework.learn.guide import PolicyGuide
 from falsework.learn.policy import PolicySettings, make_policy
+from falsework.replan.deadline import Clock, TimedOracle, TimeUp
+from falsework.replan.policy_guide import PolicyGuide
 from falsework.search import BeamSearch, BeamSettings
 from falsework.search.find_plans import find_plans, task_of
 from falsework.search.problem.task import Direction

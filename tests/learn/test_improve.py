@@ -11,12 +11,12 @@ import torch
 from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import InputError
-from falsework.learn.answer import Decider
 from falsework.learn.environment import Environment
 from falsework.learn.group_beam import search_from
 from falsework.learn.improve import improve, solve_all
 from falsework.learn.policy import PolicySettings, make_policy
 from falsework.learn.solved import SolvedStates
+from falsework.replan.result import Decider
 from falsework.search import ExhaustiveSearch, StateGraph
 from falsework.search.find_plans import task_of
 from falsework.search.problem.task import Task
@@ -157,7 +157,7 @@ def test_everything_is_solved(environment: Environment, graph: StateGraph, solva
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 def test_on_a_gpu(graph: StateGraph) -> None:
     """The same truths where everything is on a GPU."""
-    from falsework.learn.replan import Replanner
+    from falsework.replan.replanner import Replanner
 
     environment = Environment(ARCH, 2, device="cuda")
     policy = make_policy(ARCH, PolicySettings(kind="parts"), "cuda", seed=3)

@@ -17,11 +17,11 @@ import numpy as np
 import torch
 
 from falsework.errors import InputError
-from falsework.learn.answer import Decider
 from falsework.learn.environment import Environment
 from falsework.learn.group_beam import search_from
 from falsework.learn.rollout import Policy, Rollouts
 from falsework.learn.solved import SolvedStates
+from falsework.replan.result import Decider
 from falsework.search.planner import Planner, PlannerSettings
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.task import Task

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
-from falsework.learn.answer import Decider
-from falsework.learn.clock import Pace
-from falsework.learn.guide import PolicyGuide
-from falsework.learn.job import Job, Kit
-from falsework.learn.proposals import Rollout, roll_out
+from falsework.replan.deadline import Pace
+from falsework.replan.policy_guide import PolicyGuide
+from falsework.replan.result import Decider
+from falsework.replan.rollout import Rollout, roll_out
+from falsework.replan.session import Job, Kit
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict

@@ -1,0 +1,1 @@
+"""Replanning under a deadline: a plan from any state to any target, by policy, search or both."""
