@@ -30,14 +30,14 @@ import tyro
 from states import find
 
 from falsework.assembly import Assembly, load_structure
-from falsework.learn.curriculum import Curriculum
-from falsework.learn.data import search_states, task_for
-from falsework.learn.distributed import same_weights, summed
-from falsework.learn.environment import Environment
-from falsework.learn.policy import make_policy
-from falsework.learn.policy_settings import PolicySettings
-from falsework.learn.ppo import PPO
-from falsework.learn.ppo_settings import PpoSettings
+from falsework.learn.algorithms.curriculum import Curriculum
+from falsework.learn.algorithms.ppo import PPO
+from falsework.learn.config.policy import PolicySettings
+from falsework.learn.config.ppo import PpoSettings
+from falsework.learn.data.dataset import search_states, task_for
+from falsework.learn.env.environment import Environment
+from falsework.learn.networks.policy import make_policy
+from falsework.learn.training.collectives import same_weights, summed
 from falsework.search import StateGraph
 from falsework.search.device.oracle import oracle_on
 from falsework.stability import Stability
@@ -174,7 +174,7 @@ class Bench:
         from sb3_contrib import MaskablePPO
         from stable_baselines3.common.callbacks import BaseCallback
 
-        from falsework.learn.gymnasium_face import ID
+        from falsework.learn.env.gymnasium_env import ID
 
         class Clock(BaseCallback):
             """Counts the time in rollouts, and stops after a while."""

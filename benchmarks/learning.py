@@ -36,16 +36,16 @@ from typing import Any, get_args
 import torch
 
 from falsework.assembly import load_structure
-from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
-from falsework.learn.environment import Environment
-from falsework.learn.evaluate import EvaluateSettings, evaluate
-from falsework.learn.hindsight import OneState
-from falsework.learn.imitation import Network
-from falsework.learn.material import find_pairs
-from falsework.learn.policy import Policy, transfer
-from falsework.learn.policy_settings import PolicySettings, recommended
-from falsework.learn.settings import METHODS, Criterion, RefinePhase, TrainSettings
-from falsework.learn.train import TrainResult, train
+from falsework.learn.algorithms.hindsight import OneState
+from falsework.learn.algorithms.imitation import Network
+from falsework.learn.config.policy import PolicySettings, recommended
+from falsework.learn.config.train import METHODS, Criterion, RefinePhase, TrainSettings
+from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
+from falsework.learn.env.environment import Environment
+from falsework.learn.networks.policy import Policy, transfer
+from falsework.learn.training.evaluate import EvaluateSettings, evaluate
+from falsework.learn.training.train import TrainResult, train
+from falsework.learn.training.training_data import find_pairs
 from falsework.search.device.oracle import TensorOracle, oracle_on
 from falsework.stability import Stability, StabilitySettings
 from falsework.utils.distributed import Shards, joined

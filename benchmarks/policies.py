@@ -26,9 +26,9 @@ import tyro
 from states import find, real_structures
 
 from falsework.assembly import load_structure
-from falsework.learn.data import DataSettings
+from falsework.learn.data.dataset import DataSettings
 from falsework.learn.generalist import GeneralistSettings, fine_tune, train_generalist
-from falsework.learn.policy import PolicySettings, make_policy, masked_log_probabilities
+from falsework.learn.networks.policy import PolicySettings, make_policy, masked_log_probabilities
 from falsework.learn.policy_table import policy_table
 from falsework.learn.transfer import Budget, compare_networks, transfer_experiment
 from falsework.utils.tensors import choose_device

@@ -96,7 +96,7 @@ def cases(options: Options) -> Iterator[Case]:
     if options.runs:
         import torch
 
-        from falsework.learn.checkpoint import load_run
+        from falsework.learn.training.checkpoint import load_run
 
         torch.set_num_threads(options.threads)
         for folder in options.runs:

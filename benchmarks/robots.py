@@ -116,8 +116,8 @@ def policy_guide(run: Path, assembly: Assembly, cell: Cell) -> Guide:
     """A trained policy, on one thread, which is faster for single states."""
     import torch
 
-    from falsework.learn.checkpoint import load_run
-    from falsework.learn.data import task_for
+    from falsework.learn.data.dataset import task_for
+    from falsework.learn.training.checkpoint import load_run
     from falsework.replan.policy_guide import PolicyGuide
 
     torch.set_num_threads(1)

@@ -15,7 +15,7 @@ def main(steps: int = 2048) -> None:
     import gymnasium
     from sb3_contrib import MaskablePPO
 
-    from falsework.learn.gymnasium_face import ID  # registers the environment
+    from falsework.learn.env.gymnasium_env import ID  # registers the environment
 
     arch = load_structure("arch:blocks=5")
     oracle = Stability(arch)

@@ -13,7 +13,7 @@ from palette import BOUNDARY, FORCE, INK, ROBOTS, SAND
 from render import Camera, Solid, render
 
 from falsework.assembly import Assembly, load_structure
-from falsework.learn.graph import ForceTorqueGraph
+from falsework.learn.networks.force_torque_graph import ForceTorqueGraph
 
 TORQUE = ROBOTS[0]
 SKIP = ROBOTS[3]

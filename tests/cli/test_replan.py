@@ -34,10 +34,10 @@ def old(falsework: Run, tmp_path: Path) -> Path:
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     """A run as training leaves it, with a policy that was never trained."""
-    from falsework.learn.checkpoint import describe_structure, save_run
-    from falsework.learn.policy import make_policy
-    from falsework.learn.policy_settings import PolicySettings
-    from falsework.learn.settings import TrainSettings, as_json
+    from falsework.learn.config.policy import PolicySettings
+    from falsework.learn.config.train import TrainSettings, as_json
+    from falsework.learn.networks.policy import make_policy
+    from falsework.learn.training.checkpoint import describe_structure, save_run
 
     settings = TrainSettings(policy=PolicySettings("mlp"))
     metadata = {

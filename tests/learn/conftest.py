@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from falsework.assembly import Assembly, load_structure
-from falsework.learn.data import task_for
+from falsework.learn.data.dataset import task_for
 from falsework.search import BeamSearch, BeamSettings, Direction, StateGraph
 from falsework.stability import Stability
 

@@ -8,12 +8,12 @@ import torch
 from safetensors.torch import save_file
 
 from falsework.assembly import load_structure
-from falsework.learn.curriculum import Curriculum
-from falsework.learn.environment import Environment
-from falsework.learn.policy import make_policy
-from falsework.learn.policy_settings import PolicySettings
-from falsework.learn.ppo import PPO
-from falsework.learn.ppo_settings import PpoSettings
+from falsework.learn.algorithms.curriculum import Curriculum
+from falsework.learn.algorithms.ppo import PPO
+from falsework.learn.config.policy import PolicySettings
+from falsework.learn.config.ppo import PpoSettings
+from falsework.learn.env.environment import Environment
+from falsework.learn.networks.policy import make_policy
 from falsework.search import BeamSearch, BeamSettings, task_of
 from falsework.utils.distributed import joined
 

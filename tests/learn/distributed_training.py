@@ -11,10 +11,10 @@ from safetensors.torch import save_file
 
 from falsework.assembly import load_structure
 from falsework.learn import train as module
-from falsework.learn.policy_settings import PolicySettings
-from falsework.learn.refine_settings import RefineSettings
-from falsework.learn.settings import ImitationSettings, ImproveRounds, RefinePhase, TrainSettings
-from falsework.learn.trainer import Trainer
+from falsework.learn.config.policy import PolicySettings
+from falsework.learn.config.policy_gradient import RefineSettings
+from falsework.learn.config.train import ImitationSettings, ImproveRounds, RefinePhase, TrainSettings
+from falsework.learn.training.trainer import Trainer
 from falsework.utils.distributed import Shards, joined
 
 

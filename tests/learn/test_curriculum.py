@@ -10,13 +10,13 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.curriculum import Curriculum  # noqa: E402
-from falsework.learn.environment import Environment  # noqa: E402
-from falsework.learn.policy import make_policy  # noqa: E402
-from falsework.learn.policy_settings import PolicySettings  # noqa: E402
-from falsework.learn.ppo import PPO  # noqa: E402
-from falsework.learn.ppo_settings import CurriculumSettings, PpoSettings  # noqa: E402
-from falsework.learn.rules import Rules  # noqa: E402
+from falsework.learn.algorithms.curriculum import Curriculum  # noqa: E402
+from falsework.learn.algorithms.ppo import PPO  # noqa: E402
+from falsework.learn.config.policy import PolicySettings  # noqa: E402
+from falsework.learn.config.ppo import CurriculumSettings, PpoSettings  # noqa: E402
+from falsework.learn.env.environment import Environment  # noqa: E402
+from falsework.learn.env.rules import Rules  # noqa: E402
+from falsework.learn.networks.policy import make_policy  # noqa: E402
 from falsework.search import BeamSearch, BeamSettings, task_of  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 

@@ -15,9 +15,9 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.cli.main import main  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.data import FORMAT, Dataset, DataSettings, build_dataset, task_for  # noqa: E402
-from falsework.learn.settings import TrainSettings  # noqa: E402
-from falsework.learn.train import train  # noqa: E402
+from falsework.learn.config.train import TrainSettings  # noqa: E402
+from falsework.learn.data.dataset import FORMAT, Dataset, DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.training.train import train  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 from falsework.search.device.oracle import HostOracle  # noqa: E402
 from falsework.stability import Stability, StabilitySettings  # noqa: E402

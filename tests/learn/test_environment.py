@@ -11,8 +11,8 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly, load_assembly, load_structure  # noqa: E402
 from falsework.errors import InputError, StateError  # noqa: E402
-from falsework.learn.environment import Environment  # noqa: E402
-from falsework.learn.rollout import Rollouts, choose_actions, play  # noqa: E402
+from falsework.learn.env.environment import Environment  # noqa: E402
+from falsework.learn.env.rollout import Rollouts, choose_actions, play  # noqa: E402
 from falsework.search import Direction, StateGraph, Task, find_plans, task_of  # noqa: E402
 from falsework.search.device.oracle import DeviceOracle, HostOracle, without_exact  # noqa: E402
 from falsework.stability import Stability, StabilitySettings, Verdict, Verdicts  # noqa: E402
@@ -223,7 +223,7 @@ def test_a_hold_after_which_a_part_slides_ends_a_rollout(bottle: Assembly) -> No
 
 def test_verdicts_are_right_when_slots_are_fought_over(bottle: Assembly) -> None:
     """A table with few slots forgets; what it says stays true."""
-    from falsework.learn.verdict_table import VerdictTable
+    from falsework.learn.env.verdict_cache import VerdictTable
 
     environment, rollouts = random_rollouts(bottle, 500)
     states = rollouts.states.view(-1, environment.part_count)

@@ -16,13 +16,13 @@ pytest.importorskip("safetensors", reason="safetensors is not installed")
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.cli.main import main  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
-from falsework.learn.environment import Environment  # noqa: E402
-from falsework.learn.evaluate import EvaluateSettings, evaluate, greedy_success, sample  # noqa: E402
-from falsework.learn.policy import make_policy  # noqa: E402
-from falsework.learn.policy_settings import PolicySettings  # noqa: E402
-from falsework.learn.settings import ImitationSettings, TrainSettings  # noqa: E402
-from falsework.learn.train import train  # noqa: E402
+from falsework.learn.config.policy import PolicySettings  # noqa: E402
+from falsework.learn.config.train import ImitationSettings, TrainSettings  # noqa: E402
+from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.env.environment import Environment  # noqa: E402
+from falsework.learn.networks.policy import make_policy  # noqa: E402
+from falsework.learn.training.evaluate import EvaluateSettings, evaluate, greedy_success, sample  # noqa: E402
+from falsework.learn.training.train import train  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
@@ -170,7 +170,7 @@ def test_a_resumed_run_with_targets_does_not_search_again(tmp_path: Path, monkey
     def search_states(*arguments: Any, **options: Any) -> Any:
         raise AssertionError("it searched again")
 
-    monkeypatch.setattr("falsework.learn.target_data.search_states", search_states)
+    monkeypatch.setattr("falsework.learn.data.goal_dataset.search_states", search_states)
     more = replace(settings, steps=40)
     second = train(wide, more, folder=folder, device="cpu", logs=(), source={"built_in": WIDE}, resume=True)
     assert (first.steps, second.steps) == (20, 40)

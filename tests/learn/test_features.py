@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from falsework.assembly import Assembly
-from falsework.learn.features import PartFeatures
-from falsework.learn.graph import ForceTorqueGraph
+from falsework.learn.networks.force_torque_graph import ForceTorqueGraph
+from falsework.learn.networks.geometric_features import PartFeatures
 
 
 def test_a_line_is_a_small_share_of_what_surrounds_a_part(beam_on_ridge: Assembly) -> None:

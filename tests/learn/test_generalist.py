@@ -8,11 +8,11 @@ import torch
 
 from falsework.assembly import load_structure
 from falsework.errors import InputError
-from falsework.learn.evaluate import greedy_success
 from falsework.learn.family import turned_copies
 from falsework.learn.generalist import GeneralistSettings, fine_tune, train_generalist
-from falsework.learn.policy import PolicySettings, make_policy, transfer
+from falsework.learn.networks.policy import PolicySettings, make_policy, transfer
 from falsework.learn.policy_table import policy_table
+from falsework.learn.training.evaluate import greedy_success
 from falsework.learn.transfer import Budget, Workbench, compare_networks, transfer_experiment
 
 SMALL = PolicySettings("parts", layers=2, channels=32, heads=4)

@@ -10,7 +10,7 @@ import pytest
 from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.geometry import TriangleMesh
-from falsework.learn.graph import ForceTorqueGraph
+from falsework.learn.networks.force_torque_graph import ForceTorqueGraph
 
 
 def prism(name: str, rings: list[tuple[float, float]], facets: int, hollow: bool) -> TriangleMesh:

@@ -10,9 +10,9 @@ from torch.nn.functional import elu, leaky_relu
 
 from falsework.assembly import load_structure
 from falsework.learn import graph_network
-from falsework.learn.graph import ForceTorqueGraph
-from falsework.learn.graph_network import GraphPolicy, _Layer
-from falsework.learn.policy import PolicySettings, make_policy
+from falsework.learn.networks.force_torque_graph import ForceTorqueGraph
+from falsework.learn.networks.graph_attention import GraphPolicy, _Layer
+from falsework.learn.networks.policy import PolicySettings, make_policy
 
 Nodes = dict[str, dict[int, Tensor]]
 

@@ -11,7 +11,7 @@ import torch
 from falsework.assembly import load_structure
 from falsework.assembly.state import action_mask
 from falsework.errors import InputError
-from falsework.learn.policy import PolicySettings, make_policy
+from falsework.learn.networks.policy import PolicySettings, make_policy
 from falsework.replan.deadline import Clock, TimedOracle, TimeUp
 from falsework.replan.policy_guide import PolicyGuide
 from falsework.search import BeamSearch, BeamSettings

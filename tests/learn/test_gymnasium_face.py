@@ -15,7 +15,7 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError, StateError  # noqa: E402
-from falsework.learn.gymnasium_face import ID, DisassemblyEnv  # noqa: E402
+from falsework.learn.env.gymnasium_env import ID, DisassemblyEnv  # noqa: E402
 from falsework.search import BeamSearch, BeamSettings, StateGraph, Task, find_plans, task_of  # noqa: E402
 from falsework.stability import Stability, StabilitySettings  # noqa: E402
 
@@ -47,7 +47,7 @@ def test_it_passes_the_check_of_gymnasium(arch: Assembly, graph: StateGraph, opt
 
 
 def test_it_is_made_by_name_without_an_import() -> None:
-    environment = gymnasium.make(f"falsework.learn.gymnasium_face:{ID}", structure="arch:blocks=3", robots=2)
+    environment = gymnasium.make(f"falsework.learn.env.gymnasium_env:{ID}", structure="arch:blocks=3", robots=2)
     observation, info = environment.reset(seed=0)
     assert observation.tolist() == [1, 1, 1, 2, 2]
     assert info["action_mask"].tolist() == [1, 1, 1, 0, 0, 0, 0, 0, 0, 0]
@@ -72,7 +72,7 @@ def test_a_plan_is_a_success(arch: Assembly) -> None:
 
 def test_it_agrees_with_the_environment_on_tensors(graph: StateGraph, arch: Assembly) -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
-    from falsework.learn.environment import Environment
+    from falsework.learn.env.environment import Environment
 
     oracle = Stability(arch)
     tensors = Environment(arch, 2, oracle=oracle, device="cpu")
@@ -167,6 +167,6 @@ def test_bad_input_is_one_clear_line(arch: Assembly) -> None:
 
 
 def test_without_gymnasium_the_extra_is_named() -> None:
-    program = "import sys; sys.modules['gymnasium'] = None; import falsework.learn.gymnasium_face"
+    program = "import sys; sys.modules['gymnasium'] = None; import falsework.learn.env.gymnasium_env"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert "DependencyError: this face of the environment needs gymnasium; pip install" in done.stderr

@@ -8,9 +8,9 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
 from falsework.assembly import Assembly  # noqa: E402
-from falsework.learn.environment import Environment  # noqa: E402
-from falsework.learn.hindsight import OneState, relabel  # noqa: E402
-from falsework.learn.pairs import sample_pairs  # noqa: E402
+from falsework.learn.algorithms.hindsight import OneState, relabel  # noqa: E402
+from falsework.learn.data.goal_pairs import sample_pairs  # noqa: E402
+from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.search import Direction, StateGraph, Task  # noqa: E402
 from falsework.stability.reference.clarabel import ExactSolver  # noqa: E402
 
@@ -53,7 +53,7 @@ def test_failed_rollouts_are_ways_to_what_they_passed(bottle: Assembly) -> None:
 
 
 def test_relabelling_draws_pairs_of_steps_evenly() -> None:
-    from falsework.learn.rollout import Rollouts
+    from falsework.learn.env.rollout import Rollouts
 
     states = torch.arange(4, dtype=torch.uint8)[:, None, None].expand(4, 3, 1)
     actions = torch.arange(3, dtype=torch.int16)[:, None].expand(3, 3)

@@ -13,13 +13,13 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.errors import InputError, TrainingError  # noqa: E402
-from falsework.learn.data import DataSettings, build_dataset, task_for  # noqa: E402
-from falsework.learn.imitation import Imitation, Network, imitation_loss, unlearning_loss  # noqa: E402
-from falsework.learn.policy import make_policy  # noqa: E402
-from falsework.learn.policy_settings import PolicySettings  # noqa: E402
-from falsework.learn.settings import ImitationSettings, TrainSettings  # noqa: E402
-from falsework.learn.solved import SolvedStates  # noqa: E402
-from falsework.learn.watch import Memory, WatchedEnvironment  # noqa: E402
+from falsework.learn.algorithms.imitation import Imitation, Network, imitation_loss, unlearning_loss  # noqa: E402
+from falsework.learn.config.policy import PolicySettings  # noqa: E402
+from falsework.learn.config.train import ImitationSettings, TrainSettings  # noqa: E402
+from falsework.learn.data.dataset import DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.data.recording_environment import Memory, WatchedEnvironment  # noqa: E402
+from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
+from falsework.learn.networks.policy import make_policy  # noqa: E402
 from falsework.utils.distributed import Shards  # noqa: E402
 
 SMALL = PolicySettings("mlp")

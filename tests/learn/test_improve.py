@@ -11,11 +11,11 @@ import torch
 from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import InputError
-from falsework.learn.environment import Environment
-from falsework.learn.group_beam import search_from
-from falsework.learn.improve import improve, solve_all
-from falsework.learn.policy import PolicySettings, make_policy
-from falsework.learn.solved import SolvedStates
+from falsework.learn.algorithms.expert_iteration import improve, solve_all
+from falsework.learn.algorithms.policy_beam import search_from
+from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.env.environment import Environment
+from falsework.learn.networks.policy import PolicySettings, make_policy
 from falsework.replan.result import Decider
 from falsework.search import ExhaustiveSearch, StateGraph
 from falsework.search.find_plans import task_of

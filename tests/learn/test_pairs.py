@@ -9,8 +9,8 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.environment import Environment  # noqa: E402
-from falsework.learn.pairs import PairSource, sample_pairs  # noqa: E402
+from falsework.learn.data.goal_pairs import PairSource, sample_pairs  # noqa: E402
+from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.search import Direction, StateGraph, Task  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
 

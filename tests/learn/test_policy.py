@@ -13,7 +13,8 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import action_mask
 from falsework.errors import InputError
 from falsework.geometry import TriangleMesh
-from falsework.learn.policy import (
+from falsework.learn.config.policy import recommended
+from falsework.learn.networks.policy import (
     PolicySettings,
     confidences,
     describe,
@@ -22,7 +23,6 @@ from falsework.learn.policy import (
     share,
     transfer,
 )
-from falsework.learn.policy_settings import recommended
 
 KINDS = ("parts", "graph", "mlp", "residual")
 TRANSFER = ("parts", "graph")

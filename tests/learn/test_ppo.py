@@ -14,14 +14,14 @@ from safetensors.torch import load_file  # noqa: E402
 
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.errors import InputError, TrainingError  # noqa: E402
-from falsework.learn.environment import Environment, Step  # noqa: E402
-from falsework.learn.nan_guard import NanGuard  # noqa: E402
-from falsework.learn.policy import make_policy, masked_log_probabilities  # noqa: E402
-from falsework.learn.policy_settings import PolicySettings  # noqa: E402
-from falsework.learn.ppo import PPO, Batch, ppo_loss  # noqa: E402
-from falsework.learn.ppo_settings import CurriculumSettings, PpoSettings  # noqa: E402
-from falsework.learn.rollout import Move  # noqa: E402
-from falsework.learn.storage import Storage  # noqa: E402
+from falsework.learn.algorithms.nan_guard import NanGuard  # noqa: E402
+from falsework.learn.algorithms.ppo import PPO, Batch, ppo_loss  # noqa: E402
+from falsework.learn.algorithms.rollout_storage import Storage  # noqa: E402
+from falsework.learn.config.policy import PolicySettings  # noqa: E402
+from falsework.learn.config.ppo import CurriculumSettings, PpoSettings  # noqa: E402
+from falsework.learn.env.environment import Environment, Step  # noqa: E402
+from falsework.learn.env.rollout import Move  # noqa: E402
+from falsework.learn.networks.policy import make_policy, masked_log_probabilities  # noqa: E402
 
 MLP = PolicySettings(kind="mlp", layers=2, channels=32)
 

@@ -11,16 +11,16 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
-from falsework.learn.environment import Environment  # noqa: E402
-from falsework.learn.imitation import imitation_loss  # noqa: E402
-from falsework.learn.moves import advantages, hindsight, play_and_judge  # noqa: E402
-from falsework.learn.policy import Policy, make_policy  # noqa: E402
-from falsework.learn.policy_settings import PolicySettings  # noqa: E402
-from falsework.learn.refine import Refinement  # noqa: E402
-from falsework.learn.refine_settings import RefineSettings  # noqa: E402
-from falsework.learn.solved import SolvedStates  # noqa: E402
-from falsework.learn.ways import Ways  # noqa: E402
+from falsework.learn.algorithms.imitation import imitation_loss  # noqa: E402
+from falsework.learn.algorithms.policy_gradient import Refinement  # noqa: E402
+from falsework.learn.algorithms.transitions import advantages, hindsight, play_and_judge  # noqa: E402
+from falsework.learn.config.policy import PolicySettings  # noqa: E402
+from falsework.learn.config.policy_gradient import RefineSettings  # noqa: E402
+from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.data.random_walks import Ways  # noqa: E402
+from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
+from falsework.learn.env.environment import Environment  # noqa: E402
+from falsework.learn.networks.policy import Policy, make_policy  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 

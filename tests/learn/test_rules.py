@@ -14,7 +14,7 @@ from numpy.typing import NDArray  # noqa: E402
 from falsework.assembly import Assembly, load_assembly, load_structure  # noqa: E402
 from falsework.assembly.state import HELD, INSTALLED, REMOVED  # noqa: E402
 from falsework.errors import InputError, StateError  # noqa: E402
-from falsework.learn.rules import Rules  # noqa: E402
+from falsework.learn.env.rules import Rules  # noqa: E402
 from falsework.search import Direction, Task  # noqa: E402
 from falsework.search.problem.hashing import StateHash  # noqa: E402
 

@@ -10,9 +10,9 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
 from falsework.assembly import load_structure  # noqa: E402
-from falsework.learn.data import DataSettings, build_dataset, task_for  # noqa: E402
-from falsework.learn.rules import Rules  # noqa: E402
-from falsework.learn.solved import SolvedStates  # noqa: E402
+from falsework.learn.data.dataset import DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
+from falsework.learn.env.rules import Rules  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 
 

@@ -13,8 +13,8 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.data import task_for  # noqa: E402
-from falsework.learn.target_data import Searched, TargetDataSettings, target_dataset  # noqa: E402
+from falsework.learn.data.dataset import task_for  # noqa: E402
+from falsework.learn.data.goal_dataset import Searched, TargetDataSettings, target_dataset  # noqa: E402
 from falsework.search.device.oracle import oracle_on  # noqa: E402
 from falsework.search.device.parallel_beams import search_many  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
@@ -95,7 +95,7 @@ def test_after_a_search_that_died_out_one_begins_at_the_empty_structure(
         found = search_many(task, oracle, count, width, direction=direction, **options)
         return replace(found, found=np.arange(count) < next(through))
 
-    monkeypatch.setattr("falsework.learn.target_data.search_many", search)
+    monkeypatch.setattr("falsework.learn.data.goal_dataset.search_many", search)
     task, device = task_for(bottle), torch.device("cpu")
     settings = TargetDataSettings(train_width=4, test_width=12, widths=(2,) * 12 + (3,), pairs=100, test_pairs=20)
     Searched.find(task, settings, oracle_on(Stability(bottle), device), device=device)

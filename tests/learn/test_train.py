@@ -23,12 +23,9 @@ from falsework.assembly import load_structure  # noqa: E402
 from falsework.errors import DependencyError, InputError  # noqa: E402
 from falsework.learn import checkpoint  # noqa: E402
 from falsework.learn import train as module  # noqa: E402
-from falsework.learn.checkpoint import load_run  # noqa: E402
-from falsework.learn.data import Dataset  # noqa: E402
-from falsework.learn.log import read_progress  # noqa: E402
-from falsework.learn.policy_settings import PolicySettings  # noqa: E402
-from falsework.learn.refine_settings import RefineSettings  # noqa: E402
-from falsework.learn.settings import (  # noqa: E402
+from falsework.learn.config.policy import PolicySettings  # noqa: E402
+from falsework.learn.config.policy_gradient import RefineSettings  # noqa: E402
+from falsework.learn.config.train import (  # noqa: E402
     METHODS,
     ImitationSettings,
     ImproveRounds,
@@ -36,8 +33,11 @@ from falsework.learn.settings import (  # noqa: E402
     RefinePhase,
     TrainSettings,
 )
-from falsework.learn.train import TrainResult, train  # noqa: E402
-from falsework.learn.trainer import Trainer  # noqa: E402
+from falsework.learn.data.dataset import Dataset  # noqa: E402
+from falsework.learn.training.checkpoint import load_run  # noqa: E402
+from falsework.learn.training.logger import read_progress  # noqa: E402
+from falsework.learn.training.train import TrainResult, train  # noqa: E402
+from falsework.learn.training.trainer import Trainer  # noqa: E402
 from falsework.utils.archive import write_whole  # noqa: E402
 
 SMALL = TrainSettings(

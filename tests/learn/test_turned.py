@@ -12,14 +12,14 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.assembly.symmetry import symmetries  # noqa: E402
-from falsework.learn.data import task_for  # noqa: E402
-from falsework.learn.environment import Environment  # noqa: E402
-from falsework.learn.material import find_material  # noqa: E402
-from falsework.learn.policy_settings import PolicySettings  # noqa: E402
-from falsework.learn.settings import TrainSettings  # noqa: E402
-from falsework.learn.target_data import TargetDataSettings, target_dataset  # noqa: E402
-from falsework.learn.turned import TurnedTasks  # noqa: E402
-from falsework.learn.ways import Ways  # noqa: E402
+from falsework.learn.config.policy import PolicySettings  # noqa: E402
+from falsework.learn.config.train import TrainSettings  # noqa: E402
+from falsework.learn.data.dataset import task_for  # noqa: E402
+from falsework.learn.data.goal_dataset import TargetDataSettings, target_dataset  # noqa: E402
+from falsework.learn.data.random_walks import Ways  # noqa: E402
+from falsework.learn.data.symmetry_augmentation import TurnedTasks  # noqa: E402
+from falsework.learn.env.environment import Environment  # noqa: E402
+from falsework.learn.training.training_data import find_material  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 from falsework.search.device.oracle import HostOracle  # noqa: E402
 from falsework.stability import Stability  # noqa: E402

@@ -12,9 +12,9 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.environment import Environment  # noqa: E402
-from falsework.learn.pairs import PairSource  # noqa: E402
-from falsework.learn.ways import Ways, _Reach  # noqa: E402
+from falsework.learn.data.goal_pairs import PairSource  # noqa: E402
+from falsework.learn.data.random_walks import Ways, _Reach  # noqa: E402
+from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.search import Direction, StateGraph  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
 

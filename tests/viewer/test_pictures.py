@@ -207,14 +207,14 @@ def test_what_a_policy_thinks_and_covers(
 ) -> None:
     from types import SimpleNamespace
 
-    from falsework.learn.policy import make_policy
-    from falsework.learn.policy_settings import PolicySettings
+    from falsework.learn.config.policy import PolicySettings
+    from falsework.learn.networks.policy import make_policy
 
     def load(folder: str, assembly: Any = None) -> SimpleNamespace:
         fits = policy if assembly.part_count == 7 else make_policy(assembly, PolicySettings(), "cpu", seed=0)
         return SimpleNamespace(policy=fits)
 
-    monkeypatch.setattr("falsework.learn.checkpoint.load_run", load)
+    monkeypatch.setattr("falsework.learn.training.checkpoint.load_run", load)
     out = tmp_path / "chances.png"
     assert run("picture", plan_file, "--step", 10, "--policy", "some-run", "--width", 400, "--out", out) == (0, "")
     assert has(pixels(out), RAMP[-1])

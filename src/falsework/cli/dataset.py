@@ -57,7 +57,7 @@ class MakeDataset(Command):
         from falsework.utils.optional_packages import check_torch
 
         check_torch()
-        from falsework.learn.data import DataSettings, build_dataset, task_for
+        from falsework.learn.data.dataset import DataSettings, build_dataset, task_for
 
         writable(self.out)
         settings = DataSettings(self.train_width, self.test_width, self.widths, self.seed)

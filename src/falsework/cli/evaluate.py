@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
-    from falsework.learn.checkpoint import Run
-    from falsework.learn.data import Dataset
-    from falsework.learn.evaluate import Sets
-    from falsework.learn.policy import Policy
+    from falsework.learn.data.dataset import Dataset
+    from falsework.learn.networks.policy import Policy
+    from falsework.learn.training.checkpoint import Run
+    from falsework.learn.training.evaluate import Sets
     from falsework.search.device.oracle import TensorOracle
 
 
@@ -62,11 +62,11 @@ class Evaluate(Command):
         from falsework.utils.optional_packages import check_torch
 
         check_torch()
-        from falsework.learn.checkpoint import load_run
-        from falsework.learn.environment import Environment
-        from falsework.learn.evaluate import EvaluateSettings, evaluate
-        from falsework.learn.hindsight import OneState
-        from falsework.learn.imitation import Network
+        from falsework.learn.algorithms.hindsight import OneState
+        from falsework.learn.algorithms.imitation import Network
+        from falsework.learn.env.environment import Environment
+        from falsework.learn.training.checkpoint import load_run
+        from falsework.learn.training.evaluate import EvaluateSettings, evaluate
         from falsework.search.device.oracle import oracle_on
         from falsework.stability import Stability, StabilitySettings
         from falsework.utils.distributed import joined
@@ -124,7 +124,7 @@ class Evaluate(Command):
     def _subject(self, trained: Run) -> tuple[Assembly, Policy]:
         """Structure and policy: those of the run, or the policy carried over to another structure."""
         from falsework.assembly import load_structure
-        from falsework.learn.policy import transfer
+        from falsework.learn.networks.policy import transfer
 
         if self.structure is None:
             return trained.assembly, trained.policy
@@ -137,7 +137,7 @@ class Evaluate(Command):
         """Pairs of states and targets, the same for all runs of a structure."""
         from dataclasses import replace
 
-        from falsework.learn.material import find_pairs
+        from falsework.learn.training.training_data import find_pairs
 
         settings = replace(trained.settings, data="width64")  # what only serves to learn from is not needed
         pairs = find_pairs(assembly, settings, oracle, device=device)
@@ -145,8 +145,8 @@ class Evaluate(Command):
 
     def _data(self, trained: Run, assembly: Assembly, oracle: TensorOracle, device: torch.device) -> Dataset:
         """States of the run if they are there and of this structure and criterion, else found by the same searches."""
-        from falsework.learn.checkpoint import DATA
-        from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
+        from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
+        from falsework.learn.training.checkpoint import DATA
 
         settings: Any = trained.settings
         if self.structure is None and self.criterion in (None, settings.criterion) and (self.folder / DATA).is_file():

@@ -125,7 +125,7 @@ class MakeReplan(Command):
         check_torch()
         import torch
 
-        from falsework.learn.checkpoint import load_run
+        from falsework.learn.training.checkpoint import load_run
 
         # Single states make for small matrices, which threads only get in each other's way with.
         torch.set_num_threads(1)

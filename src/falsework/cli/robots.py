@@ -103,7 +103,7 @@ class PlanRobots(Command):
     def _guide(self, assembly: Assembly, task: Task) -> Guide | None:
         if self.policy is None:
             return None
-        from falsework.learn.checkpoint import load_run
+        from falsework.learn.training.checkpoint import load_run
         from falsework.replan.policy_guide import PolicyGuide
 
         return PolicyGuide(load_run(self.policy, assembly=assembly).policy, task=task)

@@ -80,7 +80,7 @@ class Serve(Command):
             assembly = self.structure.load()
             if self.policy is not None:
                 check_torch()
-                from falsework.learn.checkpoint import check_structure, read_run
+                from falsework.learn.training.checkpoint import check_structure, read_run
 
                 check_structure(self.policy, read_run(self.policy), assembly)
             return assembly, self.policy
@@ -89,7 +89,7 @@ class Serve(Command):
         if self.structure.given():
             raise InputError(f"{folder} is a run, which says what its structure is; leave {self._first_given()} out")
         check_torch()
-        from falsework.learn.checkpoint import load_structure_of, read_run
+        from falsework.learn.training.checkpoint import load_structure_of, read_run
 
         return load_structure_of(folder, read_run(folder)), folder
 

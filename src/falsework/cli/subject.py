@@ -49,7 +49,7 @@ class Subject:
         from falsework.utils.optional_packages import check_torch
 
         check_torch()
-        from falsework.learn.checkpoint import load_run
+        from falsework.learn.training.checkpoint import load_run
 
         return replace(self, policy=load_run(run, assembly=self.assembly).policy)
 
@@ -148,7 +148,7 @@ class SubjectOptions(LoadOptions):
         from falsework.viewer.timeline import Timeline
 
         check_torch()
-        from falsework.learn.checkpoint import load_run
+        from falsework.learn.training.checkpoint import load_run
 
         given = None
         if self.structure is not None:

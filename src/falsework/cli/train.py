@@ -12,12 +12,12 @@ from tyro.conf import arg
 from falsework.cli.command import UNSET, Command, Exit, StructureOptions
 from falsework.cli.planning import refuse_unstable
 from falsework.errors import InputError
-from falsework.learn.policy_settings import Kind, recommended
-from falsework.learn.settings import Criterion, Method, TrainSettings
+from falsework.learn.config.policy import Kind, recommended
+from falsework.learn.config.train import Criterion, Method, TrainSettings
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
-    from falsework.learn.train import TrainResult
+    from falsework.learn.training.train import TrainResult
 
 
 _DEFAULTS = TrainSettings()
@@ -76,8 +76,8 @@ class Train(Command):
         from falsework.utils.optional_packages import check_torch
 
         check_torch()
-        from falsework.learn.data import task_for
-        from falsework.learn.train import train
+        from falsework.learn.data.dataset import task_for
+        from falsework.learn.training.train import train
         from falsework.stability import Stability, StabilitySettings
 
         for name, given in (("--minutes", self.minutes), ("--steps", self.steps)):

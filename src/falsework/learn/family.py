@@ -12,9 +12,9 @@ from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.learn.data import search_states, task_for
-from falsework.learn.environment import Environment
-from falsework.learn.solved import SolvedStates
+from falsework.learn.data.dataset import search_states, task_for
+from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.env.environment import Environment
 from falsework.search.device.oracle import HostOracle
 from falsework.stability.oracle import Stability
 from falsework.utils.tensors import choose_device

@@ -18,10 +18,10 @@ from torch import Tensor
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.learn.evaluate import greedy_success, sample
+from falsework.learn.algorithms.imitation import Network, imitation_loss
 from falsework.learn.family import KINDS, Member, members, turned_copies
-from falsework.learn.imitation import Network, imitation_loss
-from falsework.learn.policy import Policy, PolicySettings, make_policy, share, transfer
+from falsework.learn.networks.policy import Policy, PolicySettings, make_policy, share, transfer
+from falsework.learn.training.evaluate import greedy_success, sample
 from falsework.learn.transfer import Budget, Workbench
 
 EVALUATED = 128

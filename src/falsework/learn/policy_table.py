@@ -9,7 +9,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from falsework.assembly.model import Assembly
-from falsework.learn.policy import PolicySettings, describe, make_policy
+from falsework.learn.networks.policy import PolicySettings, describe, make_policy
 
 KINDS = (PolicySettings("mlp"), PolicySettings("residual"), PolicySettings("graph"), PolicySettings("parts"))
 

@@ -11,14 +11,14 @@ import numpy as np
 import torch
 
 from falsework.assembly.model import Assembly
-from falsework.learn.data import Dataset, DataSettings, build_dataset, task_for
-from falsework.learn.environment import Environment
-from falsework.learn.evaluate import greedy_success, sample
+from falsework.learn.algorithms.imitation import Imitation
+from falsework.learn.config.train import ImitationSettings
+from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
+from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.env.environment import Environment
 from falsework.learn.family import turned_copies
-from falsework.learn.imitation import Imitation
-from falsework.learn.policy import Policy, PolicySettings, describe, make_policy, share, transfer
-from falsework.learn.settings import ImitationSettings
-from falsework.learn.solved import SolvedStates
+from falsework.learn.networks.policy import Policy, PolicySettings, describe, make_policy, share, transfer
+from falsework.learn.training.evaluate import greedy_success, sample
 
 EVALUATED = 1024
 """States of a set that a policy is tried from, at most; always the same ones."""

@@ -37,7 +37,7 @@ class PolicyGuide:
         *,
         task: Task | None = None,
     ) -> None:
-        """Ask `policy`, a `torch.nn.Module` as `falsework.learn.policy.make_policy` makes them.
+        """Ask `policy`, a `torch.nn.Module` as `falsework.learn.networks.policy.make_policy` makes them.
 
         Args:
             policy: called with states, and with targets if it was trained for two states.

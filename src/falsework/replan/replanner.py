@@ -54,7 +54,7 @@ class Replanner:
 
         Args:
             assembly: the structure.
-            policy: proposes actions, a `torch.nn.Module` as of `falsework.learn.policy`; None searches alone.
+            policy: proposes actions, a `torch.nn.Module` as of `falsework.learn.networks.policy`; None searches alone.
             oracle: decides stability; hand in the one you have, for it remembers what it was asked.
             settings: how hard to try.
 
@@ -201,7 +201,7 @@ def replan(
     Args:
         assembly: the structure.
         state: where things stand, shape (parts,).
-        policy: proposes actions, a `torch.nn.Module` as of `falsework.learn.policy`; None searches alone.
+        policy: proposes actions, a `torch.nn.Module` as of `falsework.learn.networks.policy`; None searches alone.
         target: where they shall go, shape (parts,).
         direction: assembly adds parts, disassembly takes them away.
         robots: parts that can be held at a time; may be others than the policy was trained for.

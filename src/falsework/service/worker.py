@@ -249,7 +249,7 @@ def _load_policy(recipe: Recipe) -> tuple[Any, str]:
     check_torch()
     import torch
 
-    from falsework.learn.checkpoint import load_run
+    from falsework.learn.training.checkpoint import load_run
 
     torch.set_num_threads(1)
     run = load_run(recipe.run, assembly=recipe.assembly)

@@ -1,0 +1,1 @@
+"""Imitation, policy gradients, expert iteration."""

@@ -1,0 +1,228 @@
+"""The curriculum: start states from the state graph, the hard ones more often (paper, section 5.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from falsework.errors import InputError
+from falsework.learn.config.ppo import CurriculumSettings
+from falsework.learn.env.rules import Rules
+from falsework.learn.training.collectives import gather_rows
+from falsework.utils.distributed import Shards
+
+_FAR = 0.75
+"""Starts beyond this share of the horizon say whether the policy is ready to begin farther away."""
+_ENOUGH = 32
+"""Rollouts from there that say it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """Start states of some rollouts."""
+
+    rows: torch.Tensor
+    """Which states of the curriculum they are, shape (count,)."""
+    starts: torch.Tensor
+    """Shape (count, parts)."""
+    targets: torch.Tensor | None
+    """Shape (count, parts)."""
+    entropy: torch.Tensor
+    """Weight of the entropy for each, shape (count,)."""
+    weight: torch.Tensor
+    """Weight against being drawn often, at most 1, shape (count,)."""
+
+
+class Curriculum:
+    """Draws start states that are known to be solvable.
+
+    Every state is drawn once before any is drawn again; then those whose last rollout had a high surrogate loss, from
+    which there is most to learn, are drawn more often. Where rollouts fail again and again, the policy is made to
+    explore more. With `growing` settings, only states near their target take part at first.
+    """
+
+    def __init__(
+        self,
+        starts: torch.Tensor,
+        rules: Rules,
+        settings: CurriculumSettings = CurriculumSettings(),
+        generator: torch.Generator | None = None,
+        *,
+        targets: torch.Tensor | None = None,
+        shards: Shards = Shards(),
+    ) -> None:
+        """Begin.
+
+        Args:
+            starts: stable states with a way to their target, shape (count, parts); those that are their target are
+                left out.
+            rules: of the structure.
+            settings: how to draw.
+            generator: source of randomness on the device of the states, another one in every process.
+            targets: of each start, shape (count, parts), or None.
+            shards: processes; each draws for itself, and all hear of all outcomes.
+
+        Raises:
+            InputError: no start states.
+        """
+        self.settings = settings
+        self.updates = 0
+        self.horizon = 0
+        """Steps to the target that states may be away to be drawn."""
+        self._rules = rules
+        self._shards = shards
+        device = starts.device
+        self._generator = torch.Generator(device).manual_seed(shards.rank) if generator is None else generator
+        self._starts = starts[:0]
+        self._targets = None if targets is None else targets[:0]
+        self._left = torch.zeros(0, dtype=torch.int64, device=device)
+        self._visited = torch.zeros(0, dtype=torch.bool, device=device)
+        self._surrogate = torch.zeros(0, device=device)
+        self._entropy = torch.zeros(0, device=device)
+        self._far = torch.zeros(2, device=device)
+        """Rollouts from the far end of what is drawn, and successes among them, since the horizon moved."""
+        self.add(starts, targets)
+        if len(self) == 0:
+            raise InputError("a curriculum needs start states that are not their own target; hand in some")
+        self.horizon = self._next_horizon() if settings.growing else self._longest()
+
+    def __len__(self) -> int:
+        return len(self._starts)
+
+    def add(self, starts: torch.Tensor, targets: torch.Tensor | None = None) -> None:
+        """Take in more states, shape (count, parts), not drawn yet; equal ones are not looked for.
+
+        Raises:
+            InputError: targets for some states and none for others.
+        """
+        if (targets is None) != (self._targets is None):
+            raise InputError("either all states of a curriculum have targets or none has; hand in both alike")
+        left = self._rules.steps_left(starts, targets)
+        rows = (left > 0).nonzero()[:, 0]
+        new = {
+            "_starts": starts[rows],
+            "_left": left[rows],
+            "_visited": torch.zeros(len(rows), dtype=torch.bool, device=starts.device),
+            "_surrogate": torch.zeros(len(rows), device=starts.device),
+            "_entropy": torch.full((len(rows),), self.settings.entropy, device=starts.device),
+        }
+        if targets is not None:
+            new["_targets"] = targets[rows]
+        for name, values in new.items():
+            setattr(self, name, torch.cat([getattr(self, name), values]))
+        if not self.settings.growing and len(self):
+            self.horizon = self._longest()
+
+    def draw(self, count: int) -> Draw:
+        """Start states for `count` rollouts."""
+        inside = self._left <= self.horizon
+        fresh = (inside & ~self._visited).nonzero()[:, 0]
+        order = torch.randperm(len(fresh), generator=self._generator, device=fresh.device)
+        rows = fresh[order[:count]]
+        probability = self._probability(inside)
+        if len(rows) < count:
+            more = torch.multinomial(probability, count - len(rows), replacement=True, generator=self._generator)
+            rows = torch.cat([rows, more])
+        return Draw(
+            rows,
+            self._starts[rows],
+            None if self._targets is None else self._targets[rows],
+            self._entropy[rows],
+            self._correction(probability[rows]),
+        )
+
+    def learn(self, draw: Draw, success: torch.Tensor, surrogate: torch.Tensor) -> None:
+        """Hear how rollouts ended.
+
+        Args:
+            draw: where they began.
+            success: shape (count,).
+            surrogate: size of the surrogate loss of each, shape (count,).
+        """
+        rows = gather_rows(draw.rows, self._shards)
+        success = gather_rows(success, self._shards)
+        surrogate = gather_rows(surrogate, self._shards)
+        self._visited[rows] = True
+        # Rows may be there several times: means, and one success is enough to be called one.
+        times = torch.zeros_like(self._surrogate).index_add_(0, rows, torch.ones_like(surrogate))
+        drawn = times > 0
+        total = torch.zeros_like(times).index_add_(0, rows, surrogate)
+        solved = torch.zeros_like(times).index_add_(0, rows, success.float()) > 0
+        self._surrogate = torch.where(drawn, total / times.clamp(min=1), self._surrogate)
+        risen = (self._entropy + self.settings.entropy_rise).clamp(max=self.settings.entropy_most)
+        entropy = torch.where(solved, self.settings.entropy, torch.maximum(risen, self._entropy))
+        self._entropy = torch.where(drawn, entropy, self._entropy)
+        self.updates += 1
+        if self.settings.growing:
+            far = self._left[rows] > _FAR * self.horizon
+            self._far += torch.stack([far.sum(), (far & success).sum()])
+            self._grow()
+
+    def report(self) -> dict[str, float]:
+        """How far it is: the horizon as a share of the way, and the share of states drawn so far."""
+        return {
+            "curriculum_horizon": self.horizon / max(self._longest(), 1),
+            "curriculum_visited": float(self._visited.float().mean()),
+            "curriculum_entropy": float(self._entropy.mean()),
+        }
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """All that there is to save and is the same in all processes."""
+        columns = {name: getattr(self, f"_{name}") for name in ("starts", "visited", "surrogate", "entropy", "far")}
+        if self._targets is not None:
+            columns["targets"] = self._targets
+        return {**columns, "counts": torch.tensor([self.updates, self.horizon])}
+
+    def own_tensors(self) -> dict[str, torch.Tensor]:
+        """The source of randomness, which every process has for itself."""
+        return {"generator": self._generator.get_state()}
+
+    def load(self, tensors: dict[str, torch.Tensor], own: dict[str, torch.Tensor] | None = None) -> None:
+        """Go back to what `tensors` and `own_tensors` gave; without the latter, randomness goes on where it is."""
+        device = self._left.device
+        for name in ("starts", "visited", "surrogate", "entropy", "far"):
+            setattr(self, f"_{name}", tensors[name].to(device).clone())
+        self._visited = self._visited.bool()
+        self._targets = tensors["targets"].to(device).clone() if "targets" in tensors else None
+        self._left = self._rules.steps_left(self._starts, self._targets)
+        self.updates, self.horizon = tensors["counts"].tolist()
+        if own is not None:
+            self._generator.set_state(own["generator"].cpu())
+
+    def _probability(self, inside: torch.Tensor) -> torch.Tensor:
+        """With which each state is drawn: by its rank in surrogate loss, nothing beyond the horizon."""
+        surrogate = torch.where(inside, self._surrogate, -1.0)
+        order = torch.argsort(surrogate, descending=True, stable=True)
+        rank = torch.arange(1, len(order) + 1, device=order.device, dtype=torch.float32)
+        probability = torch.empty_like(rank).scatter_(0, order, rank.pow(-self.settings.rank_power))
+        probability = probability * inside
+        return probability / probability.sum()
+
+    def _correction(self, probability: torch.Tensor) -> torch.Tensor:
+        """Weights of samples that were drawn with these probabilities (Schaul et al. 2016), at most 1."""
+        done = min(self.updates / self.settings.corrected_after, 1.0)
+        power = min(self.settings.correction + (1.0 - self.settings.correction) * done, 1.0)
+        if power == 0 or self.settings.rank_power == 0:
+            return torch.ones_like(probability)
+        weight = probability.pow(-power)
+        return weight / weight.max()
+
+    def _longest(self) -> int:
+        return int(self._left.max()) if len(self) else 0
+
+    def _next_horizon(self) -> int:
+        """The least one a stage farther away that takes in more states."""
+        longest = self._longest()
+        stage = max(-(-longest // self.settings.stages), 1)
+        farther = self._left[self._left > self.horizon]
+        nearest = int(farther.min()) if len(farther) else longest
+        return min(max(self.horizon + stage, nearest), longest)
+
+    def _grow(self) -> None:
+        seen, solved = self._far.tolist()
+        if seen >= _ENOUGH and solved >= self.settings.pass_mark * seen:
+            self.horizon = max(self._next_horizon(), self.horizon)
+            self._far.zero_()
+        elif seen >= 8 * _ENOUGH:  # what the policy could do long ago says nothing of it now
+            self._far *= 0.5

@@ -1,0 +1,1 @@
+"""Training states, goals and held-out sets."""

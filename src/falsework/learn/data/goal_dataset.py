@@ -1,0 +1,254 @@
+"""Data of two-state policies: tasks to learn from, and unseen ones to test on (paper, section 7.2, Table 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import takewhile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import States
+from falsework.errors import InputError
+from falsework.learn.data.dataset import Report, check_states, search_states
+from falsework.learn.data.goal_pairs import Pairs, PairSource
+from falsework.search.device.oracle import TensorOracle, oracle_on, without_exact
+from falsework.search.device.parallel_beams import search_many
+from falsework.search.problem.state_graph import StateGraph, criterion_of, read_criterion
+from falsework.search.problem.task import Direction, Task
+from falsework.utils.archive import read_archive, write_archive
+from falsework.utils.distributed import Shards
+from falsework.utils.tensors import choose_device
+
+if TYPE_CHECKING:
+    import torch
+
+FORMAT = "falsework.searched/1"
+
+_ARRAYS = frozenset({"train", "test", "more"})
+
+_TOGETHER, _FEW = 64, 4
+"""Further searches that run side by side, on a GPU and on a processor; the time is looked at between them."""
+_KEPT = 8
+"""States kept of each on a GPU, in widths, and those that lead to them: there are more than a graph can connect."""
+_THROUGH = 0.25
+"""Share of searches that must come through, or the next ones begin at the other end."""
+
+
+@dataclass(frozen=True)
+class TargetDataSettings:
+    """Which searches make a data set of pairs (paper, section 7.2, Table 4)."""
+
+    train_width: int = 64
+    """Width of the search, in the direction of disassembly, whose states are those to learn from."""
+    test_width: int = 128
+    """Width of the search that unseen pairs come from."""
+    widths: tuple[int, ...] = ()
+    """Widths of further searches to learn from."""
+    pairs: int = 20_000
+    """Pairs of the training set, drawn from the first graph."""
+    test_pairs: int = 2_000
+    """Unseen pairs at most."""
+    seed: int = 0
+    """Of the first search; each further one, the test search included, adds one."""
+
+    def __post_init__(self) -> None:
+        for width in (self.train_width, self.test_width, *self.widths):
+            if width < 1:
+                raise InputError(f"a search of width {width} finds nothing; give at least 1")
+        if self.pairs < 1 or self.test_pairs < 1:
+            raise InputError("pairs and test_pairs are counts; give at least 1")
+        if self.seed < 0:
+            raise InputError(f"a seed is not negative; {self.seed} was given")
+
+
+@dataclass(frozen=True, eq=False)
+class TargetDataset:
+    """Pairs of start and target of one structure; no start or target of a test pair is one of the training states."""
+
+    train: Pairs
+    """From the search of the training width."""
+    test: Pairs
+    """Unseen: neither start nor target is in the training graph."""
+    graph: StateGraph
+    """All training states."""
+    wide: StateGraph
+    """Those and the states of further searches; the same graph where there are none."""
+    task: Task
+    name: str = ""
+    settings: TargetDataSettings = field(default_factory=TargetDataSettings)
+
+    @property
+    def test_states(self) -> States:
+        """Every start and target of the test pairs once, to be kept out of training; shape (count, parts)."""
+        return np.unique(np.concatenate([self.test.states, self.test.targets]), axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """States of the searches of a `TargetDataset`, which take far longer to find than to connect."""
+
+    train: States
+    """Of the first search, shape (count, parts)."""
+    test: States
+    """Of the search that unseen pairs come from."""
+    more: States
+    """Of all further ones, one after the other: few come twice, and a graph holds them once."""
+
+    @classmethod
+    def find(
+        cls,
+        task: Task,
+        settings: TargetDataSettings,
+        oracle: TensorOracle,
+        *,
+        device: torch.device,
+        shards: Shards = Shards(),
+        report: Report | None = None,
+        enough: Callable[[], bool] | None = None,
+    ) -> Searched:
+        """Search.
+
+        Args:
+            task: as of `target_dataset`, like the next four.
+            settings: widths and seed.
+            oracle: verdicts.
+            device: where to search.
+            shards: processes that search together.
+            report: told in words how far it is.
+            enough: asked before each lot of further searches, in all processes alike, whether they and those after
+                them can be left out.
+        """
+        first = []
+        for number, width in enumerate((settings.train_width, settings.test_width)):
+            if report is not None:
+                report(f"search {number + 1} of {2 + len(settings.widths)}, width {width}")
+            seed, way = settings.seed + number, Direction.DISASSEMBLY
+            first.append(search_states(task, oracle, width, seed, device=device, shards=shards, direction=way)[0])
+        # States to test on are judged to the last one; of those to learn from a few may be missing.
+        judge, together = without_exact(oracle), _TOGETHER if device.type == "cuda" else _FEW
+        more, done, way = [first[0][:0]], 0, Direction.DISASSEMBLY
+        while done < len(settings.widths) and not (enough is not None and enough()):
+            width = settings.widths[done]
+            count = sum(1 for _ in takewhile(width.__eq__, settings.widths[done : done + together * shards.size]))
+            if report is not None:
+                report(f"searches {done + 3} to {done + count + 2} of {2 + len(settings.widths)}, width {width}")
+            states, through = _several(task, judge, count, width, way, settings.seed + 2 + done, device, shards)
+            more.append(states)
+            done += count
+            # What lies behind the point where most searches die out is seen from the other end.
+            died = way is Direction.DISASSEMBLY and through < _THROUGH * count
+            way = Direction.ASSEMBLY if died else Direction.DISASSEMBLY
+        return cls(first[0], first[1], np.concatenate(more))
+
+    def save(self, path: Path | str, task: Task) -> None:
+        """Write the states as a versioned `.npz`."""
+        header = {"identity": task.identity, "criterion": criterion_of(task)}
+        write_archive(path, FORMAT, header, {name: getattr(self, name) for name in _ARRAYS})
+
+    @classmethod
+    def load(cls, path: Path | str, task: Task) -> Searched:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: no such file, a damaged one, one of another version, or one of another structure or criterion.
+        """
+        header, arrays = read_archive(path, FORMAT, _ARRAYS)
+        criterion = read_criterion(path, header, "remove it")
+        if criterion != criterion_of(task):
+            raise InputError(f"{path} has states that are stable under the criterion {criterion}; remove it")
+        if header.get("identity") != task.identity:
+            raise InputError(f"{path} has states of another structure; remove it")
+        check_states(path, arrays, task.part_count, "remove it")
+        return cls(**arrays)
+
+
+def _several(
+    task: Task,
+    oracle: TensorOracle,
+    count: int,
+    width: int,
+    direction: Direction,
+    seed: int,
+    device: torch.device,
+    shards: Shards,
+) -> tuple[States, float]:
+    """States of some searches, each process doing its share of them, and how many came through."""
+    import torch
+
+    from falsework.learn.training.collectives import gather_rows, summed
+
+    mine = len(range(shards.rank, count, shards.size))
+    states, through = np.empty((0, task.part_count), dtype=np.uint8), 0.0
+    if mine:
+        keep = _KEPT * width if device.type == "cuda" else None
+        own = seed * shards.size + shards.rank
+        searched = search_many(task, oracle, mine, width, direction=direction, seed=own, keep=keep, device=device)
+        states, through = searched.states, float(searched.found.sum())
+    if shards.size > 1:
+        states = gather_rows(torch.from_numpy(states).to(device), shards).cpu().numpy()
+        through = summed([through], shards, device)[0]
+    return states, through
+
+
+def target_dataset(
+    assembly: Assembly,
+    task: Task,
+    settings: TargetDataSettings = TargetDataSettings(),
+    *,
+    oracle: TensorOracle | None = None,
+    device: str = "auto",
+    shards: Shards = Shards(),
+    searched: Searched | None = None,
+) -> TargetDataset:
+    """Run the searches of the protocol of Table 4 and draw the pairs.
+
+    The paper's training set is what a search of width 64 from the complete structure finds; unseen pairs come from
+    a search of width 128, and both their states are new. All of them have a way from start to target. Further searches
+    add states, and with them ways, between which `falsework.learn.data.random_walks.Ways` draws tasks.
+
+    Args:
+        assembly: the structure.
+        task: taking all of it apart, as of `falsework.learn.data.dataset.task_for`.
+        settings: widths, numbers of pairs and seed.
+        oracle: verdicts; made if not given.
+        device: `auto`, `cpu` or `cuda`.
+        shards: processes that search together.
+        searched: states of these searches, if there are any already.
+
+    Raises:
+        DependencyError: torch is not installed.
+        InputError: no such device, or a structure so small that the wider search finds no new pair.
+    """
+    from falsework.stability import Stability
+
+    if searched is None:
+        where = choose_device(device)
+        asked = oracle_on(Stability(assembly), where) if oracle is None else oracle
+        task = task.judged_by(asked)
+        searched = Searched.find(task, settings, asked, device=where, shards=shards)
+    graph = StateGraph.build(task, searched.train, name=assembly.name)
+    wider = StateGraph.build(task, searched.test, name=assembly.name)
+    rng = np.random.default_rng(settings.seed)
+    train = PairSource(graph).draw(settings.pairs, rng)
+    test = _unseen(wider, graph.states, rng)[: settings.test_pairs]
+    if len(test) == 0:
+        raise InputError(
+            f"a search of width {settings.test_width} finds no pair of states of {assembly.name} that one of width "
+            f"{settings.train_width} has not seen; test with a greater width"
+        )
+    wide = graph
+    if len(searched.more):
+        wide = StateGraph.build(task, np.concatenate([searched.train, searched.more]), name=assembly.name)
+    return TargetDataset(train, test, graph, wide, task, assembly.name, settings)
+
+
+def _unseen(wider: StateGraph, seen: States, rng: np.random.Generator) -> Pairs:
+    """Pairs of states of a graph that are not among `seen`, if there are any."""
+    try:
+        return PairSource(wider, forbidden=seen).one_for_each_end(rng)
+    except InputError:
+        return PairSource(wider).draw(1, rng)[:0]

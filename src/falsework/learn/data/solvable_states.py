@@ -1,0 +1,178 @@
+"""The states known to be solvable: what imitation learns from, growing while a policy is trained."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from falsework.learn.env.rules import Rules
+from falsework.search.problem.hashing import StateHash
+from falsework.utils.tensors import in_sorted, put
+
+_CHUNK = 1 << 16
+"""States hashed at once."""
+
+
+class SolvedStates:
+    """A set of states from which the structure is known to come apart, on one device.
+
+    States are told apart by the 64-bit words of `StateHash` alone. Among ten million states and a billion look-ups the
+    chance that any two words agree by accident is one in two thousand, and what it would cost is one wrong sample.
+
+    States kept for testing are never stored. If the set is told that one of them is solvable, actions that lead into it
+    count as valid from then on, which is true and was found without looking at the test; nothing ever starts there.
+    """
+
+    def __init__(self, rules: Rules, states: torch.Tensor | None = None) -> None:
+        """Begin with some states.
+
+        Args:
+            rules: says which actions are legal, and where.
+            states: solvable states in any order, repeated or not, `uint8`, shape (count, parts).
+        """
+        self.rules = rules
+        self.device = rules.device
+        parts = rules.part_count
+        words = StateHash.for_parts(parts).words
+        change = np.concatenate([words[:, 1] ^ words[:, 2], words[:, 2] ^ words[:, 0]])
+        self._change = put(change, self.device)
+        self._states = torch.empty((0, parts), dtype=torch.uint8, device=self.device)
+        self._stored = self._words_of_none()
+        self._known = self._words_of_none()
+        self._forbidden = self._words_of_none()
+        self._met = torch.empty(0, dtype=torch.bool, device=self.device)
+        if states is not None:
+            self.add(states)
+
+    def __len__(self) -> int:
+        return len(self._states)
+
+    @property
+    def states(self) -> torch.Tensor:
+        """States to learn from and to start from, in the order in which they came, shape (count, parts)."""
+        return self._states
+
+    @property
+    def forbidden(self) -> int:
+        """Number of test states."""
+        return len(self._forbidden)
+
+    @property
+    def met(self) -> int:
+        """Number of test states that rollouts have come across, see `meet`."""
+        return int(self._met.sum())
+
+    @property
+    def met_share(self) -> float:
+        """Share of the test states that rollouts have come across."""
+        return self.met / max(self.forbidden, 1)
+
+    def hashes(self, states: torch.Tensor) -> torch.Tensor:
+        """The word of each state, int64, shape (batch,)."""
+        pieces = [self.rules.hashes(states[begin : begin + _CHUNK]) for begin in range(0, len(states), _CHUNK)]
+        return torch.cat(pieces) if pieces else self._words_of_none()
+
+    def add(self, states: torch.Tensor) -> int:
+        """Learn that states are solvable; test states are not stored.
+
+        Args:
+            states: solvable states, repeated or not, shape (count, parts).
+
+        Returns:
+            Number of states that were not stored before.
+        """
+        states = states.to(self.device)
+        hashes = self.hashes(states)
+        fresh = ~in_sorted(self._known, hashes)
+        states, hashes = states[fresh], hashes[fresh]
+        if len(states) == 0:
+            return 0
+        ordered, order = torch.sort(hashes, stable=True)
+        first = torch.ones_like(ordered, dtype=torch.bool)
+        first[1:] = ordered[1:] != ordered[:-1]
+        rows = torch.sort(order[first]).values  # in the order in which they came
+        states, hashes = states[rows], hashes[rows]
+        self._known = torch.sort(torch.cat([self._known, hashes])).values
+        storable = ~in_sorted(self._forbidden, hashes)
+        self._states = torch.cat([self._states, states[storable]])
+        self._stored = torch.sort(torch.cat([self._stored, hashes[storable]])).values
+        return int(storable.sum())
+
+    def forbid(self, states: torch.Tensor) -> None:
+        """Keep states for testing: they are never stored, and dropped if they are.
+
+        Args:
+            states: shape (count, parts).
+        """
+        hashes = torch.unique(self.hashes(states.to(self.device)))
+        hashes = hashes[~in_sorted(self._forbidden, hashes)]
+        self._forbidden, order = torch.sort(torch.cat([self._forbidden, hashes]))
+        self._met = torch.cat([self._met, torch.zeros_like(hashes, dtype=torch.bool)])[order]
+        self._states = self._states[~in_sorted(self._forbidden, self.hashes(self._states))]
+        self._stored = self._stored[~in_sorted(self._forbidden, self._stored)]
+
+    def is_forbidden(self, states: torch.Tensor) -> torch.Tensor:
+        """Which states are kept for testing, bool, shape (batch,)."""
+        return in_sorted(self._forbidden, self.hashes(states))
+
+    def meet(self, states: torch.Tensor) -> None:
+        """Note which test states a rollout has come across; they are counted, nothing else.
+
+        Args:
+            states: states of rollouts, in any number, shape (batch, parts).
+        """
+        if len(self._forbidden) and len(states):
+            hashes = self.hashes(states)
+            slot = torch.searchsorted(self._forbidden, hashes).clamp_(max=len(self._forbidden) - 1)
+            hit = (self._forbidden[slot] == hashes).to(torch.int32)
+            self._met |= torch.zeros_like(self._met, dtype=torch.int32).index_add_(0, slot, hit) > 0
+
+    def contains(self, states: torch.Tensor) -> torch.Tensor:
+        """Which states are stored, bool, shape (batch,)."""
+        return in_sorted(self._stored, self.hashes(states))
+
+    def valid_actions(self, states: torch.Tensor, mask: torch.Tensor | None = None) -> torch.Tensor:
+        """Legal actions whose successors are known to be solvable.
+
+        Args:
+            states: shape (batch, parts).
+            mask: legal actions if they are known already, shape (batch, 2 parts).
+
+        Returns:
+            Bool, shape (batch, 2 parts).
+        """
+        mask = self.rules.mask(states) if mask is None else mask
+        hashes = self.hashes(states)
+        if self.device.type == "cuda":  # looking all of them up costs less than waiting for a list of the legal ones
+            return in_sorted(self._known, hashes[:, None] ^ self._change) & mask
+        rows, actions = mask.nonzero(as_tuple=True)
+        valid = torch.zeros_like(mask)
+        valid[rows, actions] = in_sorted(self._known, hashes[rows] ^ self._change[actions])
+        return valid
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """All that there is to save, for `load`."""
+        return {"states": self._states, "known": self._known, "forbidden": self._forbidden, "met": self._met}
+
+    def load(self, tensors: dict[str, torch.Tensor]) -> None:
+        """Go back to what `tensors` gave."""
+        moved = {name: tensor.to(self.device) for name, tensor in tensors.items()}
+        self._states, self._known = moved["states"], moved["known"]
+        self._forbidden, self._met = moved["forbidden"], moved["met"].bool()
+        self._stored = torch.sort(self.hashes(self._states)).values
+
+    def test_words(self) -> torch.Tensor:
+        """Words of test states that are known to be solvable, for other processes to know of. Shape (count,)."""
+        return self._known[in_sorted(self._forbidden, self._known)]
+
+    def learn_test_words(self, words: torch.Tensor) -> None:
+        """Take over from other processes which test states are solvable; words of other states are not for this."""
+        fresh = torch.unique(words[~in_sorted(self._known, words)])
+        self._known = torch.sort(torch.cat([self._known, fresh])).values
+
+    def sort(self) -> None:
+        """Put the states into the order of their words, which does not depend on who found what first."""
+        self._states = self._states[torch.argsort(self.hashes(self._states), stable=True)]
+
+    def _words_of_none(self) -> torch.Tensor:
+        return torch.empty(0, dtype=torch.int64, device=self.device)

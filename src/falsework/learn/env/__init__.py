@@ -1,0 +1,1 @@
+"""Vectorised disassembly environment on tensors."""

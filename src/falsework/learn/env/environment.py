@@ -1,0 +1,281 @@
+"""The environment: thousands of rollouts as tensors, with the rewards of the paper and proven verdicts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Literal
+
+import torch
+
+from falsework.assembly.model import Assembly
+from falsework.errors import StateError
+from falsework.learn.env.rules import Rules
+from falsework.learn.env.verdict_cache import VerdictTable
+from falsework.search.device.oracle import HostOracle, TensorOracle, oracle_on, without_exact
+from falsework.search.problem.oracle import Oracle
+from falsework.stability.oracle import Stability
+from falsework.utils.tensors import choose_device, put
+
+if TYPE_CHECKING:
+    from falsework.learn.env.rollout import Policy, Rollouts
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What one action each did to a batch of states."""
+
+    states: torch.Tensor
+    """`uint8`, shape (batch, parts). Of a row that ended unstable: the state that is not proven stable."""
+    reward: torch.Tensor
+    """+1 where the target is reached, -1 where the state is not proven stable or has no legal action left, else 0.
+    `float32`, shape (batch,)."""
+    done: torch.Tensor
+    """`bool`, shape (batch,)."""
+    success: torch.Tensor
+    """Target reached. `bool`, shape (batch,)."""
+    unstable: torch.Tensor
+    """Ended by an action after which stability is not proven: the state is unstable, slides or is open. `bool`, shape
+    (batch,)."""
+    mask: torch.Tensor
+    """Legal actions of the new states, `bool`, shape (batch, 2 parts)."""
+
+
+@dataclass
+class EnvironmentCounters:
+    """Work done so far, and the time it took.
+
+    On a GPU the seconds are those of the host unless `Environment.measure` is set, which waits after each part.
+    """
+
+    steps: int = 0
+    """Actions carried out, over all rollouts."""
+    states_asked: int = 0
+    """States that the oracle was asked about: each distinct one once, and not known before."""
+    seconds_network: float = 0.0
+    """In the policy, choice of the action included."""
+    seconds_verdicts: float = 0.0
+    """In verdicts, lookups included."""
+    seconds_rules: float = 0.0
+    """In masks, transitions and rewards."""
+
+    def as_dict(self) -> dict[str, int | float]:
+        """Plain numbers for reports, with the share of each kind of work in their sum."""
+        numbers = asdict(self)
+        seconds = {name: value for name, value in numbers.items() if name.startswith("seconds_")}
+        total = sum(seconds.values())
+        shares = {name.replace("seconds", "share"): s / total if total else 0.0 for name, s in seconds.items()}
+        return {**numbers, **shares}
+
+
+class Environment:
+    """Disassembly of one structure as a game on tensors (paper, section 5.2).
+
+    Rewards: +1 when all removable parts are out or the target is reached, -1 at the first unstable state, 0 else.
+    A rollout that comes to a state without a legal action, which robots that wait for each other or a clearance
+    table can cause, has failed as well and earns -1. Every action is judged, under the criterion `equilibrium` only
+    removals, since there a hold never makes a stable state unstable; start states are taken as stable.
+    """
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        robots: int = 2,
+        *,
+        oracle: Oracle | None = None,
+        device: torch.device | str = "auto",
+        clearance: bool = False,
+        fixed: Sequence[int] = (),
+    ) -> None:
+        """Copy rules and problem to the device.
+
+        Args:
+            assembly: the structure.
+            robots: number of parts that may be held at once.
+            oracle: decides stability; hand in the `Stability` you have, for it remembers what it was asked.
+            device: where states, rules and verdicts live: `auto`, `cpu`, `cuda`, `cuda:1`.
+            clearance: remove a part only if it has a free way out.
+            fixed: parts that are never touched.
+
+        Raises:
+            DependencyError: what the device needs is not installed.
+            InputError: no such device, fewer than one robot, or a fixed part that does not exist.
+        """
+        self.assembly = assembly
+        self.device = choose_device(device) if isinstance(device, str) else torch.device(device)
+        self.oracle: Oracle = Stability(assembly) if oracle is None else oracle
+        self.rules = Rules(
+            assembly,
+            robots,
+            self.device,
+            clearance=clearance,
+            fixed=fixed,
+            holds_keep_stable=bool(getattr(self.oracle, "holds_keep_stable", False)),
+        )
+        self.counters = EnvironmentCounters()
+        self.measure = False
+        """Wait for the device around each kind of work, so that its seconds are its own."""
+        self.rows_at_once = 1 << 13
+        """States that a policy is given at once, at most."""
+        self.exact = True
+        """Ask the exact solver about the few states that the one on the GPU leaves open; else they count as not proven
+        stable. It works on the processor, and all rollouts wait for it."""
+        self._on_device = _tensor_oracle(self.oracle, self.device)
+        self._known = VerdictTable(self.rules)
+
+    @property
+    def part_count(self) -> int:
+        """Number of parts, boundary included."""
+        return self.rules.part_count
+
+    def generator(self, seed: int) -> torch.Generator:
+        """Source of random numbers on the device of this environment."""
+        return torch.Generator(self.device).manual_seed(seed)
+
+    def stable(
+        self, states: torch.Tensor, parents: torch.Tensor | None = None, *, needed: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """Which states are proven stable; what was asked before is remembered, equal rows are asked once.
+
+        Args:
+            states: `uint8` on the device, shape (batch, parts).
+            parents: for each a stable state that is one action away, shape (batch, parts); lets the solver on the
+                processor start from what it knows.
+            needed: rows that need a verdict; the others are returned as stable. All if None. Shape (batch,).
+
+        Returns:
+            `bool`, shape (batch,).
+        """
+
+        def ask(asked: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+            self.counters.states_asked += len(asked)
+            oracle = self._on_device if self.exact else without_exact(self._on_device)
+            if parents is not None:
+                return oracle(asked.contiguous(), parents[rows].contiguous())
+            if isinstance(oracle, HostOracle):
+                return put(self.oracle.judge(asked.cpu().numpy()).verdict, self.device)
+            return oracle(asked, asked)
+
+        with self.timed("seconds_verdicts"):
+            return self._known.stable(states, needed, ask, final=self.exact)
+
+    def step(
+        self,
+        states: torch.Tensor,
+        actions: torch.Tensor,
+        targets: torch.Tensor | None = None,
+        *,
+        check: bool = False,
+    ) -> Step:
+        """Carry out one action in each state.
+
+        Args:
+            states: stable, not done, shape (batch, parts).
+            actions: legal in the states, shape (batch,).
+            targets: shape (batch, parts); None takes everything away that is not fixed.
+            check: raise for illegal actions, which costs a wait for the device; otherwise they are not noticed.
+
+        Raises:
+            StateError: with `check`, an action that is not legal.
+        """
+        rules = self.rules
+        if check:
+            self._check_legal(states, actions, targets)
+        with self.timed("seconds_rules"):
+            after = rules.apply(states, actions)
+            needed = rules.needs_verdict(actions)
+        stable = self.stable(after, states, needed=needed)
+        with self.timed("seconds_rules"):
+            mask = rules.mask(after, targets)
+            success = rules.reached(after, targets) & stable
+            failed = ~stable | ~(success | mask.any(dim=1))
+            reward = success.float() - failed.float()
+        self.counters.steps += len(states)
+        return Step(after, reward, success | failed, success, ~stable, mask)
+
+    def rollout(
+        self,
+        policy: Policy,
+        starts: torch.Tensor,
+        targets: torch.Tensor | None = None,
+        *,
+        greedy: bool = True,
+        temperature: float = 1.0,
+        generator: torch.Generator | None = None,
+        keep: Literal["all", "ends"] = "all",
+    ) -> Rollouts:
+        """Follow a policy from stable start states until every rollout has ended.
+
+        Finished rollouts drop out of the batch that is evaluated.
+
+        Args:
+            policy: called as `policy(states, targets)`; returns logits `(batch, 2 parts)` and values `(batch,)`.
+            starts: stable, `uint8` on the device, shape (batch, parts).
+            targets: shape (batch, parts), or None.
+            greedy: take the most probable action; otherwise draw one.
+            temperature: what logits are divided by before drawing.
+            generator: source of randomness for drawing; same state of it, same rollouts.
+            keep: `all` states and actions, or only the `ends`, which takes little memory.
+
+        Raises:
+            InputError: a temperature that is not above zero.
+        """
+        from falsework.learn.env.rollout import roll_out
+
+        rollouts = roll_out(
+            self,
+            policy,
+            starts,
+            targets,
+            greedy=greedy,
+            temperature=temperature,
+            generator=generator,
+            keep=keep,
+        )
+        self.note(rollouts, told=targets is not None, drawn=not greedy, whole=keep == "all")
+        return rollouts
+
+    def note(self, rollouts: Rollouts, *, told: bool, drawn: bool, whole: bool) -> None:
+        """Called with all rollouts of `rollout`, for environments that learn from them; this one does nothing.
+
+        Args:
+            rollouts: as they ended.
+            told: they had targets.
+            drawn: actions were drawn, not the most probable ones.
+            whole: all states are kept.
+        """
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Add the seconds of some work to a counter."""
+        self._wait()
+        begun = time.perf_counter()
+        yield
+        self._wait()
+        setattr(self.counters, name, getattr(self.counters, name) + time.perf_counter() - begun)
+
+    def _wait(self) -> None:
+        if self.measure and self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+
+    def _check_legal(self, states: torch.Tensor, actions: torch.Tensor, targets: torch.Tensor | None) -> None:
+        parts = self.part_count
+        inside = (actions >= 0) & (actions < 2 * parts)
+        mask = self.rules.mask(states, targets)
+        legal = inside & mask.gather(1, actions.long().clamp(0, 2 * parts - 1)[:, None])[:, 0]
+        if not bool(legal.all()):
+            row = int((~legal).nonzero()[0, 0])
+            raise StateError(f"action {int(actions[row])} is not legal in state {row}; choose one that the mask allows")
+
+
+def _tensor_oracle(oracle: Oracle, device: torch.device) -> TensorOracle:
+    """The solver on the device, unless the oracle was told to be exact, or is of another kind.
+
+    An oracle for the processor, which is the default, says nothing about where rollouts are to be judged: states would
+    leave the device at every step, and a GPU would wait for two cores.
+    """
+    if device.type == "cuda" and isinstance(oracle, Stability) and oracle.settings.solver in ("auto", "cpu", "gpu"):
+        return oracle_on(oracle, device)
+    return HostOracle(oracle)

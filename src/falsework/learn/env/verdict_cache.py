@@ -1,0 +1,87 @@
+"""Verdicts already known, kept beside the states that are asked about."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+
+from falsework.learn.env.rules import Rules
+from falsework.stability.verdict import Verdict
+from falsework.utils.tensors import mix
+
+_UNKNOWN, _STABLE = int(Verdict.UNDECIDED), int(Verdict.STABLE)
+_LEAST = 1 << 10
+_MOST = 1 << 23
+
+
+class VerdictTable:
+    """Remembers verdicts of states on a device; a lookup is a handful of operations on whole batches.
+
+    A hash table with one place for each slot: a new state puts out the one that was there, so memory is bounded and
+    nothing is ever rehashed. States themselves are compared, not hashes, so that what it says was proven of this
+    very state.
+    """
+
+    def __init__(self, rules: Rules, *, memory: int = 0) -> None:
+        """Begin empty, with room for `memory` bytes of states; 0: 512 MiB on a GPU, 64 MiB on the processor."""
+        memory = memory or (1 << 29 if rules.device.type == "cuda" else 1 << 26)
+        slots = _LEAST
+        while 2 * slots * (rules.part_count + 9) <= memory and slots < _MOST:
+            slots *= 2
+        self._slots = slots
+        # Sums of random words, taken from the top bits; which of several states a slot holds is all that depends on it.
+        self._words = mix(torch.arange(rules.part_count, device=rules.device), 1)
+        # One place more, where rows write that have nothing to say.
+        self._states = torch.zeros((slots + 1, rules.part_count), dtype=torch.uint8, device=rules.device)
+        self._verdict = torch.zeros(slots + 1, dtype=torch.int8, device=rules.device)
+        self._ticket = torch.zeros(slots + 1, dtype=torch.int64, device=rules.device)
+        self._next_ticket = 1
+
+    def stable(
+        self,
+        states: torch.Tensor,
+        needed: torch.Tensor | None,
+        ask: Callable[[torch.Tensor, torch.Tensor], torch.Tensor],
+        *,
+        final: bool = True,
+    ) -> torch.Tensor:
+        """Which states are proven stable; asks for what is not known, every distinct state once.
+
+        Waits for the device once, to learn how many states have to be asked about.
+
+        Args:
+            states: shape (batch, parts).
+            needed: rows that need a verdict, the others count as stable; all if None. Shape (batch,).
+            ask: given states `(asked, parts)` and their rows `(asked,)`, returns a `Verdict` each, `(asked,)`.
+            final: remember what is left open as not stable; otherwise it is not remembered.
+
+        Returns:
+            `bool`, shape (batch,).
+        """
+        count = len(states)
+        row = torch.arange(count, device=states.device)
+        slot = ((states * self._words).sum(dim=1) >> 40) & (self._slots - 1)
+        verdict = torch.where((self._states[slot] == states).all(dim=1), self._verdict[slot], _UNKNOWN)
+        if needed is not None:
+            slot = torch.where(needed, slot, self._slots)
+            verdict = torch.where(needed, verdict, _STABLE)
+        # Of the rows that share a slot the last one leads: rows with the same state follow it, others ask themselves.
+        first = self._next_ticket
+        self._ticket.scatter_reduce_(0, slot, row + first, "amax")
+        self._next_ticket += count
+        leader = self._ticket[slot] - first
+        leads = leader == row
+        unknown = verdict == _UNKNOWN
+        follows = unknown & ~leads & (states[leader] == states).all(dim=1)
+        rows = (unknown & ~follows).nonzero()[:, 0]
+        if len(rows):
+            answer = ask(states[rows], rows)
+            if final:
+                answer = torch.where(answer == _UNKNOWN, int(Verdict.UNSTABLE), answer)
+            verdict[rows] = answer.to(torch.int8)
+            verdict = torch.where(follows, verdict[leader], verdict)
+            place = torch.where(leads, slot, self._slots)
+            self._states[place] = states
+            self._verdict[place] = verdict
+        return verdict == _STABLE

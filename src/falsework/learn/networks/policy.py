@@ -1,0 +1,205 @@
+"""Policies: networks that propose the next action from any state of a structure (paper, section 5.4).
+
+A policy is a `torch.nn.Module` called as `policy(states, targets=None) -> (logits, value)`; its logits know nothing of
+the rules, which come as a mask (`falsework.learn.env.rules`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from falsework.assembly.model import Assembly
+from falsework.errors import InputError
+from falsework.learn.config.policy import PolicySettings as PolicySettings
+
+
+class Policy(nn.Module):
+    """What all networks share: the parts of their structure, and how states become numbers.
+
+    What belongs to the structure is kept in buffers that `state_dict` leaves out, so that the weights of a network
+    that knows no part by its number load into the network of any other structure.
+    """
+
+    fixed: Tensor
+    """Boundary parts, shape (parts,), bool."""
+
+    def __init__(self, assembly: Assembly, settings: PolicySettings) -> None:
+        """Remember the boundary of an assembly, and the settings with their defaults filled in."""
+        super().__init__()
+        self.settings = settings.resolved()
+        self.part_count = assembly.part_count
+        self.keep("fixed", torch.tensor(assembly.boundary.tolist(), dtype=torch.bool))
+
+    def keep(self, name: str, tensor: Tensor) -> None:
+        """Register what belongs to the structure, not to the weights."""
+        self.register_buffer(name, tensor, persistent=False)
+
+    @property
+    def kinds_of_part(self) -> int:
+        """Number of values that `classes` tells apart."""
+        return 12 if self.settings.two_states else 4
+
+    def numbers(self, states: Tensor, targets: Tensor | None) -> Tensor:
+        """Class of every part: removed 0, installed 1, held 2, boundary 3; of two states, 3 times that plus the target.
+
+        Args:
+            states: uint8, shape (batch, parts).
+            targets: uint8, shape (batch, parts); for a policy of two states, None is the empty structure. A policy
+                of one state takes no notice of it.
+
+        Returns:
+            Shape (batch, parts), int32.
+        """
+        if states.shape[-1] != self.part_count:
+            raise InputError(f"states have {states.shape[-1]} parts; this policy is for {self.part_count}")
+        number = torch.where(self.fixed, 3, states.int())
+        if self.settings.two_states:
+            aim = torch.where(self.fixed, 2, 0) if targets is None else targets
+            number = 3 * number + aim.int()
+        return number
+
+    def classes(self, states: Tensor, targets: Tensor | None) -> Tensor:
+        """The same one-hot, shape (batch, parts, kinds_of_part), bool."""
+        numbers = self.numbers(states, targets)
+        return numbers[..., None] == torch.arange(self.kinds_of_part, device=states.device, dtype=numbers.dtype)
+
+    def forward(self, states: Tensor, targets: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Logits of all actions and an estimate of success.
+
+        Args:
+            states: uint8, shape (batch, parts).
+            targets: uint8, shape (batch, parts), or None.
+
+        Returns:
+            Logits, float32, shape (batch, 2 parts), not masked; value, float32, shape (batch,), in [-1, 1].
+        """
+        raise NotImplementedError
+
+
+def make_policy(
+    assembly: Assembly, settings: PolicySettings | None = None, device: torch.device | str = "cpu", seed: int = 0
+) -> Policy:
+    """A policy with random weights; the same seed gives the same weights on every device.
+
+    Args:
+        assembly: structure whose actions it proposes.
+        settings: which network, and how large.
+        device: where it lives.
+        seed: of the weights.
+    """
+    settings = settings or PolicySettings()
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        policy = _network(assembly, settings)
+    return policy.to(device)
+
+
+def _network(assembly: Assembly, settings: PolicySettings) -> Policy:
+    # Each network is a module of its own that builds on this one, so they are imported here.
+    if settings.kind == "mlp":
+        from falsework.learn.networks.mlp import MlpPolicy
+
+        return MlpPolicy(assembly, settings)
+    if settings.kind == "residual":
+        from falsework.learn.networks.residual_mlp import ResidualPolicy
+
+        return ResidualPolicy(assembly, settings)
+    if settings.kind == "parts":
+        from falsework.learn.networks.part_transformer import PartsPolicy
+
+        return PartsPolicy(assembly, settings)
+    from falsework.learn.networks.graph_attention import GraphPolicy
+
+    return GraphPolicy(assembly, settings)
+
+
+def masked_log_probabilities(logits: Tensor, mask: Tensor) -> Tensor:
+    """Log probabilities of the actions that a mask allows.
+
+    Args:
+        logits: shape (batch, actions).
+        mask: bool, shape (batch, actions).
+
+    Returns:
+        float32, shape (batch, actions); exactly -inf where the mask is off, so that the probability is exactly zero,
+        and in all of a row without legal action. Gradients are finite, and zero where the mask is off.
+    """
+    logits = logits.float()
+    # A large finite number instead of -inf: it underflows to zero all the same, and differentiates without NaN.
+    low = torch.where(mask, logits, torch.full_like(logits, -1e30))
+    return torch.where(mask, torch.log_softmax(low, dim=-1), -torch.inf)
+
+
+@torch.no_grad()
+def confidences(policy: nn.Module, states: Tensor, mask: Tensor, targets: Tensor | None = None) -> Tensor:
+    """How sure a policy is of each action: its probability among the legal ones.
+
+    Args:
+        policy: as `make_policy` makes it.
+        states: uint8, shape (batch, parts).
+        mask: legal actions, bool, shape (batch, 2 parts).
+        targets: uint8, shape (batch, parts), or None.
+
+    Returns:
+        float32, shape (batch, 2 parts); each row adds up to one, or to zero where no action is legal.
+    """
+    logits, _ = policy(states, targets)
+    return masked_log_probabilities(logits, mask).exp()
+
+
+def describe(policy: nn.Module) -> dict[str, Any]:
+    """Kind, sizes and number of weights of a policy, as plain JSON values."""
+    inner = getattr(policy, "_orig_mod", policy)  # what torch.compile wrapped
+    assert isinstance(inner, Policy)
+    return {
+        **asdict(inner.settings),
+        "parts": inner.part_count,
+        "parameters": sum(weight.numel() for weight in inner.parameters()),
+    }
+
+
+def transfer(
+    weights: Mapping[str, Tensor], settings: PolicySettings, assembly: Assembly, device: torch.device | str = "cpu"
+) -> Policy:
+    """A policy for a structure with the weights of a policy trained on another one.
+
+    Args:
+        weights: `state_dict` of the trained policy.
+        settings: its settings.
+        assembly: the other structure.
+        device: where the new policy lives.
+
+    Raises:
+        InputError: the weights know the parts of their structure by number, or are of another network.
+    """
+    if not settings.transfers:
+        why = "knows every part by its number (identity)" if settings.identity else "reads the parts by their number"
+        raise InputError(f"a policy of kind {settings.kind} that {why} fits its own structure only; train another kind")
+    policy = make_policy(assembly, settings, "cpu")
+    try:
+        policy.load_state_dict(dict(weights))
+    except RuntimeError:
+        raise InputError(
+            "the weights do not fit the settings of the policy; use the settings they were trained with"
+        ) from None
+    return policy.to(device)
+
+
+def share(policy: Policy, assembly: Assembly) -> Policy:
+    """A policy for another structure that uses the very same weights: training one trains the other.
+
+    Raises:
+        InputError: as `transfer`.
+    """
+    device = next(policy.parameters()).device
+    other = transfer(policy.state_dict(), policy.settings, assembly, device)
+    owners = dict(other.named_modules())
+    for name, weight in policy.named_parameters():
+        owner, _, leaf = name.rpartition(".")
+        setattr(owners[owner], leaf, weight)
+    return other

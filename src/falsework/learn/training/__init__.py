@@ -1,0 +1,1 @@
+"""Training runs: budget, checkpoints, logs, evaluation."""

@@ -1,0 +1,109 @@
+"""How far a training run is: by steps, which depends on the seed alone, or by the clock."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+
+from falsework.learn.training.collectives import decided, summed
+from falsework.utils.distributed import Shards
+
+_LONGEST = 0.05
+"""Share of a run that one stretch of it may take."""
+_CAUTION = 10
+"""Times shorter than others the first stretch is, when nobody knows what a step takes."""
+
+
+class Pace:
+    """Progress between 0 and 1, alike in all processes; survives interruptions."""
+
+    def __init__(
+        self, *, minutes: float, steps: int, shards: Shards = Shards(), device: torch.device = torch.device("cpu")
+    ) -> None:
+        """Start the clock.
+
+        Args:
+            minutes: time for everything, unless `steps` says how many.
+            steps: steps of the optimizer in place of a time.
+            shards: processes, of which the first has the clock.
+            device: for what they exchange.
+        """
+        self.before = 0.0
+        """Seconds spent in earlier pieces of this run."""
+        self.stopped = False
+        """Somebody asked to stop."""
+        self._budget, self._steps = 60.0 * minutes, steps
+        self._shards, self._device = shards, device
+        self._begun = time.perf_counter()
+        self._last, self._slope, self._took = 0.0, 0.0, 0
+
+    @property
+    def seconds(self) -> float:
+        """Seconds spent on this run so far, of earlier pieces too; by the clock of this process."""
+        return self.before + time.perf_counter() - self._begun
+
+    def progress(self, steps: int) -> float:
+        """What share of the run is done after so many steps."""
+        if self._steps:
+            return min(steps / self._steps, 1.0)
+        return self.share(self.seconds)
+
+    def share(self, seconds: float) -> float:
+        """What share of the run some seconds are; none if steps are counted."""
+        return 0.0 if self._steps else min(decided(seconds, self._shards, self._device) / self._budget, 1.0)
+
+    def stretch(self, steps: int, block: int) -> tuple[int, tuple[float, float]]:
+        """The next steps: how many, and the progress before and after them, the latter as the last ones went.
+
+        By the clock there are fewer than `block` where these would take long, so that the end is not overrun by much.
+        """
+        now = self.progress(steps)
+        if self._steps:
+            block = min(block, self._steps - steps)
+            return block, (now, (steps + block) / self._steps)
+        if self._took:
+            self._slope = max(now - self._last, 0.0) / self._took
+        longest = min(_LONGEST, max(1.0 - now, 0.0)) / self._slope if self._slope else block / _CAUTION
+        took = max(min(block, int(longest)), 1)
+        self._last, self._took = now, took
+        return took, (now, min(now + self._slope * took, 1.0))
+
+    def asked_to_stop(self) -> bool:
+        """Whether to stop here, in all processes if in any."""
+        return summed([float(self.stopped)], self._shards, self._device)[0] > 0
+
+    def state(self) -> dict[str, float]:
+        """What there is to save, for `load`."""
+        return {"seconds": self.seconds, "slope": self._slope}
+
+    def load(self, state: dict[str, float]) -> None:
+        """Go on after an interruption."""
+        self.before = float(state["seconds"])
+        self._begun = time.perf_counter()
+        self._last, self._slope, self._took = 0.0, float(state["slope"]), 0
+
+    @contextlib.contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Let the first SIGINT or SIGTERM ask for a stop in good order; a second one acts as ever."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before: dict[int, Any] = {}
+
+        def ask(number: int, frame: Any) -> None:
+            self.stopped = True
+            signal.signal(number, before[number])
+
+        for number in (signal.SIGINT, signal.SIGTERM):
+            before[number] = signal.signal(number, ask)
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)

@@ -1,0 +1,278 @@
+"""Runs on disk: a folder with the configuration, the weights, and what is needed to go on; nothing is pickled."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from falsework.assembly.model import Assembly
+from falsework.errors import FalseworkError, InputError
+from falsework.learn import policy as policies
+from falsework.learn.config.train import TrainSettings, from_json
+from falsework.learn.networks.policy import Policy, make_policy
+from falsework.utils.archive import write_whole
+
+FORMAT = "falsework.run/1"
+CHECKPOINT_FORMAT = "falsework.checkpoint/1"
+
+FILE = "run.json"
+WEIGHTS = "weights.safetensors"
+CHECKPOINT = Path("checkpoint") / "last.safetensors"
+DATA = "data.npz"
+SEARCHED = "searched.npz"
+
+_KEYS = {"format", "structure", "settings", "policy", "results", "versions"}
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A trained policy with the structure that it is for."""
+
+    folder: Path
+    assembly: Assembly
+    settings: TrainSettings
+    policy: policies.Policy
+    """With the trained weights, on the device asked for, ready to be asked."""
+    metadata: dict[str, Any]
+    """What `run.json` says."""
+
+
+def describe_structure(assembly: Assembly, source: Mapping[str, Any]) -> dict[str, Any]:
+    """What a run says of its structure: enough to load it again and to notice if it is another one.
+
+    Args:
+        assembly: the structure.
+        source: `built_in` or `path`, the latter relative to the folder of the run, and options of `load_structure`.
+    """
+    return {
+        "name": assembly.name,
+        "identity": assembly.identity,
+        "parts": assembly.part_count,
+        "source": {name: _plain(value) for name, value in source.items()},
+    }
+
+
+def write_run(folder: Path, metadata: Mapping[str, Any]) -> None:
+    """Write `run.json`.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    text = json.dumps({"format": FORMAT, **metadata}, indent=1, allow_nan=False) + "\n"
+    _write(folder / FILE, text.encode())
+
+
+def save_run(folder: Path, policy: Policy, metadata: Mapping[str, Any]) -> None:
+    """Write the weights of a policy and `run.json`, each whole or not at all.
+
+    Args:
+        folder: made if it is not there.
+        policy: whose weights are written.
+        metadata: the other entries of `run.json`.
+
+    Raises:
+        InputError: no room, or no permission.
+    """
+    from safetensors.torch import save
+
+    folder.mkdir(parents=True, exist_ok=True)
+    weights = {name: tensor.detach().cpu().contiguous() for name, tensor in policy.state_dict().items()}
+    _write(folder / WEIGHTS, save(weights, {"format": FORMAT}))
+    write_run(folder, metadata)
+
+
+def read_run(folder: Path) -> dict[str, Any]:
+    """Read `run.json`.
+
+    Raises:
+        InputError: no such folder, no run in it, damaged, or of another version.
+    """
+    path = folder / FILE
+    if not folder.is_dir():
+        raise InputError(f"there is no folder {folder}; falsework train STRUCTURE --out {folder} makes a run")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{folder} is no run: it has no {FILE}; falsework train makes one") from None
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise InputError(f"{path} is damaged ({error}); train again") from None
+    found = content.get("format") if isinstance(content, dict) else None
+    if found != FORMAT:
+        raise InputError(f"{path} has format {found!r}; this version reads {FORMAT!r} only; train again")
+    if set(content) != _KEYS:
+        odd = ", ".join(sorted(set(content) ^ _KEYS))
+        raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent entries {odd}")
+    return content
+
+
+def settings_of(metadata: Mapping[str, Any]) -> TrainSettings:
+    """Settings of a run; one from before there was a choice of criterion was trained under `equilibrium`.
+
+    Raises:
+        InputError: they are none.
+    """
+    settings = metadata["settings"]
+    if isinstance(settings, Mapping):
+        settings = {"criterion": "equilibrium", **settings}
+    return from_json(TrainSettings, settings)
+
+
+def load_structure_of(folder: Path, metadata: Mapping[str, Any]) -> Assembly:
+    """The structure that a run was trained for, loaded from where the run says it is.
+
+    Raises:
+        InputError: it is not there any more, or is another one by now.
+    """
+    from falsework.assembly import load_structure
+
+    structure = dict(metadata["structure"])
+    source = dict(structure["source"])
+    spec = source.pop("built_in", None)
+    if spec is None:
+        path = Path(source.pop("path", ""))
+        spec = str(path if path.is_absolute() else (folder.resolve() / path))
+        if not Path(spec).exists():
+            raise InputError(
+                f"the structure {structure['name']} of the run {folder} is not at {spec} any more; put it back"
+            )
+    assembly = load_structure(spec, **source)
+    check_structure(folder, metadata, assembly)
+    return assembly
+
+
+def check_structure(folder: Path, metadata: Mapping[str, Any], assembly: Assembly) -> None:
+    """Compare a structure with that of a run.
+
+    Raises:
+        InputError: it is another one.
+    """
+    trained = metadata["structure"]
+    if trained["identity"] != assembly.identity:
+        raise InputError(
+            f"{folder} was trained for another structure ({trained['name']}, {trained['parts']} parts) than "
+            f"{assembly.name} as it is now; train again, or give the structure of the run"
+        )
+
+
+def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly: Assembly | None = None) -> Run:
+    """Read a trained policy and the structure that it is for.
+
+    Args:
+        folder: what `falsework train --out` named.
+        device: where the policy is to live.
+        assembly: the structure if it is at hand; it must be the one of the run.
+
+    Raises:
+        InputError: no run, a damaged one, one of another version or structure, or no such device.
+    """
+    from falsework.utils.tensors import choose_device
+
+    folder = Path(folder)
+    where = choose_device(device) if isinstance(device, str) else device
+    metadata = read_run(folder)
+    if assembly is None:
+        assembly = load_structure_of(folder, metadata)
+    else:
+        check_structure(folder, metadata, assembly)
+    settings = settings_of(metadata)
+    policy = make_policy(assembly, settings.policy, where)
+    load_weights(policy, folder / WEIGHTS)
+    return Run(folder, assembly, settings, policy.eval(), metadata)
+
+
+def load_weights(policy: torch.nn.Module, path: Path) -> None:
+    """Read weights into a policy.
+
+    Raises:
+        InputError: no such file, damaged, or weights of another network.
+    """
+    weights, _ = _read(path, "train first: falsework train writes it")
+    try:
+        policy.load_state_dict(weights)
+    except RuntimeError:
+        raise InputError(f"{path} holds the weights of another network than its run says; train again") from None
+
+
+class CheckpointFile:
+    """The one file from which an interrupted training goes on; a new one replaces the old only once it is whole."""
+
+    def __init__(self, folder: Path) -> None:
+        """Look after the checkpoint of the run in `folder`."""
+        self.path = folder / CHECKPOINT
+
+    def exists(self) -> bool:
+        """Whether there is one."""
+        return self.path.is_file()
+
+    def save(self, tensors: Mapping[str, torch.Tensor], state: Mapping[str, Any]) -> str:
+        """Write a checkpoint; if that fails, the last good one stays.
+
+        Args:
+            tensors: of any device.
+            state: JSON values.
+
+        Returns:
+            Empty, or why it could not be written: training goes on, and the next one may have more room.
+        """
+        from safetensors.torch import save
+
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        # Cloned: safetensors refuses tensors that share memory, as rows of a larger one do.
+        flat = {name: tensor.detach().cpu().clone().contiguous() for name, tensor in tensors.items()}
+        header = {"format": CHECKPOINT_FORMAT, "state": json.dumps(state)}
+        content = save(flat, header)
+        try:
+            write_whole(self.path, lambda file: file.write(content))
+        except (OSError, InputError) as error:
+            return f"{_reason(error)}; the last checkpoint stays, training goes on"
+        return ""
+
+    def load(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+        """Tensors on the processor, and the JSON values.
+
+        Raises:
+            InputError: there is none, it is damaged, or of another version.
+        """
+        tensors, header = _read(self.path, "nothing to resume; leave --resume out")
+        if header.get("format") != CHECKPOINT_FORMAT:
+            raise InputError(
+                f"{self.path} has format {header.get('format')!r}; this version reads {CHECKPOINT_FORMAT!r}; train anew"
+            )
+        return tensors, json.loads(header["state"])
+
+
+def _read(path: Path, remedy: str) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+    from safetensors import SafetensorError, safe_open
+
+    if not path.is_file():
+        raise InputError(f"there is no file {path}; {remedy}")
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = file.metadata() or {}
+            return {name: file.get_tensor(name) for name in file.keys()}, header  # noqa: SIM118
+    except (OSError, SafetensorError, ValueError) as error:
+        raise InputError(f"{path} is damaged ({' '.join(str(error).split())}); train again") from None
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        write_whole(path, lambda file: file.write(content))
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {_reason(error)}; make room and train on with --resume") from None
+
+
+def _reason(error: OSError | FalseworkError) -> str:
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        return "the disk is full"
+    return str(getattr(error, "strerror", None) or error)
+
+
+def _plain(value: Any) -> Any:
+    return os.fspath(value) if isinstance(value, Path) else value

@@ -1,0 +1,143 @@
+"""How good a policy is: the share of states from which its most probable actions lead to the end, all of it proven."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from falsework.assembly.state import States
+from falsework.learn.env.environment import Environment
+from falsework.learn.env.rollout import Policy
+from falsework.learn.training.collectives import summed
+from falsework.utils.distributed import Shards
+from falsework.utils.tensors import put
+
+Sets = Mapping[str, tuple[States, States | None]]
+"""States, and targets if there are any, by the name of the set, such as `train` and `test`."""
+Report = Callable[[int, int, str], None]
+"""Told what is done, what there is to do, and words."""
+
+
+@dataclass(frozen=True)
+class Success:
+    """Greedy success on a set of states."""
+
+    states: int
+    """Number of states tried."""
+    succeeded: int
+    """Number from which the end was reached, every state on the way proven stable."""
+
+    @property
+    def share(self) -> float:
+        """Between 0 and 1; 1 without states, since none failed."""
+        return self.succeeded / self.states if self.states else 1.0
+
+    def as_json(self) -> dict[str, Any]:
+        """States and success."""
+        return {"states": self.states, "success": round(self.share, 6)}
+
+
+def sample(states: NDArray[Any], count: int, seed: int = 0) -> NDArray[Any]:
+    """At most `count` rows, always the same ones, in the order in which they are given; all if it is 0."""
+    if count <= 0 or len(states) <= count:
+        return states
+    return states[np.sort(np.random.default_rng(seed).permutation(len(states))[:count])]
+
+
+def greedy_success(
+    environment: Environment,
+    policy: Policy,
+    states: torch.Tensor,
+    targets: torch.Tensor | None = None,
+    *,
+    shards: Shards = Shards(),
+) -> tuple[Success, torch.Tensor]:
+    """Follow the most probable action from every state.
+
+    Args:
+        environment: rules and verdicts.
+        policy: what is evaluated.
+        states: stable, shape (count, parts).
+        targets: shape (count, parts), or None.
+        shards: processes that share the states.
+
+    Returns:
+        Numbers over all processes, and which states succeeded, in every process, bool, shape (count,).
+    """
+    mine, _ = shards.block(len(states))
+    aims = None if targets is None else targets[mine]
+    ended = environment.rollout(policy, states[mine], aims, greedy=True, keep="ends").success
+    success = shards.gather_blocks(ended.to(torch.uint8), len(states)).bool()
+    return Success(len(states), int(success.sum())), success
+
+
+def throughput(environment: Environment, seconds: float, shards: Shards = Shards()) -> dict[str, Any]:
+    """Steps of the environment a second over all processes, and what share of the time went into what."""
+    counters = environment.counters.as_dict()
+    steps, asked = summed([float(counters["steps"]), float(counters["states_asked"])], shards, environment.device)
+    shares = {name: round(float(value), 4) for name, value in counters.items() if name.startswith("share_")}
+    return {
+        "steps": int(steps),
+        "steps_per_second": round(steps / max(seconds, 1e-9), 1),
+        "asked": int(asked),
+        **shares,
+    }
+
+
+@dataclass(frozen=True)
+class EvaluateSettings:
+    """What to evaluate on, and how hard to try."""
+
+    states: int = 0
+    """Most states of each set, a fixed sample; 0: all."""
+    search: bool = False
+    """Search where the most probable actions fail, so that every state gets a proven plan if one is found."""
+    seed: int = 0
+    """Of drawn rollouts in the search."""
+
+
+def evaluate(
+    environment: Environment,
+    policy: Policy,
+    sets: Sets,
+    settings: EvaluateSettings = EvaluateSettings(),
+    *,
+    shards: Shards = Shards(),
+    report: Report | None = None,
+) -> dict[str, Any]:
+    """Greedy success on sets of states and, if asked for, what verified search on top of it finds.
+
+    Args:
+        environment: rules and verdicts.
+        policy: what is evaluated.
+        sets: states, and targets if there are any, of shape (count, parts).
+        settings: how many states, and whether to search.
+        shards: processes that share the greedy rollouts.
+        report: told how far it is.
+
+    Returns:
+        For each set `states` and `success`; with search for `test` also `search`: the `share` of states with a proven
+        plan, who decided how many, and seconds.
+    """
+    from falsework.learn.algorithms.expert_iteration import solve_all
+
+    results: dict[str, Any] = {}
+    for number, (name, (states, targets)) in enumerate(sets.items()):
+        if report is not None:
+            report(number, len(sets), f"{len(states)} {name} states")
+        rows = sample(np.arange(len(states)), settings.states)
+        chosen = put(states[rows], environment.device)
+        aims = None if targets is None else put(targets[rows], environment.device)
+        success, _ = greedy_success(environment, policy, chosen, aims, shards=shards)
+        results[name] = success.as_json()
+        if settings.search and name == "test":
+            if report is not None:
+                report(number, len(sets), f"search from {name} states")
+            generator = environment.generator(settings.seed)
+            results[name]["search"] = solve_all(environment, policy, chosen, aims, generator=generator).record()
+    return results

@@ -1,0 +1,118 @@
+"""Training: data, a way to learn, a curve, checkpoints; in pieces and by several processes if need be."""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from falsework.assembly.model import Assembly
+from falsework.errors import InputError
+from falsework.learn.config.train import TrainSettings
+from falsework.learn.data.dataset import Dataset
+from falsework.learn.training.checkpoint import FILE, check_structure, read_run, settings_of
+from falsework.learn.training.collectives import summed
+from falsework.learn.training.trainer import Report, Trainer
+from falsework.learn.training.trainer import TrainResult as TrainResult
+from falsework.utils.distributed import joined
+
+
+def train(
+    assembly: Assembly,
+    settings: TrainSettings = TrainSettings(),
+    *,
+    folder: Path | str | None,
+    source: Mapping[str, Any] | None = None,
+    device: str = "auto",
+    resume: bool = False,
+    logs: Sequence[str] = ("tensorboard",),
+    report: Report | None = None,
+    dataset: Dataset | None = None,
+) -> TrainResult:
+    """Train a policy for one structure, and leave a run behind that `falsework.learn.training.checkpoint.load_run` reads.
+
+    Under `torchrun` all processes call this alike; the first one writes.
+
+    Args:
+        assembly: the structure.
+        settings: what to do; with `resume`, only `minutes` and `steps` of it count, where they are given.
+        folder: of the run; None keeps nothing but what is returned.
+        source: where the structure can be loaded from again; a built-in of the name of the assembly if not given.
+        device: `auto`, `cpu` or `cuda`.
+        resume: go on with the run in the folder.
+        logs: `tensorboard` and `wandb`.
+        report: told how far it is.
+        dataset: states to learn from and to test on, in place of those that searches would find.
+
+    Raises:
+        DependencyError: a package is missing that the device or a log needs.
+        InputError: no such device, a folder that holds another run, nothing to resume, or no room to write.
+    """
+    with joined(device) as (shards, where):
+        place = None if folder is None else Path(folder)
+        begun = time.perf_counter()
+        kept = _begin(place, assembly, settings, where, resume)
+        # Nobody writes before all have seen what is there.
+        summed([1.0], shards, where)
+        with _repeatable(kept), _threads(kept, where):
+            trainer = Trainer(assembly, kept, place, dict(source or {"built_in": assembly.name}), where, shards)
+            trainer.report = report or trainer.report
+            return trainer.run(begun, resume=resume, logs=logs, dataset=dataset)
+
+
+def _begin(
+    folder: Path | None, assembly: Assembly, settings: TrainSettings, device: torch.device, resume: bool
+) -> TrainSettings:
+    """Settings filled in, those of the run that is resumed if so."""
+    if folder is None:
+        if resume:
+            raise InputError("there is nothing to resume without the folder of a run; name it")
+        return settings.resolved(assembly.part_count, device.type)
+    if not resume:
+        if (folder / FILE).exists():
+            raise InputError(f"{folder} holds a run already; go on with it by --resume, or choose another folder")
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder} is there and is no run; choose another folder")
+        return settings.resolved(assembly.part_count, device.type)
+    metadata = read_run(folder)
+    check_structure(folder, metadata, assembly)
+    kept = settings_of(metadata)
+    if settings.steps or settings.minutes:
+        kept = replace(kept, steps=settings.steps, minutes=settings.minutes or kept.minutes)
+    return kept
+
+
+@contextmanager
+def _threads(settings: TrainSettings, device: torch.device) -> Iterator[None]:
+    """Use as many threads as the settings say, where the network is on the processor."""
+    before = torch.get_num_threads()
+    if device.type == "cpu":
+        torch.set_num_threads(settings.threads or max(before // 2, 1))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextmanager
+def _repeatable(settings: TrainSettings) -> Iterator[None]:
+    """Where a run is to depend on the seed alone, use only kernels that always add up in the same order."""
+    if not settings.steps:
+        yield
+        return
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+    before = torch.are_deterministic_algorithms_enabled()
+    torch.use_deterministic_algorithms(True, warn_only=True)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*deterministic.*")
+            yield
+    finally:
+        torch.use_deterministic_algorithms(before)

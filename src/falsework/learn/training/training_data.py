@@ -1,0 +1,172 @@
+"""What one training run learns from and is tested on, on one device: states, or states with targets."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.symmetry import symmetries
+from falsework.errors import InputError
+from falsework.learn.config.train import TrainSettings
+from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
+from falsework.learn.data.goal_dataset import Searched, TargetDataset, TargetDataSettings, target_dataset
+from falsework.learn.data.goal_pairs import Pairs
+from falsework.learn.data.random_walks import TaskSource, Ways
+from falsework.learn.data.symmetry_augmentation import TurnedTasks
+from falsework.learn.training.checkpoint import DATA, SEARCHED
+from falsework.learn.training.evaluate import Sets, sample
+from falsework.search.device.oracle import TensorOracle
+from falsework.utils.distributed import Shards
+from falsework.utils.tensors import put
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """Data of a run as tensors."""
+
+    starts: torch.Tensor
+    """States to start from, shape (count, parts)."""
+    targets: torch.Tensor | None
+    """Target of each, shape (count, parts)."""
+    tasks: TaskSource | None
+    """Draws more of both, with valid actions, where there are targets."""
+    test: torch.Tensor
+    """States that are not to be learned from, shape (count, parts)."""
+    curve: Sets
+    """Fixed samples of training and test states, for the curve."""
+    seconds: float
+    """What it took to get them."""
+
+
+def find_material(
+    assembly: Assembly,
+    settings: TrainSettings,
+    oracle: TensorOracle,
+    *,
+    device: torch.device,
+    shards: Shards = Shards(),
+    folder: Path | None = None,
+    kept: bool = False,
+    dataset: Dataset | None = None,
+    report: Callable[[str], None] | None = None,
+    note: Callable[[str], None] | None = None,
+    enough: Callable[[], bool] | None = None,
+) -> Material:
+    """Search for states, or read those that an earlier piece of the run found.
+
+    Args:
+        assembly: the structure.
+        settings: filled in.
+        oracle: verdicts.
+        device: where the data is to be.
+        shards: processes that search together.
+        folder: of the run, where states are kept.
+        kept: read them if they are there.
+        dataset: states to use instead.
+        report: told how far a search is.
+        note: told what went wrong that does not matter much.
+        enough: asked between searches for tasks with targets whether there is no time for more; in all processes alike.
+
+    Raises:
+        InputError: data of another criterion than the run.
+    """
+    begun = time.perf_counter()
+    count = settings.evaluation_states
+    if settings.policy.two_states:
+        path = None if folder is None else folder / SEARCHED
+        task = task_for(assembly, settings.robots, settings.removable_only_if_clear).judged_by(oracle)
+        if kept and path is not None and path.exists():
+            searched = Searched.load(path, task)
+        else:
+            searches = _target_searches(settings)
+            searched = Searched.find(task, searches, oracle, device=device, shards=shards, report=report, enough=enough)
+            if shards.first:
+                _keep(path, lambda where: searched.save(where, task), note)
+        pairs = find_pairs(assembly, settings, oracle, device=device, shards=shards, searched=searched)
+        tasks: TaskSource = Ways(pairs.wide, device=device, forbidden=pairs.test_states)
+        images = symmetries(assembly)
+        if len(images) > 1:
+            tasks = TurnedTasks(tasks, images, device=device, forbidden=pairs.test_states)
+        generator = torch.Generator(device).manual_seed(settings.data_seed)
+        states, targets, _ = tasks.draw(settings.pairs, generator)
+        return Material(
+            states,
+            targets,
+            tasks,
+            put(pairs.test_states, device),
+            {"train": _some(pairs.train, count), "test": _some(pairs.test, count)},
+            time.perf_counter() - begun,
+        )
+    path = None if folder is None else folder / DATA
+    if kept and path is not None and path.exists():
+        data, fresh = Dataset.load(path, assembly), False
+    else:
+        task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
+        searches = DataSettings(widths=_widths(settings), seed=settings.data_seed)
+        data, fresh = dataset, True
+        if data is None:
+            data = build_dataset(
+                assembly, task, searches, oracle=oracle, device=str(device), shards=shards, report=report
+            )
+        if not data.complete and note is not None:
+            note("not every search reached the complete structure, so little is known of it; wider ones may")
+    if data.criterion != settings.criterion:
+        raise InputError(
+            f"the states to learn from are stable under the criterion {data.criterion}, and the run is of "
+            f"{settings.criterion}; choose one of them for both"
+        )
+    if fresh and shards.first:
+        _keep(path, data.save, note)
+    return Material(
+        put(np.concatenate([data.train, data.more]), device),
+        None,
+        None,
+        put(data.test, device),
+        {"train": (sample(data.train, count), None), "test": (sample(data.test, count), None)},
+        time.perf_counter() - begun,
+    )
+
+
+def find_pairs(
+    assembly: Assembly,
+    settings: TrainSettings,
+    oracle: TensorOracle,
+    *,
+    device: torch.device,
+    shards: Shards = Shards(),
+    searched: Searched | None = None,
+) -> TargetDataset:
+    """Pairs of states and targets that a run with targets learns from and is tested on; always the same ones."""
+    task = task_for(assembly, settings.robots, settings.removable_only_if_clear).judged_by(oracle)
+    searches = _target_searches(settings)
+    return target_dataset(assembly, task, searches, oracle=oracle, device=str(device), shards=shards, searched=searched)
+
+
+def _target_searches(settings: TrainSettings) -> TargetDataSettings:
+    return TargetDataSettings(widths=_widths(settings), pairs=settings.pairs, seed=settings.data_seed)
+
+
+def _keep(path: Path | None, save: Callable[[Path], None], note: Callable[[str], None] | None) -> None:
+    """Keep data in the folder of a run, if it has one; a full disk is worth a note, not the run."""
+    if path is None:
+        return
+    try:
+        save(path)
+    except OSError as error:
+        if note is not None:
+            note(f"cannot keep {path}: {error.strerror}; a resumed run searches again")
+
+
+def _widths(settings: TrainSettings) -> tuple[int, ...]:
+    return settings.widths if settings.data == "wide" else ()
+
+
+def _some(pairs: Pairs, count: int) -> tuple[np.ndarray, np.ndarray]:
+    rows = sample(np.arange(len(pairs)), count)
+    return pairs.states[rows], pairs.targets[rows]
