@@ -24,17 +24,17 @@ import tyro
 from motion_reference import Reference, convex
 
 from falsework.assembly import load_structure
-from falsework.robots.cell_file import load_cell
-from falsework.robots.collision import distance_between
-from falsework.robots.compile import compile_kernels
-from falsework.robots.grasp import grasps
-from falsework.robots.inverse import inverse
-from falsework.robots.kinematics import tool_pose
-from falsework.robots.motion import plan_free
-from falsework.robots.parts import place_parts
-from falsework.robots.shapes import hull
-from falsework.robots.timing import time_path
-from falsework.robots.world import CollisionWorld, Contact, Scene, View
+from falsework.robots.cells.cell_file import load_cell
+from falsework.robots.grasping.grasp import grasps
+from falsework.robots.kernels.collision import distance_between
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.kinematics.inverse import inverse
+from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.model.shapes import hull
+from falsework.robots.motion.collision_world import CollisionWorld, Contact, Scene, View
+from falsework.robots.motion.path_planner import plan_free
+from falsework.robots.motion.timing import time_path
+from falsework.robots.planning.warm_up import compile_kernels
 
 Array = np.ndarray
 

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
 
-from falsework.robots.world import View
+from falsework.robots.motion.collision_world import View
 
 Array = NDArray[np.float64]
 

@@ -33,14 +33,14 @@ import tyro
 
 from falsework.assembly import Assembly, load_structure
 from falsework.errors import FalseworkError
-from falsework.robots.cell import Cell, CellRobot
-from falsework.robots.cell_file import load_cell
-from falsework.robots.check import check_robot_plan
-from falsework.robots.compile import compile_kernels
-from falsework.robots.hybrid import HybridResult, HybridSettings, plan_robots
-from falsework.robots.keyframes import KeyframeGraph
-from falsework.robots.shapes import inverse_pose, pose
-from falsework.robots.validate import check_cell
+from falsework.robots.cells.cell_file import load_cell
+from falsework.robots.cells.validate import check_cell
+from falsework.robots.model.cell import Cell, CellRobot
+from falsework.robots.model.shapes import inverse_pose, pose
+from falsework.robots.planning.hybrid_planner import HybridResult, HybridSettings, plan_robots
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.planning.warm_up import compile_kernels
+from falsework.robots.plans.check import check_robot_plan
 from falsework.search.problem.guide import Guide
 from falsework.stability import Stability
 

@@ -16,13 +16,13 @@ import numpy as np
 
 from falsework.assembly import Assembly, load_structure
 from falsework.replan.plan_diff import difference
-from falsework.robots.cell import Cell, Placement
-from falsework.robots.cell_file import load_cell
-from falsework.robots.check import check_robot_plan
-from falsework.robots.export import export_plan
-from falsework.robots.hybrid import plan_robots
-from falsework.robots.keyframes import KeyframeGraph
-from falsework.robots.robot_plan import RobotPlan
+from falsework.robots.cells.cell_file import load_cell
+from falsework.robots.model.cell import Cell, Placement
+from falsework.robots.planning.hybrid_planner import plan_robots
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.plans.check import check_robot_plan
+from falsework.robots.plans.export import export_plan
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search import Task
 from falsework.stability import Stability
 

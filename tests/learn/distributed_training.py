@@ -10,10 +10,10 @@ from typing import Any
 from safetensors.torch import save_file
 
 from falsework.assembly import load_structure
-from falsework.learn import train as module
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.policy_gradient import RefineSettings
 from falsework.learn.config.train import ImitationSettings, ImproveRounds, RefinePhase, TrainSettings
+from falsework.learn.training import train as module
 from falsework.learn.training.trainer import Trainer
 from falsework.utils.distributed import Shards, joined
 

@@ -16,10 +16,10 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import load_structure, save_assembly  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn import checkpoint as module  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.train import TrainSettings, as_json, from_json  # noqa: E402
 from falsework.learn.networks.policy import describe, make_policy  # noqa: E402
+from falsework.learn.training import checkpoint as module  # noqa: E402
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, load_run, save_run  # noqa: E402
 
 SETTINGS = TrainSettings(policy=PolicySettings("residual", channels=8, layers=1), widths=(4, 8), robots=3)

@@ -21,8 +21,6 @@ safetensors = pytest.importorskip("safetensors.torch", reason="safetensors is no
 
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.errors import DependencyError, InputError  # noqa: E402
-from falsework.learn import checkpoint  # noqa: E402
-from falsework.learn import train as module  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.policy_gradient import RefineSettings  # noqa: E402
 from falsework.learn.config.train import (  # noqa: E402
@@ -34,6 +32,8 @@ from falsework.learn.config.train import (  # noqa: E402
     TrainSettings,
 )
 from falsework.learn.data.dataset import Dataset  # noqa: E402
+from falsework.learn.training import checkpoint  # noqa: E402
+from falsework.learn.training import train as module  # noqa: E402
 from falsework.learn.training.checkpoint import load_run  # noqa: E402
 from falsework.learn.training.logger import read_progress  # noqa: E402
 from falsework.learn.training.train import TrainResult, train  # noqa: E402

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.robots.builtin import builtin_robot
-from falsework.robots.cell import Cell, CellRobot, Gripper, Obstacle
-from falsework.robots.compile import compile_kernels
-from falsework.robots.shapes import block, cylinder, pose
-from falsework.robots.validate import no_parts
-from falsework.robots.world import CollisionWorld, Contact, Scene, View
+from falsework.robots.cells.validate import no_parts
+from falsework.robots.model.builtin_robots import builtin_robot
+from falsework.robots.model.cell import Cell, CellRobot, Gripper, Obstacle
+from falsework.robots.model.shapes import block, cylinder, pose
+from falsework.robots.motion.collision_world import CollisionWorld, Contact, Scene, View
+from falsework.robots.planning.warm_up import compile_kernels
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -9,12 +9,12 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.errors import CellError
-from falsework.robots.cell import Cell, CellRobot, Gripper
-from falsework.robots.cell_file import builtin_cells, load_cell, parse_cell
-from falsework.robots.parts import place_parts
-from falsework.robots.shapes import block, pose
-from falsework.robots.urdf import load_urdf
-from falsework.robots.validate import check_cell
+from falsework.robots.cells.cell_file import builtin_cells, load_cell, parse_cell
+from falsework.robots.cells.urdf import load_urdf
+from falsework.robots.cells.validate import check_cell
+from falsework.robots.model.cell import Cell, CellRobot, Gripper
+from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.model.shapes import block, pose
 
 GOOD = """
 format = "falsework.cell/1"
@@ -160,7 +160,7 @@ def test_parts_that_are_too_heavy_or_in_the_way_are_named() -> None:
 
 def test_the_weaker_of_arm_and_gripper_counts(cup: Gripper) -> None:
     """An arm of 12 kg that carries a gripper of 1 kg lifts 10 kg, if the gripper holds no more."""
-    from falsework.robots.builtin import builtin_robot
+    from falsework.robots.model.builtin_robots import builtin_robot
 
     model = builtin_robot("irb2600-12/1.65")
     assert CellRobot("a", model, np.eye(4), cup, model.home, np.zeros((0, 4, 4))).payload == 10.0
@@ -188,7 +188,7 @@ def test_sliding_joints_and_plain_shapes_are_read(tmp_path: Path) -> None:
     assert model.joint_names == ("turn", "slide")
     assert model.prismatic.tolist() == [False, True]
     assert (1, 2) in model.ignored
-    from falsework.robots.kinematics import flange_pose
+    from falsework.robots.kinematics.forward import flange_pose
 
     np.testing.assert_allclose(flange_pose(model, [np.pi / 2 * 0, 0.2])[:3, 3], [0, 0, 0.6], atol=1e-12)
     radius = np.linalg.norm(model.pieces[2][0], axis=1)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from falsework.errors import InputError
-from falsework.robots.builtin import builtin_robot
-from falsework.robots.cell import Cell, CellRobot, Gripper
-from falsework.robots.collision import distance_between
-from falsework.robots.kinematics import tool_pose
-from falsework.robots.parts import PartShapes
-from falsework.robots.shapes import block, hull, move, pose
-from falsework.robots.world import CollisionWorld, Contact, Scene, View
+from falsework.robots.kernels.collision import distance_between
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.model.builtin_robots import builtin_robot
+from falsework.robots.model.cell import Cell, CellRobot, Gripper
+from falsework.robots.model.part_shapes import PartShapes
+from falsework.robots.model.shapes import block, hull, move, pose
+from falsework.robots.motion.collision_world import CollisionWorld, Contact, Scene, View
 
 
 def random_piece(random: np.random.Generator) -> np.ndarray:
@@ -128,7 +128,7 @@ def test_robots_hit_each_other(two_arms: tuple[CollisionWorld, PartShapes]) -> N
 
 def test_contact_rules_allow_what_they_name(two_arms: tuple[CollisionWorld, PartShapes]) -> None:
     """A gripper on a part collides without a rule; a part in the gripper touches only neighbours that are named."""
-    from falsework.robots.inverse import inverse
+    from falsework.robots.kinematics.inverse import inverse
 
     world, parts = two_arms
     tool = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.6005], [0, 0, 0, 1]])

@@ -10,13 +10,13 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from falsework.errors import InputError
-from falsework.robots.builtin import BUILTIN, builtin_robot
-from falsework.robots.cell import CellRobot, Gripper
-from falsework.robots.chain import make_bodies
-from falsework.robots.inverse import inverse, inverse_flange, solver_of
-from falsework.robots.kinematics import flange_pose, jacobian, link_poses
-from falsework.robots.shapes import move, pose
-from falsework.robots.urdf import load_urdf
+from falsework.robots.cells.urdf import load_urdf
+from falsework.robots.kernels.kernel_arrays import make_bodies
+from falsework.robots.kinematics.forward import flange_pose, jacobian, link_poses
+from falsework.robots.kinematics.inverse import inverse, inverse_flange, solver_of
+from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
+from falsework.robots.model.cell import CellRobot, Gripper
+from falsework.robots.model.shapes import move, pose
 
 REAL = {"irb2600-12/1.65": "abb_irb2600_12_165", "crb15000-5/0.95": "abb_crb15000_5_95", "ur10e": "ur10e"}
 
@@ -167,7 +167,7 @@ def test_seven_joints_give_samples_of_their_curves(name: str, robot_file: Callab
 
 def test_a_robot_of_a_cell_counts_base_and_tool(cup: Gripper) -> None:
     """A tool pose in the world is reached in the world."""
-    from falsework.robots.kinematics import tool_pose
+    from falsework.robots.kinematics.forward import tool_pose
 
     model = builtin_robot("irb2600-12/1.65")
     robot = CellRobot("arm", model, pose((1, 2, 0.5), 0.7), cup, model.home, np.zeros((0, 4, 4)))

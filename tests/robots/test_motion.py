@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from falsework.errors import InputError
-from falsework.robots.kinematics import tool_pose
-from falsework.robots.motion import MotionSettings, follow_line, path_is_free, plan_free
-from falsework.robots.shapes import block
-from falsework.robots.timing import time_path
-from falsework.robots.world import View
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.model.shapes import block
+from falsework.robots.motion.collision_world import View
+from falsework.robots.motion.path_planner import MotionSettings, follow_line, path_is_free, plan_free
+from falsework.robots.motion.timing import time_path
 
 LEFT, RIGHT = np.array([0.9, 0.5, 0.0, 0, 0.5, 0]), np.array([-0.9, 0.5, 0.0, 0, 0.5, 0])
 

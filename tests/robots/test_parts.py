@@ -14,13 +14,13 @@ from falsework.cli.main import main
 from falsework.errors import StateError
 from falsework.geometry.mesh.collision import inside
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.robots.builtin import builtin_robot
-from falsework.robots.cell import CellRobot, Gripper, Placement
-from falsework.robots.decompose import convex_pieces
-from falsework.robots.grasp import grasps, withdrawals
-from falsework.robots.parts import place_parts
-from falsework.robots.shapes import block, move, pose
-from falsework.robots.simplify import outer_hull
+from falsework.robots.grasping.grasp import grasps, withdrawals
+from falsework.robots.model.builtin_robots import builtin_robot
+from falsework.robots.model.cell import CellRobot, Gripper, Placement
+from falsework.robots.model.convex_decomposition import convex_pieces
+from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.model.shapes import block, move, pose
+from falsework.robots.model.simplify import outer_hull
 
 
 def ring(sides: int = 12) -> TriangleMesh:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from falsework.assembly import Assembly
-from falsework.robots.builtin import builtin_robot
-from falsework.robots.cell import Cell, CellRobot, Gripper, Placement
-from falsework.robots.kinematics import link_poses, tool_pose
-from falsework.robots.robot_plan import Keyframe, RobotPlan, Step, Trajectory, cell_identity, records_of
-from falsework.robots.shapes import block, pose
+from falsework.robots.kinematics.forward import link_poses, tool_pose
+from falsework.robots.model.builtin_robots import builtin_robot
+from falsework.robots.model.cell import Cell, CellRobot, Gripper, Placement
+from falsework.robots.model.shapes import block, pose
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, Step, Trajectory, cell_identity, records_of
 from falsework.search import Direction, Plan
 from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms, wxyz_of
 from falsework.viewer.look import bounds_of, look_at
@@ -190,7 +190,7 @@ def test_from_a_file(
     from falsework.cli.main import main
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("falsework.robots.cell_file.load_cell", lambda name: cell)
+    monkeypatch.setattr("falsework.robots.cells.cell_file.load_cell", lambda name: cell)
     replace(robot_plan, plan=replace(robot_plan.plan, source={"built_in": "arch:blocks=5"})).save("robot_plan.json")
     assert main(["picture", "robot_plan.json", "--step", "2", "--width", "160"]) == 2
     assert "--cell" in capsys.readouterr().err

@@ -13,9 +13,9 @@ from falsework.cli.command import UNSET, Command, Exit, StructureOptions
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
-    from falsework.robots.cell import Cell
-    from falsework.robots.parts import PartShapes
-    from falsework.robots.reach import BaseProposal, ReachTable
+    from falsework.robots.grasping.reachability import BaseProposal, ReachTable
+    from falsework.robots.model.cell import Cell
+    from falsework.robots.model.part_shapes import PartShapes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,14 +41,14 @@ class CheckCell(Command):
 
     def run(self, output: Output) -> Exit:
         """Load, try, print."""
-        from falsework.robots.cell_file import load_cell
-        from falsework.robots.compile import compile_kernels
-        from falsework.robots.parts import place_parts
-        from falsework.robots.reach import Reach, propose_bases, reach_table
-        from falsework.robots.validate import check_cell
+        from falsework.robots.cells.cell_file import load_cell
+        from falsework.robots.cells.validate import check_cell
+        from falsework.robots.grasping.reachability import Reach, propose_bases, reach_table
+        from falsework.robots.model.part_shapes import place_parts
+        from falsework.robots.planning.warm_up import compile_kernels
 
         if self.picture is not None:
-            from falsework.robots.reach_picture import check_picture
+            from falsework.robots.grasping.reachability_plot import check_picture
 
             check_picture(self.picture)
         compile_kernels(output.note)
@@ -67,7 +67,7 @@ class CheckCell(Command):
         self._say(output, assembly, cell, parts, table)
         self._propose(output, cell, proposal)
         if self.picture is not None:
-            from falsework.robots.reach_picture import draw_reach
+            from falsework.robots.grasping.reachability_plot import draw_reach
 
             draw_reach(cell, parts, table, self.picture)
             output.note(f"picture written to {self.picture}")
@@ -80,7 +80,7 @@ class CheckCell(Command):
         """One row a part."""
         from rich.table import Table
 
-        from falsework.robots.reach import Reach
+        from falsework.robots.grasping.reachability import Reach
 
         shown = Table("part", "kg", *table.robots, box=None, pad_edge=False, header_style="bold")
         for row, part in enumerate(table.parts.tolist()):

@@ -17,9 +17,9 @@ from falsework.errors import InputError
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
-    from falsework.robots.cell import Cell
-    from falsework.robots.hybrid import HybridResult
-    from falsework.robots.robot_plan import RobotPlan
+    from falsework.robots.model.cell import Cell
+    from falsework.robots.planning.hybrid_planner import HybridResult
+    from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Task
 
@@ -65,8 +65,8 @@ class PlanRobots(Command):
 
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
-        from falsework.robots.cell_file import load_cell
-        from falsework.robots.hybrid import HybridSettings, plan_robots
+        from falsework.robots.cells.cell_file import load_cell
+        from falsework.robots.planning.hybrid_planner import HybridSettings, plan_robots
         from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)
@@ -180,9 +180,9 @@ class CheckRobots(Command):
     def run(self, output: Output) -> Exit:
         """Load, compare, verify."""
         from falsework.cli.loading import structure_of
-        from falsework.robots.cell_file import load_cell
-        from falsework.robots.check import CheckSettings, check_robot_plan
-        from falsework.robots.robot_plan import RobotPlan
+        from falsework.robots.cells.cell_file import load_cell
+        from falsework.robots.plans.check import CheckSettings, check_robot_plan
+        from falsework.robots.plans.robot_plan import RobotPlan
 
         settings = CheckSettings(step=self.resolution)
         plan = RobotPlan.load(self.plan)
@@ -268,8 +268,8 @@ class ExportRobots(Command):
 
     def run(self, output: Output) -> Exit:
         """Load and write."""
-        from falsework.robots.export import export_plan
-        from falsework.robots.robot_plan import RobotPlan
+        from falsework.robots.plans.export import export_plan
+        from falsework.robots.plans.robot_plan import RobotPlan
         from falsework.search.problem.task import Direction
 
         plan = RobotPlan.load(self.plan)

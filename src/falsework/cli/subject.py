@@ -124,8 +124,8 @@ class SubjectOptions(LoadOptions):
 
     def _robot_plan(self, path: Path, direction: Any) -> Subject:
         from falsework.cli.loading import structure_of
-        from falsework.robots.cell_file import load_cell
-        from falsework.robots.robot_plan import RobotPlan
+        from falsework.robots.cells.cell_file import load_cell
+        from falsework.robots.plans.robot_plan import RobotPlan
         from falsework.viewer.arms import Arms
         from falsework.viewer.timeline import Timeline
 

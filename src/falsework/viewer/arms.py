@@ -21,8 +21,8 @@ from falsework.viewer.timeline import NOBODY
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.robots.cell import Cell, CellRobot
-    from falsework.robots.robot_plan import RobotPlan
+    from falsework.robots.model.cell import Cell, CellRobot
+    from falsework.robots.plans.robot_plan import RobotPlan
 
 Array = NDArray[np.float64]
 
@@ -117,8 +117,8 @@ class Arms:
         return Moment(self._poses(self._plan.keyframes[state].configurations), None, np.eye(4))
 
     def _moving(self, index: int, share: float) -> Moment:
-        from falsework.robots.kinematics import tool_pose
-        from falsework.robots.shapes import inverse_pose
+        from falsework.robots.kinematics.forward import tool_pose
+        from falsework.robots.model.shapes import inverse_pose
 
         step = self._plan.steps[index]
         before, after = self._plan.keyframes[index], self._plan.keyframes[index + 1]
@@ -155,7 +155,7 @@ class Arms:
         return Moment(poses, None, np.eye(4), arrived=arrived, gone=gone)
 
     def _poses(self, configurations: Sequence[Array]) -> Array:
-        from falsework.robots.kinematics import link_poses
+        from falsework.robots.kinematics.forward import link_poses
 
         frames = []
         for robot, values in zip(self.cell.robots, configurations, strict=True):

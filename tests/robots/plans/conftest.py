@@ -11,11 +11,11 @@ pytest.importorskip("toppra", reason="robot plans need toppra; pip install 'fals
 
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.model import Assembly
-from falsework.robots.builtin import builtin_robot
-from falsework.robots.cell import Cell, CellRobot, Gripper
-from falsework.robots.hybrid import HybridResult, plan_robots
-from falsework.robots.robot_plan import RobotPlan
-from falsework.robots.shapes import cylinder, pose
+from falsework.robots.model.builtin_robots import builtin_robot
+from falsework.robots.model.cell import Cell, CellRobot, Gripper
+from falsework.robots.model.shapes import cylinder, pose
+from falsework.robots.planning.hybrid_planner import HybridResult, plan_robots
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.stability import Stability
 
 SIZE = 0.2

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
 from falsework.cli.main import main
-from falsework.robots.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan import RobotPlan
 
 CELL = """
 format = "falsework.cell/1"

@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 from falsework.errors import InputError
-from falsework.robots.export import FORMATS, export_plan
-from falsework.robots.robot_plan import RobotPlan
+from falsework.robots.plans.export import FORMATS, export_plan
+from falsework.robots.plans.robot_plan import RobotPlan
 
 
 def load_yaml(text: str):

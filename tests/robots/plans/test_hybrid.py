@@ -12,11 +12,11 @@ from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError, StateError
-from falsework.robots.cell import Cell, Obstacle, Placement
-from falsework.robots.hybrid import HybridResult, HybridSettings, plan_robots
-from falsework.robots.keyframes import KeyframeSettings
-from falsework.robots.proposals import Proposals
-from falsework.robots.shapes import block
+from falsework.robots.model.cell import Cell, Obstacle, Placement
+from falsework.robots.model.shapes import block
+from falsework.robots.planning.hybrid_planner import HybridResult, HybridSettings, plan_robots
+from falsework.robots.planning.keyframe_graph import KeyframeSettings
+from falsework.robots.planning.solvability import Proposals
 from falsework.search import Direction, Task
 from falsework.search.problem.guide import SupportGuide
 from falsework.stability import Stability
@@ -94,7 +94,7 @@ def test_a_guide_is_asked_about_each_state_once(column: Assembly, cell: Cell, or
 def test_where_rollouts_fail_the_plan_is_searched_for(
     column: Assembly, cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("falsework.robots.proposals.roll_out", lambda *_, **__: None)
+    monkeypatch.setattr("falsework.robots.planning.solvability.roll_out", lambda *_, **__: None)
     found = plan_robots(column, cell, guide=SupportGuide(column))
     assert found.plan is not None
     assert found.plan.plan.validate(column).good

@@ -9,10 +9,10 @@ import pytest
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
-from falsework.robots.cell import Cell
-from falsework.robots.exits import Exits
-from falsework.robots.keyframes import KeyframeGraph, KeyframeSettings
-from falsework.robots.kinematics import tool_pose
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.model.cell import Cell
+from falsework.robots.planning.exit_directions import Exits
+from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
 
 
 @pytest.fixture(scope="module")

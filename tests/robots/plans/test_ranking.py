@@ -8,10 +8,10 @@ import pytest
 from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
-from falsework.robots.cell import Cell
-from falsework.robots.keyframes import KeyframeGraph
-from falsework.robots.ranking import Ease
-from falsework.robots.rollouts import roll_out
+from falsework.robots.model.cell import Cell
+from falsework.robots.planning.action_ranking import Ease
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.planning.rollout import roll_out
 from falsework.search import Direction, Task
 from falsework.search.problem.guide import RememberingGuide, SupportGuide
 from falsework.stability import Stability

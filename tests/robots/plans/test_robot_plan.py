@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from falsework.errors import InputError, PlanError
-from falsework.robots.robot_plan import RobotPlan, Trajectory, cell_identity
-from falsework.robots.robot_plan_file import robot_plan_schema, robot_plan_to_json
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory, cell_identity
+from falsework.robots.plans.robot_plan_file import robot_plan_schema, robot_plan_to_json
 from falsework.search import Direction, plan_schema
 
 

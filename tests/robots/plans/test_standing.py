@@ -12,10 +12,10 @@ import pytest
 from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, complete_state
-from falsework.robots.cell import Cell
-from falsework.robots.hybrid import HybridResult, HybridSettings, plan_robots
-from falsework.robots.proposals import Proposals
-from falsework.robots.rollouts import roll_out
+from falsework.robots.model.cell import Cell
+from falsework.robots.planning.hybrid_planner import HybridResult, HybridSettings, plan_robots
+from falsework.robots.planning.rollout import roll_out
+from falsework.robots.planning.solvability import Proposals
 from falsework.search import Route, Task
 from falsework.stability import Replay, Stability, StabilitySettings
 

@@ -14,8 +14,8 @@ import torch
 
 from falsework.assembly.model import Assembly
 from falsework.errors import FalseworkError, InputError
-from falsework.learn import policy as policies
 from falsework.learn.config.train import TrainSettings, from_json
+from falsework.learn.networks import policy as policies
 from falsework.learn.networks.policy import Policy, make_policy
 from falsework.utils.archive import write_whole
 

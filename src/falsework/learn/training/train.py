@@ -36,7 +36,7 @@ def train(
     report: Report | None = None,
     dataset: Dataset | None = None,
 ) -> TrainResult:
-    """Train a policy for one structure, and leave a run behind that `falsework.learn.training.checkpoint.load_run` reads.
+    """Train a policy for one structure, and leave a run behind that `load_run` reads.
 
     Under `torchrun` all processes call this alike; the first one writes.
 

@@ -1,0 +1,1 @@
+"""Cell files, URDF and the built-in cells."""

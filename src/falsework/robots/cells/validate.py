@@ -1,0 +1,108 @@
+"""Whether a cell can work at all: bases, homes, tools and payloads, before any plan."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from falsework.errors import CellError
+from falsework.robots.kernels.collision import CLEAR
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import PartShapes
+from falsework.robots.model.shapes import Pieces, move
+from falsework.robots.motion.collision_world import CollisionWorld, Scene
+
+Array = NDArray[np.float64]
+
+SINK = 0.002
+"""How deep a base may sink into what it stands on, metres."""
+
+
+def check_cell(cell: Cell, parts: PartShapes | None = None) -> None:
+    """Raise for a cell in which robots cannot stand, rest, or carry the parts.
+
+    Args:
+        cell: the cell.
+        parts: the structure in it; without it only the cell itself is looked at.
+
+    Raises:
+        CellError: a base inside an obstacle, another base or a part; a home below the floor or in collision; a tool
+            that collides with its own arm; a part that is too heavy for every robot.
+    """
+    stands = [(f"obstacle {obstacle.name}", obstacle.pieces) for obstacle in cell.obstacles]
+    if parts is not None:
+        stands += [(f"part {name}", pieces) for name, pieces in zip(parts.names, parts.pieces, strict=True)]
+    bases = [shrunk(tuple(move(robot.base, p) for p in robot.model.pieces[0])) for robot in cell.robots]
+    for index, (robot, base) in enumerate(zip(cell.robots, bases, strict=True)):
+        others = [(f"the base of {cell.robots[k].name}", bases[k]) for k in range(index)]
+        for name, pieces in (*stands, *others):
+            if any(overlap(a, b) for a in base for b in pieces):
+                raise CellError(f"{cell.name}: the base of robot {robot.name} is inside {name}; move one of them")
+        lowest = min((float(piece[:, 2].min()) for piece in base), default=np.inf)
+        if cell.floor is not None and lowest < cell.floor:
+            raise CellError(f"{cell.name}: the base of robot {robot.name} is below the floor; raise it, or lower floor")
+    _check_homes(cell, parts)
+    if parts is not None:
+        _check_payload(cell, parts)
+
+
+def _check_homes(cell: Cell, parts: PartShapes | None) -> None:
+    shown = parts or no_parts()
+    world = CollisionWorld(cell, shown)
+    scene = Scene.at_home(cell, shown)
+    for index, robot in enumerate(cell.robots):
+        view = world.view(scene, index, margin=0.0)
+        hit = int(view.hits(robot.home)[0])
+        if hit == CLEAR:
+            view = world.view(scene, index)
+            hit = int(view.hits(robot.home)[0])
+        if hit == CLEAR:
+            continue
+        a, b = view.pair(hit)
+        if a.startswith(f"{robot.name} ") and b.startswith(f"{robot.name} "):
+            what = "its tool collides with its own arm" if "gripper" in a + b else "it collides with itself"
+            raise CellError(
+                f"{cell.name}: robot {robot.name} at home: {what} ({a} and {b}); change home or the gripper's shapes"
+            )
+        raise CellError(
+            f"{cell.name}: robot {robot.name} at home is too near: {a} and {b}; change home or move the base"
+        )
+
+
+def _check_payload(cell: Cell, parts: PartShapes) -> None:
+    most = max(robot.payload for robot in cell.robots)
+    heavy = ~parts.boundary & (parts.mass > most)
+    if heavy.any():
+        part = int(np.argmax(np.where(heavy, parts.mass, 0)))
+        strongest = max(cell.robots, key=lambda robot: robot.payload)
+        raise CellError(
+            f"{cell.name}: part {parts.names[part]} weighs {parts.mass[part]:.3g} kg and the payload of "
+            f"{strongest.name} is {strongest.payload:.3g} kg; "
+            "use a stronger arm or gripper, or set density or scale of [structure]"
+        )
+
+
+def no_parts() -> PartShapes:
+    """A structure without parts."""
+    return PartShapes((), np.zeros(0, bool), (), (), np.zeros(0), np.zeros((0, 3)), np.eye(3))
+
+
+def overlap(a: Array, b: Array) -> bool:
+    """Whether two convex pieces share space: whether no plane has one on each side."""
+    if (a.min(axis=0) > b.max(axis=0)).any() or (b.min(axis=0) > a.max(axis=0)).any():
+        return False
+    middle = b.mean(axis=0)
+    sides = np.concatenate([np.c_[a - middle, -np.ones(len(a))], np.c_[middle - b, np.ones(len(b))]])
+    return linprog(np.zeros(4), A_ub=sides, b_ub=-np.ones(len(sides)), bounds=(None, None)).status == 2
+
+
+def shrunk(pieces: Pieces) -> Pieces:
+    """Pieces drawn towards their middle by `SINK` along every axis, so that standing on something is no overlap."""
+    found = []
+    for piece in pieces:
+        low, high = piece.min(axis=0), piece.max(axis=0)
+        middle = (low + high) / 2
+        share = np.maximum(0.0, 1 - 2 * SINK / np.maximum(high - low, 1e-9))
+        found.append((piece - middle) * share + middle)
+    return tuple(found)

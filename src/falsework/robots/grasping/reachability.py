@@ -1,0 +1,194 @@
+"""Which robot of a cell can take hold of which part, and where robots would stand better."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.robots.cells.validate import overlap, shrunk
+from falsework.robots.grasping.grasp import Grasp, grasps
+from falsework.robots.kinematics.inverse import inverse
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import PartShapes
+from falsework.robots.model.shapes import move, pose
+from falsework.robots.motion.collision_world import CollisionWorld, Contact, Scene
+
+Array = NDArray[np.float64]
+
+GRASPS = 24
+"""Grasps of a part that are tried."""
+ANGLES, DISTANCES = 24, (0.55, 0.65, 0.75, 0.85)
+"""Places around the structure that are tried for a base: turns, and shares of the arm's reach."""
+APART = 0.7
+"""Least distance between two bases, as a share of the arm's reach."""
+SWEEPS = 2
+"""How often every robot is moved while the others stand."""
+
+
+class Reach(IntEnum):
+    """What a robot can do with a part, from nothing to holding it."""
+
+    TOO_HEAVY = 0
+    NO_GRASP = 1
+    OUT_OF_REACH = 2
+    IN_THE_WAY = 3
+    REACHED = 4
+
+    @property
+    def words(self) -> str:
+        """For a table."""
+        return ("too heavy", "no grasp", "out of reach", "in collision", "yes")[self.value]
+
+
+@dataclass(frozen=True, eq=False)
+class ReachTable:
+    """What every robot can do with every part that is not boundary."""
+
+    parts: NDArray[np.int64]
+    """Ids, shape (parts,)."""
+    robots: tuple[str, ...]
+    levels: NDArray[np.int8]
+    """`Reach` of each robot for each part, shape (parts, robots)."""
+    pairs: dict[tuple[int, int], tuple[str, str]]
+    """What comes too near, for (part id, robot) in collision."""
+
+    @property
+    def unreached(self) -> list[int]:
+        """Parts that no robot can hold."""
+        return self.parts[(self.levels != Reach.REACHED).all(axis=1)].tolist()
+
+
+@dataclass(frozen=True, eq=False)
+class BaseProposal:
+    """Bases from which robots reach more parts."""
+
+    cell: Cell
+    """The same cell with other bases."""
+    before: int
+    """Pairs of robot and part within reach now."""
+    after: int
+    pairs: int
+    """Pairs that there are."""
+
+
+def reach_table(
+    assembly: Assembly, cell: Cell, parts: PartShapes, report: Callable[[int, int], None] = lambda done, total: None
+) -> ReachTable:
+    """Try to hold every part by every robot, with nothing but the boundary around and the other robots at home.
+
+    Args:
+        assembly: the structure.
+        cell: the cell.
+        parts: the structure in the cell, as `place_parts` makes it.
+        report: called with the parts done and all parts.
+    """
+    world = CollisionWorld(cell, parts)
+    ids = np.flatnonzero(~parts.boundary)
+    levels = np.zeros((len(ids), cell.robot_count), np.int8)
+    pairs: dict[tuple[int, int], tuple[str, str]] = {}
+    for row, part in enumerate(ids.tolist()):
+        alone = parts.boundary.copy()
+        alone[part] = True
+        scene = Scene(cell.homes, alone, (None,) * cell.robot_count)
+        for robot, entry in enumerate(cell.robots):
+            if parts.mass[part] > entry.payload:
+                continue
+            found = grasps(assembly, parts, part, alone, entry, limit=GRASPS)
+            levels[row, robot] = Reach.NO_GRASP
+            if not found:
+                continue
+            solutions = np.concatenate(inverse(entry, np.array([grasp.tool for grasp in found])))
+            levels[row, robot] = Reach.OUT_OF_REACH
+            if not len(solutions):
+                continue
+            contact = Contact(gripper=frozenset({part}))
+            view = world.view(scene, robot, contact=contact, margin=cell.margins.line)
+            hits = view.hits(solutions)
+            levels[row, robot] = Reach.REACHED if (hits < 0).any() else Reach.IN_THE_WAY
+            if (hits >= 0).all():
+                pairs[part, robot] = view.pair(int(hits[0]))
+        report(row + 1, len(ids))
+    return ReachTable(ids, tuple(robot.name for robot in cell.robots), levels, pairs)
+
+
+def propose_bases(
+    assembly: Assembly, cell: Cell, parts: PartShapes, report: Callable[[int, int], None] = lambda done, total: None
+) -> BaseProposal:
+    """Look for bases from which more parts are within reach, kinematics alone.
+
+    One robot after the other is tried on rings around the structure, looking at its middle, while the others stand.
+    Check the result with `reach_table`, which looks at collisions too.
+    """
+    ids = np.flatnonzero(~parts.boundary).tolist()
+    held = [[_few(assembly, parts, part, robot) for part in ids] for robot in cell.robots]
+    middle = parts.center[ids].mean(axis=0)
+    stands = [p for o in cell.obstacles for p in o.pieces] + [p for pieces in parts.pieces for p in pieces]
+    bases = [robot.base for robot in cell.robots]
+
+    def count(robot: int, base: Array) -> NDArray[np.bool_]:
+        entry = replace(cell.robots[robot], base=base)
+        tools = [grasp.tool for of_part in held[robot] for grasp in of_part]
+        if not tools:
+            return np.zeros(len(ids), bool)
+        solved = [len(solutions) > 0 for solutions in inverse(entry, np.array(tools))]
+        owner = np.repeat(np.arange(len(ids)), [len(of_part) for of_part in held[robot]])
+        return np.bincount(owner[solved], minlength=len(ids)) > 0
+
+    reached = [count(robot, base) for robot, base in enumerate(bases)]
+    before = int(sum(row.sum() for row in reached))
+    total = SWEEPS * cell.robot_count * ANGLES * len(DISTANCES)
+    done = 0
+    for _ in range(SWEEPS):
+        for robot, entry in enumerate(cell.robots):
+            others = [base for k, base in enumerate(bases) if k != robot]
+            best = _score(reached)
+            for share in DISTANCES:
+                for turn in range(ANGLES):
+                    done += 1
+                    report(done, total)
+                    base = _on_ring(entry.base, middle, share * entry.model.reach, 2 * np.pi * turn / ANGLES)
+                    if _stands_free(cell, robot, base, others, stands):
+                        rows = [*reached[:robot], count(robot, base), *reached[robot + 1 :]]
+                        if _score(rows) > best:
+                            best, reached, bases[robot] = _score(rows), rows, base
+    pairs = zip(cell.robots, bases, strict=True)
+    robots = tuple(replace(robot, base=base, places=_moved(robot, base)) for robot, base in pairs)
+    after = int(sum(row.sum() for row in reached))
+    return BaseProposal(replace(cell, robots=robots), before, after, len(ids) * cell.robot_count)
+
+
+def _few(assembly: Assembly, parts: PartShapes, part: int, robot) -> list[Grasp]:
+    """A few grasps of a part, of different faces and turns."""
+    alone = parts.boundary.copy()
+    alone[part] = True
+    return grasps(assembly, parts, part, alone, robot, limit=4)
+
+
+def _score(reached: list[NDArray[np.bool_]]) -> tuple[int, int]:
+    """Parts within reach of any robot, then pairs."""
+    return int(np.any(reached, axis=0).sum()), int(np.sum(reached))
+
+
+def _on_ring(base: Array, middle: Array, distance: float, turn: float) -> Array:
+    """A base at a distance from the middle, looking at it, at the height it has now."""
+    x, y = middle[0] + distance * np.cos(turn), middle[1] + distance * np.sin(turn)
+    return pose((x, y, base[2, 3]), turn + np.pi)
+
+
+def _stands_free(cell: Cell, robot: int, base: Array, others: list[Array], stands: list[Array]) -> bool:
+    """Whether a base is clear of parts and obstacles, and far enough from other bases for two arms to work."""
+    apart = APART * cell.robots[robot].model.reach
+    if any(np.linalg.norm(other[:2, 3] - base[:2, 3]) < apart for other in others):
+        return False
+    own = shrunk(tuple(move(base, piece) for piece in cell.robots[robot].model.pieces[0]))
+    return not any(overlap(a, b) for a in own for b in stands)
+
+
+def _moved(robot, base: Array) -> Array:
+    """Places keep where they are as seen from the robot."""
+    return base @ np.linalg.inv(robot.base) @ robot.places if len(robot.places) else robot.places

@@ -1,0 +1,1 @@
+"""Compiled collision, path search and numeric inverse kinematics on flat arrays."""

@@ -1,0 +1,192 @@
+"""From robots, parts and obstacles to the flat arrays that the compiled check reads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.robots.kernels.collision import Bodies, Chain, Obstacles
+from falsework.robots.model.cell import CellRobot
+from falsework.robots.model.robot_model import RobotModel
+from falsework.robots.model.shapes import Pieces, move
+
+Array = NDArray[np.float64]
+
+GROUP = 6
+"""Obstacles that share a box in the broad phase."""
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """What a robot carries: pieces in the frame of its flange."""
+
+    part: int
+    pieces: Pieces
+
+
+@lru_cache(maxsize=64)
+def turns(model: RobotModel) -> Array:
+    """For every joint the rotation whose third column is its axis: from the turned frame to that of the link.
+
+    Shape (joints, 4, 4). With frames turned so, every axis is z and the compiled kinematics has no branch.
+    """
+    found = np.tile(np.eye(4), (model.joints, 1, 1))
+    for j, axis in enumerate(model.axes):
+        helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+        first = np.cross(helper, axis)
+        first /= np.linalg.norm(first)
+        found[j, :3, :3] = np.stack([first, np.cross(axis, first), axis], axis=1)
+    found.setflags(write=False)
+    return found
+
+
+def make_chain(model: RobotModel, base: Array) -> Chain:
+    """Joints of an arm that stands at `base`, shape (4, 4)."""
+    turn = turns(model)
+    origin = model.origins @ turn
+    origin[1:] = np.swapaxes(turn[:-1], 1, 2) @ origin[1:]
+    # Copies: compiled functions tell arrays that may be written from those that may not.
+    return Chain(np.array(base[:3], order="C"), np.array(origin[:, :3], order="C"), np.array(model.prismatic))
+
+
+def make_bodies(
+    robot: CellRobot, carried: Carried | None, part_names: Sequence[str]
+) -> tuple[Bodies, list[str], list[int]]:
+    """Everything of a robot; its base rides on frame 0, which does not move.
+
+    Returns:
+        The pieces, their names, and what each belongs to: a link (0 is the base), `joints + 1` the gripper,
+        `joints + 2` the part.
+    """
+    model = robot.model
+    joints, turn = model.joints, turns(model)
+    last = np.swapaxes(turn[-1], 0, 1)  # a rotation: its inverse
+    names, kinds, frames, shapes = [], [], [], []
+    for link in range(joints + 1):
+        for piece in model.pieces[link]:
+            names.append(model.link_names[link])
+            kinds.append(link)
+            frames.append(link)
+            shapes.append(move(np.swapaxes(turn[link - 1], 0, 1), piece) if link else np.array(piece))
+    mounted = [("gripper", joints + 1, piece) for piece in robot.gripper.pieces]
+    if carried is not None:
+        mounted += [(f"part {part_names[carried.part]}", joints + 2, piece) for piece in carried.pieces]
+    for name, kind, piece in mounted:
+        names.append(name)
+        kinds.append(kind)
+        frames.append(joints)
+        shapes.append(move(last @ model.flange, piece))
+    frame = np.array(frames, np.int64)
+    low = np.array([piece.min(axis=0) for piece in shapes])
+    high = np.array([piece.max(axis=0) for piece in shapes])
+    center = (low + high) / 2
+    radius = np.array(
+        [np.linalg.norm(piece - middle, axis=1).max() for piece, middle in zip(shapes, center, strict=True)]
+    )
+    origin = make_chain(model, np.eye(4)).origin
+    sweep = np.array([_sweep(model, origin, int(f), piece) for f, piece in zip(frame, shapes, strict=True)])
+    start, vertices = _stack(shapes)
+    return Bodies(frame, start, vertices, center, radius, sweep), names, kinds
+
+
+def _sweep(model: RobotModel, origin: Array, frame: int, piece: Array) -> Array:
+    """Farthest that a point of a piece moves when each joint moves by one, whatever the other joints do, (joints,).
+
+    A point is at most as far from the axis of joint j as the next frame's origin is from it, plus the lengths of all
+    offsets from there on, plus its own distance from the origin of its frame; slides add their longest travel.
+    """
+    found = np.zeros(model.joints)
+    travel = np.where(model.prismatic, np.maximum(np.abs(model.lower), np.abs(model.upper)), 0.0)
+    rest = float(np.linalg.norm(piece, axis=1).max())
+    for j in range(frame - 1, -1, -1):
+        if model.prismatic[j]:
+            found[j] = 1.0
+        elif j == frame - 1:
+            found[j] = np.hypot(piece[:, 0], piece[:, 1]).max()
+        else:
+            found[j] = np.hypot(origin[j + 1, 0, 3], origin[j + 1, 1, 3]) + travel[j + 1] + rest
+        if j < frame - 1:
+            rest += float(np.linalg.norm(origin[j + 1, :, 3])) + travel[j + 1]
+    return found
+
+
+def self_pairs(model: RobotModel, links: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Pairs of moving pieces of one arm that can meet, shape (pairs, 2).
+
+    The gripper is not checked against the last two links, nor a part in it against the last link and the gripper:
+    they hardly move against each other, and whether they fit is a question for the cell, asked once.
+
+    Args:
+        model: the arm.
+        links: what every piece belongs to, as `make_bodies` returns it.
+    """
+    joints = model.joints
+    found = []
+    for a in range(len(links)):
+        for b in range(a + 1, len(links)):
+            low, high = sorted((int(links[a]), int(links[b])))
+            if high <= joints:
+                wanted = low != high and (low, high) not in model.ignored
+            elif high == joints + 1:
+                wanted = low < joints - 1
+            else:
+                wanted = low < joints
+            if wanted:
+                found.append((a, b))
+    return np.array(found, np.int64).reshape(-1, 2)
+
+
+def make_obstacles(bodies: Sequence[Pieces]) -> tuple[Obstacles, NDArray[np.int64]]:
+    """Everything that stands still, in groups of pieces that are near each other.
+
+    Returns:
+        The pieces and, for each, the index of the body that it belongs to.
+    """
+    pieces = [piece for body in bodies for piece in body]
+    owner = np.repeat(np.arange(len(bodies)), [len(body) for body in bodies])
+    if not pieces:
+        nothing = np.zeros((0, 3))
+        one = np.zeros(1, np.int64)
+        return Obstacles(one, nothing, nothing, nothing, one, nothing, nothing), owner
+    low = np.array([piece.min(axis=0) for piece in pieces])
+    high = np.array([piece.max(axis=0) for piece in pieces])
+    groups = _groups((low + high) / 2)
+    order = np.concatenate(groups)
+    sizes = np.array([len(group) for group in groups])
+    start, vertices = _stack([pieces[k] for k in order])
+    first = np.concatenate([[0], np.cumsum(sizes)])
+    low, high = low[order], high[order]
+    obstacles = Obstacles(
+        start,
+        vertices,
+        low,
+        high,
+        first,
+        np.minimum.reduceat(low, first[:-1]),
+        np.maximum.reduceat(high, first[:-1]),
+    )
+    return obstacles, owner[order]
+
+
+def _groups(centers: Array) -> list[NDArray[np.int64]]:
+    """Split points at the median of their widest spread until few are left in each group."""
+    pending, found = [np.arange(len(centers))], []
+    while pending:
+        group = pending.pop()
+        if len(group) <= GROUP:
+            found.append(group)
+            continue
+        axis = int(np.argmax(np.ptp(centers[group], axis=0)))
+        order = group[np.argsort(centers[group, axis], kind="stable")]
+        pending += [order[: len(order) // 2], order[len(order) // 2 :]]
+    return found
+
+
+def _stack(pieces: Sequence[Array]) -> tuple[NDArray[np.int64], Array]:
+    """First row of every piece, and all vertices below each other."""
+    start = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])]).astype(np.int64)
+    return start, np.array(np.concatenate(pieces), order="C")

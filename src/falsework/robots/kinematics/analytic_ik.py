@@ -1,0 +1,256 @@
+"""Closed forms of inverse kinematics for six revolute joints, on batches of poses.
+
+All of it is written in the axes at zero, so it does not matter how a description places its frames or turns its signs.
+Points move by `x -> e1 e2 ... e6 x`, with `ei` the rotation of joint i about its axis at zero; target T and flange
+at zero H give `G = T H^-1 = e1 ... e6`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.robots.model.shapes import inverse_pose
+
+Array = NDArray[np.float64]
+Owner = NDArray[np.int64]
+
+GRID = 120
+"""Angles of the sixth joint at which the equation of an offset wrist is looked at."""
+NEARLY_ZERO = 0.15
+"""A dip of the equation below this, without a change of sign, is worth a try."""
+
+
+@dataclass(frozen=True, eq=False)
+class Screws:
+    """Axes of an arm at zero, in the frame of the base."""
+
+    axes: Array
+    """Unit vectors, shape (6, 3)."""
+    points: Array
+    """A point on each axis, shape (6, 3), metres."""
+    home: Array
+    """Pose of the flange, shape (4, 4)."""
+    center: Array | None = None
+    """Where two axes of the wrist meet, shape (3,)."""
+    spherical: bool = False
+
+    def distance(self, joint: int, point: Array) -> float:
+        """Distance of a point from an axis, metres."""
+        return float(np.linalg.norm(np.cross(point - self.points[joint], self.axes[joint])))
+
+    def meeting(self, a: int, b: int) -> Array | None:
+        """Where two axes meet, or None if they pass each other by more than a micrometre."""
+        across = np.cross(self.axes[a], self.axes[b])
+        square = across @ across
+        if square < 1e-12:
+            return None
+        apart = self.points[b] - self.points[a]
+        if abs(apart @ across) > 1e-6 * np.sqrt(square):
+            return None
+        along = np.cross(apart, self.axes[b]) @ across / square
+        return self.points[a] + along * self.axes[a]
+
+    def with_center(self, center: Array, spherical: bool = False) -> Screws:
+        """The same, with the centre of the wrist."""
+        return replace(self, center=center, spherical=spherical)
+
+
+def solve_wrist(screws: Screws, targets: Array) -> tuple[Array, Owner]:
+    """Guesses for arms whose fourth and fifth axes meet, shape (batch, 4, 4) to (guesses, 6) and the row of each."""
+    turn, shift = _moved(screws, targets)
+    if screws.spherical:
+        q6 = np.zeros((len(targets), 1))
+        first, turned, good = _arm(screws, turn, shift, q6)
+        return _euler(screws, turn, first[:, 0], turned[:, 0], good[:, 0])
+    grid = np.linspace(-np.pi, np.pi, GRID + 1)
+    q6 = np.broadcast_to(grid, (len(targets), GRID + 1))
+    first, turned, good = _arm(screws, turn, shift, q6)
+    value = np.where(good, _offset_equation(screws, turn, turned, q6), np.nan)
+    left, right = value[:, :-1], value[:, 1:]
+    with np.errstate(invalid="ignore"):
+        crossing = left * right <= 0
+        size = np.abs(value)
+        padded = np.pad(np.where(np.isnan(size), np.inf, size), ((0, 0), (1, 1), (0, 0)), constant_values=np.inf)
+        dip = (size <= padded[:, :-2]) & (size <= padded[:, 2:]) & (size < NEARLY_ZERO)
+        share = left / (left - right)
+    rows, cells, branches = np.nonzero(crossing)
+    step = grid[1] - grid[0]
+    at = grid[cells] + step * np.nan_to_num(share[rows, cells, branches], nan=0.5)
+    more_rows, more_cells, more_branches = np.nonzero(dip)
+    rows, branches = np.concatenate([rows, more_rows]), np.concatenate([branches, more_branches])
+    at = np.concatenate([at, grid[more_cells]])
+    return _finish_offset(screws, turn[rows], shift[rows], at, branches, rows)
+
+
+def solve_parallel(screws: Screws, targets: Array) -> tuple[Array, Owner]:
+    """Guesses for arms whose second to fourth axes are parallel, as `solve_wrist`."""
+    turn, shift = _moved(screws, targets)
+    w, p, center = screws.axes, screws.points, screws.center
+    assert center is not None
+    batch = len(targets)
+    moved = np.einsum("bij,j->bi", turn, center) + shift
+    q1, good = _level(w[0], w[1], moved - p[0], float((center - p[0]) @ w[1]))  # (batch, 2)
+    back = _about(w[0], -q1)  # (batch, 2, 3, 3)
+    inner = back @ turn[:, None]
+    # The part of the sixth axis along the parallel ones does not change under them: it gives the fifth angle.
+    level = np.einsum("i,bkij,j->bk", w[1], inner, w[5])
+    base = np.array([w[1] @ w[5], w[1] @ np.cross(w[4], w[5])])
+    reach = np.hypot(*base)
+    with np.errstate(invalid="ignore"):
+        spread = np.arccos(np.clip(level / reach, -1 - 1e-9, 1 + 1e-9).clip(-1, 1))
+    good = good & (np.abs(level) <= reach * (1 + 1e-9))
+    tilt = np.arctan2(base[1], base[0])
+    q5 = np.stack([tilt + spread, tilt - spread], axis=2)  # (batch, 2, 2)
+    good = np.repeat(good[:, :, None], 2, axis=2)
+    # The parallel axis as the sixth joint sees it gives the sixth angle.
+    seen = np.einsum("bkji,j->bki", inner, w[1])[:, :, None]
+    before = np.einsum("bklji,j->bkli", _about(w[4], q5), w[1])
+    q6 = -_turn_between(w[5], before, np.broadcast_to(seen, before.shape))
+    rest = inner[:, :, None] @ np.swapaxes(_about(w[5], q6), -1, -2) @ np.swapaxes(_about(w[4], q5), -1, -2)
+    total = _turn_between(w[1], *_pair(rest, w[1]))
+    # Where the fourth axis goes: a point of it, moved by the second and third joints alone.
+    about5 = p[4] + np.einsum("bklij,j->bkli", _about(w[4], -q5), p[3] - p[4])
+    here = p[5] + np.einsum("bklij,bklj->bkli", _about(w[5], -q6), about5 - p[5])
+    world = np.einsum("bij,bklj->bkli", turn, here) + shift[:, None, None]
+    flat = p[0] + np.einsum("bkij,bklj->bkli", back, world - p[0])
+    q2, q3, met = _two_bars(w, p[1], p[2], p[3], flat)  # (batch, 2, 2, 2)
+    sign3, sign4 = w[2] @ w[1], w[3] @ w[1]
+    q4 = sign4 * (total[..., None] - q2 - sign3 * q3)
+    shape = q2.shape
+    spread_out = [np.broadcast_to(q, shape) for q in (q1[:, :, None, None], q2, q3, q4, q5[..., None], q6[..., None])]
+    keep = met & good[..., None]
+    owner = np.broadcast_to(np.arange(batch)[:, None, None, None], shape)[keep]
+    return np.stack([q[keep] for q in spread_out], axis=1), owner
+
+
+def _moved(screws: Screws, targets: Array) -> tuple[Array, Array]:
+    """Rotation and shift of G = T H^-1, shapes (batch, 3, 3) and (batch, 3)."""
+    moved = targets @ inverse_pose(screws.home)
+    return moved[:, :3, :3], moved[:, :3, 3]
+
+
+def _arm(screws: Screws, turn: Array, shift: Array, q6: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """First three joints that bring the centre of the wrist where it must be for given sixth angles.
+
+    Args:
+        turn, shift: G, shapes (batch, 3, 3) and (batch, 3).
+        q6: shape (batch, angles).
+
+    Returns:
+        Joint values, shape (batch, angles, 4, 3), the rotations e1 e2 e3, shape (batch, angles, 4, 3, 3), and whether
+        there are any, shape (batch, angles, 4).
+    """
+    w, p, center = screws.axes, screws.points, screws.center
+    assert center is not None
+    arm = p[5] + np.einsum("bgij,j->bgi", _about(w[5], -q6), center - p[5])
+    moved = np.einsum("bij,bgj->bgi", turn, arm) + shift[:, None]
+    q1, good = _level(w[0], w[1], moved - p[0], float((center - p[0]) @ w[1]))
+    flat = p[0] + np.einsum("bgkij,bgj->bgki", _about(w[0], -q1), moved - p[0])
+    q2, q3, met = _two_bars(w, p[1], p[2], center, flat)
+    q1 = np.broadcast_to(q1[..., None], q2.shape)
+    found = np.stack([q1, q2, q3], axis=-1).reshape(*q6.shape, 4, 3)
+    met = (met & good[..., None]).reshape(*q6.shape, 4)
+    turned = _about(w[0], found[..., 0]) @ _about(w[1], found[..., 1]) @ _about(w[2], found[..., 2])
+    return found, turned, met
+
+
+def _euler(screws: Screws, turn: Array, first: Array, turned: Array, good: NDArray[np.bool_]) -> tuple[Array, Owner]:
+    """Last three joints of a spherical wrist; shapes (batch, 4, ...)."""
+    w = screws.axes
+    rest = np.swapaxes(turned, -1, -2) @ turn[:, None]
+    image = rest @ w[5]
+    base = np.array([w[3] @ w[5], w[3] @ np.cross(w[4], w[5])])
+    spread = np.arccos(np.clip(image @ w[3], -1, 1))
+    tilt = np.arctan2(base[1], base[0])
+    q5 = np.stack([tilt + spread, tilt - spread], axis=2)
+    before = _about(w[4], q5) @ w[5]
+    q4 = _turn_between(w[3], before, np.broadcast_to(image[:, :, None], before.shape))
+    last = np.swapaxes(_about(w[3], q4) @ _about(w[4], q5), -1, -2) @ rest[:, :, None]
+    q6 = _turn_between(w[5], *_pair(last, w[5]))
+    arm = np.broadcast_to(first[:, :, None], (*q5.shape, 3))
+    keep = np.broadcast_to(good[:, :, None], q5.shape)
+    owner = np.broadcast_to(np.arange(len(turn))[:, None, None], q5.shape)[keep]
+    return np.concatenate([arm[keep], np.stack([q4[keep], q5[keep], q6[keep]], axis=1)], axis=1), owner
+
+
+def _offset_equation(screws: Screws, turn: Array, turned: Array, q6: Array) -> Array:
+    """Zero where the fourth and fifth joints can do what is left; shape (batch, angles, 4)."""
+    w = screws.axes
+    seen = np.einsum("bgij,j->bgi", _about(w[5], -q6), w[4])
+    world = np.einsum("bij,bgj->bgi", turn, seen)
+    return np.einsum("bgkji,bgj,i->bgk", turned, world, w[3])
+
+
+def _finish_offset(
+    screws: Screws, turn: Array, shift: Array, q6: Array, branches: NDArray[np.int64], owner: Owner
+) -> tuple[Array, Owner]:
+    """All joints for sixth angles near roots."""
+    w = screws.axes
+    first, turned, good = _arm(screws, turn, shift, q6[:, None])
+    pick = np.arange(len(q6))
+    first, turned, good = first[pick, 0, branches], turned[pick, 0, branches], good[pick, 0, branches]
+    rest = np.swapaxes(turned, -1, -2) @ turn @ _about(w[5], -q6)
+    image = rest @ w[4]
+    q4 = _turn_between(w[3], np.broadcast_to(w[4], image.shape), image)
+    last = np.swapaxes(_about(w[3], q4), -1, -2) @ rest
+    q5 = _turn_between(w[4], *_pair(last, w[4]))
+    return np.concatenate([first, np.stack([q4, q5, q6], axis=1)], axis=1)[good], owner[good]
+
+
+def _about(axis: Array, angle: Array) -> Array:
+    """Rotations about an axis, shape (...) to (..., 3, 3)."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    sin, cos = np.sin(angle)[..., None, None], np.cos(angle)[..., None, None]
+    return np.eye(3) * cos + cross * sin + np.outer(axis, axis) * (1 - cos)
+
+
+def _level(axis: Array, across: Array, arm: Array, level: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Angles q, two each, with `rot(axis, -q) arm . across = level`; shape (..., 3) to (..., 2) and (..., 2)."""
+    u, s = arm @ across, arm @ np.cross(axis, across)
+    reach = np.hypot(u, s)
+    share = level / np.maximum(reach, 1e-12)
+    spread = np.arccos(np.clip(share, -1, 1))
+    middle = np.arctan2(s, u)
+    good = np.abs(share) <= 1 + 1e-9
+    return np.stack([middle + spread, middle - spread], axis=-1), np.stack([good, good], axis=-1)
+
+
+def _two_bars(
+    w: Array, start: Array, elbow: Array, end: Array, target: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Second and third angles, two each, that bring the end of two bars to a point; shape (..., 3) to (..., 2)."""
+    helper = np.eye(3)[int(np.argmin(np.abs(w[1])))]
+    e = np.cross(helper, w[1])
+    e /= np.linalg.norm(e)
+    flat = np.stack([e, np.cross(w[1], e)])
+    a, b = flat @ (elbow - start), flat @ (end - elbow)
+    t = (target - start) @ flat.T
+    la, lb = np.hypot(*a), np.hypot(*b)
+    share = ((t**2).sum(axis=-1) - la**2 - lb**2) / (2 * la * lb)
+    good = np.abs(share) <= 1 + 1e-9
+    spread = np.arccos(np.clip(share, -1, 1))
+    bend = np.arctan2(a[1], a[0]) - np.arctan2(b[1], b[0])
+    q3 = np.stack([bend + spread, bend - spread], axis=-1)
+    cos, sin = np.cos(q3), np.sin(q3)
+    x, y = a[0] + cos * b[0] - sin * b[1], a[1] + sin * b[0] + cos * b[1]
+    q2 = np.arctan2(t[..., 1], t[..., 0])[..., None] - np.arctan2(y, x)
+    return q2, float(np.sign(w[2] @ w[1])) * q3, np.stack([good, good], axis=-1)
+
+
+def _turn_between(axis: Array, before: Array, after: Array) -> Array:
+    """Angle about an axis from one vector to another, both seen along the axis; shape (..., 3) to (...)."""
+    sin = np.einsum("...i,...i->...", np.cross(before, after), np.broadcast_to(axis, before.shape))
+    cos = np.einsum("...i,...i->...", before, after) - (before @ axis) * (after @ axis)
+    return np.arctan2(sin, cos)
+
+
+def _pair(turn: Array, axis: Array) -> tuple[Array, Array]:
+    """A vector at right angles to an axis, and its image under rotations about the axis, shape (..., 3)."""
+    helper = np.cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis)
+    helper /= np.linalg.norm(helper)
+    image = turn @ helper
+    return np.broadcast_to(helper, image.shape), image

@@ -1,0 +1,74 @@
+"""Forward kinematics and Jacobians of batches, compiled."""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.robots.kernels.collision import place_frames
+from falsework.robots.kernels.gjk import OUTER
+from falsework.robots.kernels.kernel_arrays import make_chain, turns
+from falsework.robots.model.cell import CellRobot
+from falsework.robots.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+
+
+def link_poses(model: RobotModel, configurations: ArrayLike, base: Array | None = None) -> Array:
+    """Poses of all links, shape (joints,) to (joints + 1, 4, 4), or (batch, joints) to (batch, joints + 1, 4, 4).
+
+    Args:
+        model: the arm.
+        configurations: joint values.
+        base: pose of the base link in the world, shape (4, 4); the identity if not given.
+    """
+    values = np.ascontiguousarray(np.atleast_2d(configurations), dtype=np.float64)
+    chain = make_chain(model, np.eye(4) if base is None else base)
+    frames = np.empty((len(values), model.joints + 1, 3, 4))
+    place_many(values, chain, frames)
+    found = np.zeros((len(values), model.joints + 1, 4, 4))
+    found[..., :3, :] = frames
+    found[..., 3, 3] = 1.0
+    back = np.swapaxes(turns(model), 1, 2)
+    found[:, 1:] = found[:, 1:] @ back
+    return found[0] if np.ndim(configurations) == 1 else found
+
+
+def flange_pose(model: RobotModel, configurations: ArrayLike, base: Array | None = None) -> Array:
+    """Pose of the flange, shape (joints,) to (4, 4), or batched."""
+    return link_poses(model, configurations, base)[..., -1, :, :] @ model.flange
+
+
+def tool_pose(robot: CellRobot, configurations: ArrayLike) -> Array:
+    """Pose of the tool frame of a robot of a cell in the world, shape (joints,) to (4, 4), or batched."""
+    return flange_pose(robot.model, configurations, robot.base) @ robot.gripper.tool
+
+
+def jacobian(model: RobotModel, configurations: ArrayLike, tool: Array | None = None) -> Array:
+    """Velocity of a frame at the tool by joint, in the frame of the base: linear above angular.
+
+    Args:
+        model: the arm.
+        configurations: joint values, shape (joints,) or (batch, joints).
+        tool: pose of the frame in that of the flange, shape (4, 4); the flange itself if not given.
+
+    Returns:
+        Shape (6, joints) or (batch, 6, joints).
+    """
+    poses = np.atleast_3d(link_poses(model, np.atleast_2d(configurations)))
+    end = poses[:, -1] @ model.flange @ (np.eye(4) if tool is None else tool)
+    axes = np.einsum("bjik,jk->bji", poses[:, 1:, :3, :3], model.axes)
+    arms = end[:, None, :3, 3] - poses[:, 1:, :3, 3]
+    slides = model.prismatic[None, :, None]
+    linear = np.where(slides, axes, np.cross(axes, arms))
+    angular = np.where(slides, 0.0, axes)
+    found = np.swapaxes(np.concatenate([linear, angular], axis=2), 1, 2)
+    return found[0] if np.ndim(configurations) == 1 else found
+
+
+@nb.njit(**OUTER)
+def place_many(values, chain, found):
+    """`place_frames` for a batch, shape (batch, joints + 1, 3, 4)."""
+    for i in range(len(values)):
+        place_frames(values[i], chain, found[i])

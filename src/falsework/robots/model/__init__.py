@@ -1,0 +1,1 @@
+"""Robots, cells and the shapes of their links and parts."""

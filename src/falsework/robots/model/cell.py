@@ -1,0 +1,126 @@
+"""The cell: robots with bases and grippers, what stands around them, where parts come from and go to. Frozen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.robots.model.robot_model import RobotModel
+from falsework.robots.model.shapes import Pieces, pose
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Gripper:
+    """A tool on the flange. Frames: z points out of the flange; the tool frame is where a part is touched.
+
+    A suction gripper touches a face with its cup, z of the tool frame into the face. A parallel jaw closes along x of
+    the tool frame; the part is between its jaws at the origin of the tool frame.
+    """
+
+    name: str
+    kind: Literal["suction", "jaw"]
+    pieces: Pieces
+    """Convex pieces in the frame of the flange, metres."""
+    tool: Array
+    """Pose of the tool frame in the frame of the flange, shape (4, 4)."""
+    payload: float
+    """Heaviest part that it holds, kg."""
+    mass: float = 0.0
+    """Its own mass, kg; counts against the payload of the arm."""
+    cup: float = 0.0
+    """Suction: radius of the cup, metres; a face must be at least as large."""
+    opening: float = 0.0
+    """Jaw: widest opening between the jaws, metres."""
+    depth: float = 0.0
+    """Jaw: length of the jaws along z that is in touch with the part, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellRobot:
+    """One robot of a cell: an arm, where it stands, its gripper, and where it rests and puts parts."""
+
+    name: str
+    model: RobotModel
+    base: Array
+    """Pose of the base link in the world, shape (4, 4)."""
+    gripper: Gripper
+    home: Array
+    """Configuration to rest in, shape (joints,)."""
+    places: Array
+    """Tool frames in the world where a carried part is handed over, shape (places, 4, 4): drop-off when a structure is
+    taken apart, pick-up when it is assembled. Which way up the part arrives is free; z points into the part."""
+
+    @property
+    def payload(self) -> float:
+        """Heaviest part that arm and gripper together can carry, kg."""
+        arm = np.inf if self.model.payload is None else self.model.payload - self.gripper.mass
+        return float(min(arm, self.gripper.payload))
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """Something fixed in the cell: convex pieces in the world frame."""
+
+    name: str
+    pieces: Pieces
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a structure stands in the cell, how large it is built, and of what."""
+
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where the origin of the structure's own frame goes, metres."""
+    yaw: float = 0.0
+    """Turn about z, rad."""
+    scale: float = 1.0
+    """Size of the real thing by the size of its meshes."""
+    density: float | None = None
+    """Density of what it is built of in the cell, kg/m3; None: that of the structure."""
+
+    @property
+    def pose(self) -> Array:
+        """Pose of the structure's frame in the world, without the scale. Shape (4, 4)."""
+        return pose(self.position, self.yaw)
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Distances that motions keep, metres."""
+
+    free: float = 0.005
+    """Between everything during free moves."""
+    line: float = 0.001
+    """During straight approaches and withdrawals; pairs that a contact rule names may touch."""
+    approach: float = 0.10
+    """Length of a straight approach or withdrawal."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """Everything that does not move by itself while a plan is carried out."""
+
+    name: str
+    robots: tuple[CellRobot, ...]
+    obstacles: tuple[Obstacle, ...] = ()
+    floor: float | None = 0.0
+    """Height of the floor, metres; None: there is none."""
+    placement: Placement = field(default_factory=Placement)
+    margins: Margins = field(default_factory=Margins)
+    speed: float = 1.0
+    """Share of the robots' limits of velocity that motions may use; acceleration by its square."""
+
+    @property
+    def robot_count(self) -> int:
+        """Number of robots."""
+        return len(self.robots)
+
+    @property
+    def homes(self) -> tuple[Array, ...]:
+        """Home configuration of every robot."""
+        return tuple(robot.home for robot in self.robots)

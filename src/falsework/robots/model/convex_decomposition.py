@@ -1,0 +1,189 @@
+"""Convex pieces that cover a mesh: exact for boxes put together, tight for most, and never less than the solid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from falsework.geometry.mesh.collision import inside
+from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.robots.model.shapes import Pieces, hull
+
+Array = NDArray[np.float64]
+
+PIECES = 32
+"""Most pieces of one part; when they are used up, the cover stays looser than asked for."""
+IDLE = 2
+"""Cuts in a row that may take nothing off: a ring must be halved before a cut of the halves helps."""
+CANDIDATES = 16
+"""Planes that are tried for one cut."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Cut:
+    """What is left of a solid on one side of some planes: its surface there, open where it was cut."""
+
+    triangles: Array
+    """Shape (triangles, 3, 3)."""
+    planes: tuple[Array, ...]
+    """Of the cuts, `n . x <= d` inside, each as (n, d), shape (4,)."""
+    corners: Array
+    """Vertices of the convex hull, shape (corners, 3)."""
+    volume: float = field(default=0.0)
+    """Of the convex hull, m3."""
+    idle: int = 0
+    """Cuts in a row that took nothing off."""
+
+
+def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = PIECES) -> Pieces:
+    """Convex pieces whose union contains the solid that a mesh encloses.
+
+    The solid is cut by planes, at each step where that takes most off the convex hulls, until the hulls together are
+    at most `tolerance` larger than the solid. Every piece is the hull of what it covers, so nothing of the solid is
+    ever outside; where the limit of pieces is reached first, or a surface is curved, the cover is larger than the
+    solid and motions keep farther away than they must.
+
+    Args:
+        mesh: closed mesh that faces outwards.
+        tolerance: share of the volume by which the pieces may exceed the solid.
+        pieces: most pieces.
+
+    Raises:
+        InputError: the mesh spans no volume.
+    """
+    corners = hull(mesh.vertices)
+    start = _Cut(mesh.triangles, (), corners, float(ConvexHull(corners).volume))
+    solid = mesh.volume
+    parts: list[_Cut] = [start]
+    done: dict[int, _Cut] = {}  # by identity; kept, so that no other takes over the number
+    while len(parts) < pieces and sum(part.volume for part in parts) > solid * (1 + tolerance):
+        order = np.argsort([-part.volume for part in parts], kind="stable").tolist()
+        for index in order:
+            if id(parts[index]) not in done:
+                halves = _best_cut(parts[index], mesh)
+                if halves is not None:
+                    break
+                done[id(parts[index])] = parts[index]
+        else:
+            index = next((k for k in order if parts[k].idle < IDLE), -1)
+            halves = _halve(parts[index], mesh) if index >= 0 else None
+            if halves is None:
+                break
+        parts[index : index + 1] = halves
+    return tuple(part.corners for part in parts)
+
+
+def _halve(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
+    """Cut across the middle of the longest side, though it takes nothing off."""
+    low, high = part.corners.min(axis=0), part.corners.max(axis=0)
+    axis = int(np.argmax(high - low))
+    plane = np.append(np.eye(3)[axis], (low[axis] + high[axis]) / 2)
+    one, other = _clip(part, plane, mesh), _clip(part, -plane, mesh)
+    if one is None or other is None:
+        return None
+    return replace(one, idle=part.idle + 1), replace(other, idle=part.idle + 1)
+
+
+def _best_cut(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
+    """The cut that leaves least hull on its two sides together, or None if none takes off a thousandth."""
+    most = part.volume * (1 - 1e-3)
+    best, chosen = most, None
+    for plane in _candidates(part):
+        sides = [_clip(part, sign * plane, None) for sign in (1.0, -1.0)]
+        total = sum(side.volume for side in sides if side is not None)
+        if None not in sides and total < best * (1 - 1e-9):
+            best, chosen = total, plane
+    if chosen is None:
+        return None
+    one, other = _clip(part, chosen, mesh), _clip(part, -chosen, mesh)
+    if one is None or other is None or one.volume + other.volume >= most:
+        return None
+    return one, other
+
+
+def _candidates(part: _Cut) -> list[Array]:
+    """Planes of faces that lie inside the hull, and planes across its middle; shape (4,) each."""
+    corners = part.triangles
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    good = area > area.max() * 1e-6
+    normals = cross[good] / area[good, None]
+    levels = np.einsum("ij,ij->i", normals, corners[good, 0])
+    size = float(np.ptp(part.corners, axis=0).max())
+    # A face plane cuts if there is solid in front of it; each plane once, the largest faces first.
+    front = (part.corners @ normals.T).max(axis=0) - levels > 1e-4 * size
+    key = np.round(np.c_[normals, levels / size][front] * 1e4).astype(np.int64)
+    flip = np.sign(key[np.arange(len(key)), np.argmax(np.abs(key) > 10, axis=1)])
+    _, first, where = np.unique(key * flip[:, None], axis=0, return_index=True, return_inverse=True)
+    weight = np.bincount(where.reshape(-1), area[good][front])
+    order = np.argsort(-np.round(weight, 12), kind="stable")[:CANDIDATES]
+    planes = [np.append(normals[front][first[k]], levels[front][first[k]]) for k in order.tolist()]
+    middle = part.corners.mean(axis=0)
+    axes = np.linalg.svd(part.corners - middle, full_matrices=False)[2]
+    for axis in (*np.eye(3), *axes):
+        low, high = (part.corners @ axis).min(), (part.corners @ axis).max()
+        planes.append(np.append(axis, (low + high) / 2))
+    return planes
+
+
+def _clip(part: _Cut, plane: Array, mesh: TriangleMesh | None) -> _Cut | None:
+    """The part behind a plane, or None if there is nothing to speak of; an estimate where no mesh is given."""
+    normal, level = plane[:3], plane[3]
+    size = float(np.ptp(part.corners, axis=0).max())
+    height = part.triangles @ normal - level
+    height[np.abs(height) < 1e-9 * max(size, 1e-9)] = 0.0
+    # A face in the plane bounds what is behind it if it looks along the normal, else what is in front.
+    along = np.cross(part.triangles[:, 1] - part.triangles[:, 0], part.triangles[:, 2] - part.triangles[:, 0]) @ normal
+    whole = (height <= 0).all(axis=1) & ((height < 0).any(axis=1) | (along > 0))
+    split = (height < 0).any(axis=1) & (height > 0).any(axis=1)
+    kept = [part.triangles[whole]]
+    if split.any():
+        kept.append(_split(part.triangles[split], height[split]))
+    triangles = np.concatenate(kept)
+    if len(triangles) < 2:
+        return None
+    planes = (*part.planes, plane)
+    points = triangles.reshape(-1, 3)
+    if mesh is not None:
+        points = np.concatenate([points, _inner_corners(planes, mesh, size)])
+    try:
+        made = ConvexHull(points)
+    except (QhullError, ValueError):
+        return None
+    corners = hull(points[made.vertices]) if mesh is not None else points[made.vertices]
+    return _Cut(triangles, planes, corners, float(made.volume))
+
+
+def _split(triangles: Array, height: Array) -> Array:
+    """The parts of triangles behind a plane, as triangles."""
+    found = []
+    for corners, level in zip(triangles, height, strict=True):
+        polygon = []
+        for k in range(3):
+            a, b = level[k], level[(k + 1) % 3]
+            if a <= 0:
+                polygon.append(corners[k])
+            if a * b < 0:
+                polygon.append(corners[k] + a / (a - b) * (corners[(k + 1) % 3] - corners[k]))
+        found += [(polygon[0], polygon[k], polygon[k + 1]) for k in range(1, len(polygon) - 1)]
+    return np.array(found).reshape(-1, 3, 3)
+
+
+def _inner_corners(planes: tuple[Array, ...], mesh: TriangleMesh, size: float) -> Array:
+    """Where three cuts meet inside the solid: corners of a piece that are on no surface. Shape (corners, 3)."""
+    found = []
+    for three in combinations(planes, 3):
+        matrix = np.array([plane[:3] for plane in three])
+        if abs(np.linalg.det(matrix)) > 1e-6:
+            found.append(np.linalg.solve(matrix, [plane[3] for plane in three]))
+    if not found:
+        return np.zeros((0, 3))
+    points = np.array(found)
+    all_planes = np.array(planes)
+    behind = (points @ all_planes[:, :3].T - all_planes[:, 3] <= 1e-9 * size).all(axis=1)
+    points = points[behind]
+    return points[inside(points, mesh.triangles)] if len(points) else np.zeros((0, 3))

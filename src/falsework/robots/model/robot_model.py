@@ -1,0 +1,96 @@
+"""A robot arm: joints, limits, and the convex pieces of its links. Frozen; knows nothing of where it stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import InputError
+from falsework.robots.model.shapes import Pieces
+
+Array = NDArray[np.float64]
+
+ACCELERATION_TIME = 0.5
+"""Where a description gives no acceleration, a joint reaches full speed in this many seconds."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """A chain of joints, each of which moves one link; link 0 is the base and does not move.
+
+    Frames: `origins[j]` is the pose of the frame of link `j + 1`, at joint value zero, in the frame of link `j`; joint
+    `j` turns about (or slides along) `axes[j]` in the frame of link `j + 1`.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    """Base link first; one more than joints."""
+    origins: Array
+    """Shape (joints, 4, 4)."""
+    axes: Array
+    """Unit vectors, shape (joints, 3)."""
+    prismatic: NDArray[np.bool_]
+    """Shape (joints,)."""
+    lower: Array
+    """Position limits, rad or m, shape (joints,)."""
+    upper: Array
+    velocity: Array
+    """Speed limits, rad/s or m/s, shape (joints,)."""
+    acceleration: Array
+    """Acceleration limits, rad/s2 or m/s2, shape (joints,)."""
+    pieces: tuple[Pieces, ...]
+    """Convex pieces of every link in its own frame, metres; base first."""
+    ignored: frozenset[tuple[int, int]]
+    """Pairs of links `(a, b)`, a < b, that are never checked against each other."""
+    flange: Array
+    """Pose of the frame that a gripper is mounted on (`tool0`, z outwards) in the frame of the last link."""
+    home: Array
+    """A configuration to rest in, shape (joints,)."""
+    payload: float | None = None
+    """What the arm carries at the flange, gripper included, kg; None: not known."""
+    source: str = field(default="built-in")
+    """Where the description is from: `built-in` or the path of a URDF file."""
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.lower)
+
+    @cached_property
+    def reach(self) -> float:
+        """No point of the flange is farther than this from the first joint's axis origin, metres."""
+        steps = np.linalg.norm(self.origins[1:, :3, 3], axis=1).sum() + np.linalg.norm(self.flange[:3, 3])
+        slides = np.maximum(np.abs(self.lower), np.abs(self.upper))[self.prismatic].sum()
+        return float(steps + slides)
+
+    def within_limits(self, configurations: Array, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+        """Which configurations keep the position limits. Shape (..., joints) to (...)."""
+        inside = (configurations >= self.lower - tolerance) & (configurations <= self.upper + tolerance)
+        return np.asarray(inside.all(axis=-1))
+
+    def check_configuration(self, values: object, what: str = "configuration") -> Array:
+        """One configuration from outside as an array of shape (joints,).
+
+        Raises:
+            InputError: wrong length, no numbers, or outside the limits; the message names the joint.
+        """
+        try:
+            found = np.array(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(f"{what} is {values!r}; give {self.joints} joint values in rad") from None
+        if found.shape != (self.joints,):
+            raise InputError(f"{what} has shape {found.shape}; {self.name} needs {self.joints} joint values")
+        if not np.isfinite(found).all():
+            raise InputError(f"{what} holds a value that is not finite; give {self.joints} joint values in rad")
+        outside = (found < self.lower - 1e-9) | (found > self.upper + 1e-9)
+        if outside.any():
+            joint = int(np.argmax(outside))
+            raise InputError(
+                f"{what}: {self.joint_names[joint]} is {found[joint]:.4g}, outside its limits "
+                f"{self.lower[joint]:.4g} to {self.upper[joint]:.4g}"
+            )
+        return found

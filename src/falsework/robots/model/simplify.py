@@ -1,0 +1,52 @@
+"""Fewer planes around a convex hull, all of them outside: collision queries cost what the vertices cost."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull, HalfspaceIntersection
+
+from falsework.robots.model.shapes import hull
+
+Array = NDArray[np.float64]
+
+PLANES = 48
+"""Planes that a simplified hull has at most."""
+
+
+def outer_hull(points: ArrayLike, tolerance: float = 0.004, planes: int = PLANES) -> Array:
+    """Vertices of a polytope with few faces around the convex hull of points.
+
+    Starts from the box and adds, where a corner sticks out farthest, the plane of the hull that it violates most.
+
+    Args:
+        points: shape (points, 3), metres.
+        tolerance: how far corners may stick out, metres.
+        planes: most planes; corners may stick out farther where these are used up.
+
+    Returns:
+        Shape (vertices, 3); the hull itself where that has no more vertices.
+
+    Raises:
+        InputError: the points span no volume.
+    """
+    corners = hull(points)
+    if len(corners) <= 16:
+        return corners
+    facets = ConvexHull(corners)
+    inner = corners.mean(axis=0)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    normals = [*np.eye(3), *-np.eye(3)]
+    offsets = [*-high, *low]
+    outer = corners
+    while len(normals) < planes:
+        outer = HalfspaceIntersection(np.c_[np.array(normals), offsets], inner).intersections
+        beyond = outer @ facets.equations[:, :3].T + facets.equations[:, 3]
+        corner, facet = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        if beyond[corner, facet] <= tolerance:
+            break
+        normals.append(facets.equations[facet, :3])
+        offsets.append(-float((corners @ facets.equations[facet, :3]).max()))
+    outer = HalfspaceIntersection(np.c_[np.array(normals), offsets], inner).intersections
+    outer = hull(np.unique(np.round(outer, 7), axis=0))
+    return outer if len(outer) < len(corners) else corners

@@ -1,0 +1,272 @@
+"""What stands in a cell at one moment, and questions about one robot that moves in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.errors import InputError
+from falsework.robots.kernels.collision import CLEAR, Bodies, Chain, Obstacles, Rules, Work, make_work
+from falsework.robots.kernels.kernel_arrays import Carried, make_bodies, make_chain, make_obstacles, self_pairs
+from falsework.robots.kernels.rrt_connect import check_many
+from falsework.robots.kinematics.forward import link_poses
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import PartShapes
+from falsework.robots.model.shapes import Pieces, inverse_pose, move
+
+Array = NDArray[np.float64]
+
+NO_FLOOR = -1e9
+
+
+@dataclass(frozen=True, eq=False)
+class Attached:
+    """A part in a gripper."""
+
+    part: int
+    tool_from_part: Array
+    """Pose of the part in the tool frame, shape (4, 4); a part at its place in the structure has the identity as its
+    pose in the world, so for a part gripped there this is the inverse of the pose of the tool."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Where everything is at one moment. A value: make others with the methods, or with `dataclasses.replace`."""
+
+    configurations: tuple[Array, ...]
+    """Joint values of every robot."""
+    present: NDArray[np.bool_]
+    """Which parts stand at their place in the structure, held or not; shape (parts,)."""
+    attached: tuple[Attached | None, ...]
+    """What each robot carries; such a part is not `present`."""
+    elsewhere: tuple[tuple[int, Array], ...] = ()
+    """Parts that lie somewhere else, with their pose (4, 4) relative to their place in the structure."""
+
+    @staticmethod
+    def at_home(cell: Cell, parts: PartShapes) -> Scene:
+        """All parts in place and all robots at home."""
+        return Scene(cell.homes, np.ones(parts.part_count, bool), (None,) * cell.robot_count)
+
+    def with_configuration(self, robot: int, values: ArrayLike) -> Scene:
+        """The same with one robot elsewhere."""
+        changed = list(self.configurations)
+        changed[robot] = np.array(values, dtype=np.float64)
+        return replace(self, configurations=tuple(changed))
+
+    def with_removed(self, *parts: int) -> Scene:
+        """The same without some parts."""
+        present = self.present.copy()
+        present[list(parts)] = False
+        return replace(self, present=present)
+
+    def with_attached(self, robot: int, part: int, tool: Array) -> Scene:
+        """The same with a part taken off its place by a robot whose tool frame is at `tool` in the world, (4, 4)."""
+        carried = list(self.attached)
+        carried[robot] = Attached(part, inverse_pose(tool))
+        return replace(self.with_removed(part), attached=tuple(carried))
+
+    def with_released(self, robot: int) -> Scene:
+        """The same with what the robot carries taken out of the cell."""
+        carried = list(self.attached)
+        carried[robot] = None
+        return replace(self, attached=tuple(carried))
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Pairs that may touch during one motion; all others keep their distance.
+
+    For an approach or a withdrawal: the gripper may touch the part that it grips. For the withdrawal of a part: the
+    carried part may touch the parts (and the floor) that it leaves. The second rule is only safe along a straight line
+    that the clearance table has proven free for the parts that are present; nothing is checked here for those pairs.
+    """
+
+    gripper: frozenset[int] = frozenset()
+    """Parts that the gripper of the moving robot may touch."""
+    carried: frozenset[int] = frozenset()
+    """Parts that the part in the gripper may touch."""
+    carried_floor: bool = False
+    """Whether the part in the gripper may touch the floor and obstacles."""
+
+
+NO_CONTACT = Contact()
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One robot moves, everything else in a scene stands still. Made by `CollisionWorld.view`.
+
+    Not to be shared between threads, since queries reuse scratch arrays; make one view a thread.
+    """
+
+    world: CollisionWorld
+    scene: Scene
+    robot: int
+    contact: Contact
+    chain: Chain
+    bodies: Bodies
+    obstacles: Obstacles
+    rules: Rules
+    body_names: tuple[str, ...]
+    obstacle_names: tuple[str, ...]
+    work: Work = field(repr=False)
+
+    @property
+    def model(self):
+        """The arm that moves."""
+        return self.world.cell.robots[self.robot].model
+
+    @property
+    def margin(self) -> float:
+        """Distance that is kept, metres."""
+        return float(self.rules.margin)
+
+    def hits(self, configurations: ArrayLike) -> NDArray[np.int64]:
+        """First pair that is too near for each configuration, or -1. Shape (batch, joints) to (batch,)."""
+        values = np.ascontiguousarray(np.atleast_2d(configurations), dtype=np.float64)
+        if values.shape[1] != self.model.joints:
+            raise InputError(
+                f"configurations have shape {values.shape}; {self.model.name} has {self.model.joints} joints"
+            )
+        found = np.empty(len(values), np.int64)
+        check_many(values, self.chain, self.bodies, self.obstacles, self.rules, self.work, found)
+        return found
+
+    def collides(self, configurations: ArrayLike) -> NDArray[np.bool_]:
+        """Whether something is nearer than the margin. Shape (batch, joints) to (batch,). Limits are not checked."""
+        return self.hits(configurations) != CLEAR
+
+    def pair(self, hit: int) -> tuple[str, str]:
+        """Names of the two bodies of a hit, such as `("left link_4", "part 7")`."""
+        count, many = len(self.body_names), len(self.obstacle_names)
+        if hit < count * many:
+            return self.body_names[hit // many], self.obstacle_names[hit % many]
+        if hit < count * many + count:
+            return self.body_names[hit - count * many], "floor"
+        a, b = self.rules.self_pairs[hit - count * many - count]
+        return self.body_names[a], self.body_names[b]
+
+    def explain(self, configuration: ArrayLike) -> tuple[str, str] | None:
+        """The first pair that is too near at one configuration, by name, or None."""
+        hit = int(self.hits(configuration)[0])
+        return None if hit == CLEAR else self.pair(hit)
+
+
+class CollisionWorld:
+    """A cell and the parts of a structure in it. What depends on them alone is computed once."""
+
+    def __init__(self, cell: Cell, parts: PartShapes) -> None:
+        self.cell = cell
+        self.parts = parts
+        self._bare: dict[int, tuple[Bodies, list[str], list[int]]] = {}
+
+    @cached_property
+    def _static(self) -> tuple[tuple[str, Pieces], ...]:
+        """Bases of robots and obstacles, in the world frame."""
+        found = [
+            (f"{robot.name} {robot.model.link_names[0]}", tuple(move(robot.base, p) for p in robot.model.pieces[0]))
+            for robot in self.cell.robots
+        ]
+        return (*found, *((obstacle.name, obstacle.pieces) for obstacle in self.cell.obstacles))
+
+    def carried(self, robot: int, scene: Scene) -> Carried | None:
+        """Pieces of what a robot carries, in the frame of the flange."""
+        held = scene.attached[robot]
+        if held is None:
+            return None
+        pose = self.cell.robots[robot].gripper.tool @ held.tool_from_part
+        return Carried(held.part, tuple(move(pose, piece) for piece in self.parts.pieces[held.part]))
+
+    def robot_pieces(self, robot: int, scene: Scene) -> list[tuple[str, int, Array]]:
+        """All moving pieces of a robot in the world frame: name, link (joints + 1: gripper, + 2: part), vertices."""
+        entry = self.cell.robots[robot]
+        poses = link_poses(entry.model, scene.configurations[robot], entry.base)
+        found = []
+        for link in range(1, entry.model.joints + 1):
+            name = f"{entry.name} {entry.model.link_names[link]}"
+            found += [(name, link, move(poses[link], piece)) for piece in entry.model.pieces[link]]
+        flange = poses[-1] @ entry.model.flange
+        name = f"{entry.name} gripper"
+        found += [(name, entry.model.joints + 1, move(flange, piece)) for piece in entry.gripper.pieces]
+        held = self.carried(robot, scene)
+        if held is not None:
+            name = f"part {self.parts.names[held.part]}"
+            found += [(name, entry.model.joints + 2, move(flange, piece)) for piece in held.pieces]
+        return found
+
+    def view(self, scene: Scene, robot: int, *, contact: Contact = NO_CONTACT, margin: float | None = None) -> View:
+        """Everything but one robot stands still.
+
+        Args:
+            scene: where everything is; the configuration of `robot` in it does not matter.
+            robot: which one moves.
+            contact: pairs that may touch.
+            margin: distance to keep, metres; that of free moves if not given.
+
+        Raises:
+            InputError: no such robot.
+        """
+        if not 0 <= robot < self.cell.robot_count:
+            raise InputError(
+                f"no robot {robot}; the cell has {self.cell.robot_count}, 0 to {self.cell.robot_count - 1}"
+            )
+        entry = self.cell.robots[robot]
+        held = self.carried(robot, scene)
+        if held is None and robot in self._bare:
+            bodies, names, kinds = self._bare[robot]
+        else:
+            bodies, names, kinds = make_bodies(entry, held, self.parts.names)
+            if held is None:
+                self._bare[robot] = (bodies, names, kinds)
+        stands: list[tuple[str, int, Pieces]] = []  # name, part or -2 for anything else
+        for index, (name, pieces) in enumerate(self._static):
+            if index != robot:
+                stands.append((name, -2, pieces))
+        for other in range(self.cell.robot_count):
+            if other != robot:
+                stands += [(name, -2, (piece,)) for name, _, piece in self.robot_pieces(other, scene)]
+        for part in np.flatnonzero(scene.present).tolist():
+            stands.append((f"part {self.parts.names[part]}", part, self.parts.pieces[part]))
+        for part, pose in scene.elsewhere:
+            pieces = tuple(move(pose, piece) for piece in self.parts.pieces[part])
+            stands.append((f"part {self.parts.names[part]}", -2, pieces))
+        obstacles, owner = make_obstacles([pieces for _, _, pieces in stands])
+        label = np.array([kind for _, kind, _ in stands])[owner]
+        pair = np.ones((len(kinds), len(owner)), bool)
+        links = np.array(kinds)
+        joints = entry.model.joints
+        pair[links == 0] = False  # the base stands; robots are checked against it when they move
+        pair[np.ix_(links == joints + 1, np.isin(label, list(contact.gripper)))] = False
+        pair[np.ix_(links == joints + 2, np.isin(label, list(contact.carried)))] = False
+        on_floor = np.full(len(kinds), self.cell.floor is not None)
+        on_floor[links == 0] = False
+        if contact.carried_floor:
+            on_floor[links == joints + 2] = False
+            fixed = np.array([name in {o.name for o in self.cell.obstacles} for name, _, _ in stands])[owner]
+            pair[np.ix_(links == joints + 2, fixed)] = False
+        rules = Rules(
+            pair=pair,
+            self_pairs=self_pairs(entry.model, links),
+            floor=NO_FLOOR if self.cell.floor is None else float(self.cell.floor),
+            on_floor=on_floor,
+            margin=float(self.cell.margins.free if margin is None else margin),
+        )
+        chain = make_chain(entry.model, entry.base)
+        return View(
+            world=self,
+            scene=scene,
+            robot=robot,
+            contact=contact,
+            chain=chain,
+            bodies=bodies,
+            obstacles=obstacles,
+            rules=rules,
+            body_names=tuple(
+                f"{entry.name} {name}" if kind <= joints + 1 else name for name, kind in zip(names, kinds, strict=True)
+            ),
+            obstacle_names=tuple(stands[index][0] for index in owner),
+            work=make_work(chain, bodies, obstacles, rules),
+        )

@@ -1,0 +1,86 @@
+"""Views of scenes and free motions in a cell: each is computed once, and kept for when it is asked for again."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.robots.motion.collision_world import NO_CONTACT, CollisionWorld, Contact, Scene, View
+from falsework.robots.motion.path_planner import Motion, MotionSettings, plan_free
+
+Array = NDArray[np.float64]
+
+_VIEWS = 256
+"""Views that are kept; the oldest goes first."""
+
+
+class Kept:
+    """What was computed about the scenes of one collision world."""
+
+    def __init__(self, world: CollisionWorld, *, nodes: int, seed: int) -> None:
+        """Nothing is computed yet.
+
+        Args:
+            world: the cell with the parts in it.
+            nodes: of the trees of one free motion.
+            seed: of the free motions.
+        """
+        self.world = world
+        self.motions = self.motions_kept = self.views = 0
+        self._settings, self._seed = MotionSettings(nodes=nodes), seed
+        self._motions: dict[bytes, Motion] = {}
+        self._views: dict[bytes, View] = {}
+
+    def motion(self, scene: Scene, robot: int, start: Array, goal: Array) -> Motion:
+        """A free motion of one robot; its seed depends on what is asked alone.
+
+        Args:
+            scene: where everything else is.
+            robot: the one that moves.
+            start: shape (joints,).
+            goal: shape (joints,).
+        """
+        key = _digest(scene, robot) + np.round([start, goal], 6).tobytes()
+        if key not in self._motions:
+            self.motions += 1
+            view = self.view(scene, robot, NO_CONTACT, self.world.cell.margins.free)
+            seed = (zlib.crc32(key) + self._seed) % 2**31
+            self._motions[key] = plan_free(view, start, goal, seed=seed, settings=self._settings)
+        else:
+            self.motions_kept += 1
+        return self._motions[key]
+
+    def view(self, scene: Scene, robot: int, contact: Contact, margin: float) -> View:
+        """What one robot can run into.
+
+        Args:
+            scene: where everything else is.
+            robot: the one that moves.
+            contact: what it may touch.
+            margin: how far it keeps from everything else, metres.
+        """
+        key = (
+            _digest(scene, robot)
+            + repr((sorted(contact.gripper), sorted(contact.carried), contact.carried_floor, margin)).encode()
+        )
+        if key not in self._views:
+            self.views += 1
+            while len(self._views) > _VIEWS:
+                del self._views[next(iter(self._views))]
+            self._views[key] = self.world.view(scene, robot, contact=contact, margin=margin)
+        return self._views[key]
+
+
+def _digest(scene: Scene, robot: int) -> bytes:
+    """Everything that a motion of one robot depends on in a scene."""
+    others = [np.round(values, 6) + 0.0 for other, values in enumerate(scene.configurations) if other != robot]
+    pieces = [bytes([robot]), np.packbits(scene.present).tobytes(), *(values.tobytes() for values in others)]
+    for owner, carried in enumerate(scene.attached):
+        if carried is not None:
+            who = np.array([owner, carried.part], dtype=np.int32)
+            pieces.append(who.tobytes() + np.round(carried.tool_from_part, 7).tobytes())
+    for part, pose in scene.elsewhere:
+        pieces.append(np.array([part], dtype=np.int32).tobytes() + np.round(pose, 7).tobytes())
+    return b"|".join(pieces)

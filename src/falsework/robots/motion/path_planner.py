@@ -1,0 +1,259 @@
+"""Motions of one robot while everything else stands still: free paths and straight lines of the tool."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.errors import InputError
+from falsework.robots.kernels.collision import CLEAR
+from falsework.robots.kernels.numeric_ik import reach_poses
+from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free, grow, shorten
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.kinematics.inverse import tail_of
+from falsework.robots.motion.collision_world import View
+
+Array = NDArray[np.float64]
+
+Reason = Literal[
+    "found",
+    "start outside limits",
+    "goal outside limits",
+    "start in collision",
+    "goal in collision",
+    "out of time",
+    "no connection",
+    "no solution on the line",
+    "joint limit on the line",
+    "collision on the line",
+]
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """How hard free paths are looked for."""
+
+    stride: float = 1.0
+    """Longest edge of a tree, rad in joint space."""
+    nodes: int = 4000
+    """Nodes of each tree; when they are used up, there is no connection."""
+    shortcuts: int = 60
+    """Shortcuts that are tried on a path that was found."""
+    resolution: float = 0.5
+    """Share of the margin at which an edge that is not proven free counts as blocked."""
+    finest: float = 0.0005
+    """The same in metres where the margin is small."""
+    wrap: float = float(np.pi)
+    """Joints that turn farther than this are sampled within it, unless start or goal lie outside, rad."""
+
+
+@dataclass(frozen=True)
+class LineSettings:
+    """How closely straight lines are followed."""
+
+    step: float = 0.01
+    """First distance between points of a line, metres; halved where the tool strays or a joint hurries."""
+    stray: float = 0.0002
+    """How far the tool may be off the line between two points, metres."""
+    jump: float = 0.2
+    """Largest change of a joint from one point to the next, rad: more is a change of branch or a singularity."""
+    halvings: int = 4
+    """How often the step may be halved."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A path of one robot, or why there is none."""
+
+    reason: Reason
+    path: Array | None = None
+    """Configurations that straight lines in joint space connect, proven free; shape (points, joints)."""
+    pair: tuple[str, str] | None = None
+    """Bodies that came too near, where the reason is a collision."""
+    at: Array | None = None
+    """Configuration at which they do, shape (joints,)."""
+    samples: int = 0
+    """Nodes of the trees when the search ended."""
+    travelled: float = 0.0
+    """Lines: how far the tool came, metres."""
+
+    def __bool__(self) -> bool:
+        """Whether there is a path."""
+        return self.path is not None
+
+
+def plan_free(
+    view: View,
+    start: ArrayLike,
+    goal: ArrayLike,
+    *,
+    seed: int = 0,
+    deadline: float | None = None,
+    settings: MotionSettings = MotionSettings(),
+) -> Motion:
+    """A path from one configuration to another that keeps the margin of the view everywhere.
+
+    The straight edge is tried first, then two trees grow (RRT-Connect), then shortcuts follow. Every edge is
+    proven free between its ends too (`connect.edge_free`). Same seed, same path, whatever the clock says, unless the
+    deadline strikes.
+
+    Args:
+        view: who moves in what.
+        start, goal: configurations, shape (joints,).
+        seed: of the samples.
+        deadline: seconds from now after which the search gives up; None: when the trees are full.
+        settings: limits of the search.
+    """
+    began = time.perf_counter()
+    model = view.model
+    a, b = (np.ascontiguousarray(values, dtype=np.float64) for values in (start, goal))
+    for values, which in ((a, "start"), (b, "goal")):
+        if not model.within_limits(values):
+            return Motion(f"{which} outside limits", at=values)  # type: ignore[arg-type]
+        hit = int(view.hits(values)[0])
+        if hit != CLEAR:
+            return Motion(f"{which} in collision", pair=view.pair(hit), at=values)  # type: ignore[arg-type]
+    resolution = resolution_of(view, settings)
+    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
+    opened = np.empty((2, INTERVALS), np.int64)
+    direct = np.stack([a, b])
+    if edges_free(direct, resolution, *arrays, opened) == 1:
+        return Motion("found", direct)
+    nodes = settings.nodes
+    trees = np.empty((2, nodes, model.joints))
+    trees[0, 0], trees[1, 0] = a, b
+    parents = np.full((2, nodes), -1, np.int64)
+    sizes = np.array([1, 1, 0])
+    state = np.array([seed * 0x9E3779B97F4A7C15 % 2**64], np.uint64)
+    low = np.minimum(np.maximum(model.lower, -settings.wrap), np.minimum(a, b))
+    high = np.maximum(np.minimum(model.upper, settings.wrap), np.maximum(a, b))
+    drawn = 0
+    while True:
+        rounds = 50
+        met, one, other = grow(
+            trees, parents, sizes, low, high, settings.stride, rounds, resolution, state, *arrays, opened
+        )
+        drawn += rounds
+        if met == 1:
+            break
+        size = int(sizes[0] + sizes[1])
+        if met == -1 or drawn >= 10 * nodes:
+            return Motion("no connection", samples=size)
+        if deadline is not None and time.perf_counter() - began > deadline:
+            return Motion("out of time", samples=size)
+    path = _branch(trees[0], parents[0], one)[::-1] + _branch(trees[1], parents[1], other)
+    room = np.empty((len(path) + 2 * settings.shortcuts + 2, model.joints))
+    room[: len(path)] = path
+    count = shorten(room, len(path), settings.shortcuts, resolution, state, *arrays, opened)
+    return Motion("found", room[:count].copy(), samples=int(sizes[0] + sizes[1]))
+
+
+def path_is_free(view: View, path: ArrayLike, settings: MotionSettings = MotionSettings()) -> bool:
+    """Whether all straight edges of a path keep the margin of the view everywhere. Shape (points, joints)."""
+    values = np.ascontiguousarray(path, dtype=np.float64)
+    if view.collides(values[[0, -1]]).any():
+        return False
+    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
+    opened = np.empty((2, INTERVALS), np.int64)
+    return int(edges_free(values, resolution_of(view, settings), *arrays, opened)) == len(values) - 1
+
+
+def resolution_of(view: View, settings: MotionSettings) -> float:
+    """Motion of the farthest point within half an interval at which halving ends, metres."""
+    return max(settings.resolution * view.margin, settings.finest)
+
+
+def follow_line(
+    view: View,
+    start: ArrayLike,
+    direction: ArrayLike,
+    distance: float,
+    *,
+    settings: LineSettings = LineSettings(),
+    proof: MotionSettings = MotionSettings(),
+) -> Motion:
+    """Move the tool along a straight line without turning it, on one branch of the inverse kinematics.
+
+    What may touch is said by the contact rule of the view, the distance to everything else by its margin. The path is
+    proven free between its points too.
+
+    Args:
+        view: who moves in what.
+        start: configuration at the start of the line, shape (joints,).
+        direction: in the world, shape (3,); any length.
+        distance: metres.
+        settings: how closely the line is followed.
+        proof: resolution of the proof that the path is free.
+
+    Raises:
+        InputError: no direction, or a distance that is not positive.
+    """
+    along = np.asarray(direction, dtype=np.float64)
+    length = float(np.linalg.norm(along))
+    if along.shape != (3,) or not length > 0 or not np.isfinite(length):
+        raise InputError(f"direction is {direction!r}; give three numbers that are not all zero")
+    if not distance > 0:
+        raise InputError(f"a line of {distance:g} m leads nowhere; give a distance above zero")
+    first = np.array(start, dtype=np.float64)
+    if not view.model.within_limits(first):
+        return Motion("start outside limits", at=first)
+    hit = int(view.hits(first)[0])
+    if hit != CLEAR:
+        return Motion("start in collision", pair=view.pair(hit), at=first)
+    robot = view.world.cell.robots[view.robot]
+    home = tool_pose(robot, first)
+    step = settings.step
+    for halving in range(settings.halvings + 1):
+        count = max(1, int(np.ceil(distance / step)))
+        ahead = np.linspace(0.0, distance, count + 1)
+        targets = np.repeat(home[None, :3], count + 1, axis=0)
+        targets[:, :, 3] += np.outer(ahead, along / length)
+        values = np.repeat(first[None], count + 1, axis=0)
+        reached = np.zeros(count + 1, bool)
+        tail = tail_of(view.model, robot.gripper.tool)
+        reach_poses(values, np.ascontiguousarray(targets), view.chain, tail, 20, 0.0, settings.jump, True, reached)
+        good = int(np.argmin(reached)) if not reached.all() else count + 1
+        path = values[:good]
+        smooth = (np.abs(np.diff(path, axis=0)).max(axis=1, initial=0.0) <= settings.jump).all()
+        if smooth and good > 1:
+            middle = tool_pose(robot, (path[:-1] + path[1:]) / 2)[:, :3, 3]
+            wanted = (targets[: good - 1, :, 3] + targets[1:good, :, 3]) / 2
+            smooth = bool((np.linalg.norm(middle - wanted, axis=1) <= settings.stray).all())
+        if smooth and good == count + 1:
+            break
+        step /= 2
+        if halving == settings.halvings:
+            return Motion("no solution on the line", at=path[-1], travelled=float(ahead[max(good - 1, 0)]))
+    inside = view.model.within_limits(path)
+    if not inside.all():
+        bad = int(np.argmin(inside))
+        return Motion("joint limit on the line", at=path[bad], travelled=float(ahead[max(bad - 1, 0)]))
+    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
+    opened = np.empty((2, INTERVALS), np.int64)
+    free = int(edges_free(path, resolution_of(view, proof), *arrays, opened))
+    if free < len(path) - 1:
+        return _blocked(view, path, free, float(ahead[free]))
+    return Motion("found", path, travelled=float(distance))
+
+
+def _branch(tree: Array, parents: NDArray[np.int64], leaf: int) -> list[Array]:
+    """Configurations from a node to the root."""
+    found = []
+    while leaf >= 0:
+        found.append(tree[leaf])
+        leaf = int(parents[leaf])
+    return found
+
+
+def _blocked(view: View, path: Array, edge: int, travelled: float) -> Motion:
+    """Say what is in the way on an edge that is not free."""
+    for share in np.linspace(0, 1, 9):
+        values = path[edge] + share * (path[edge + 1] - path[edge])
+        hit = int(view.hits(values)[0])
+        if hit != CLEAR:
+            return Motion("collision on the line", pair=view.pair(hit), at=values, travelled=travelled)
+    return Motion("collision on the line", at=path[edge + 1], travelled=travelled)

@@ -1,0 +1,1 @@
+"""Task and motion planning: from abstract plans to arm motions."""

@@ -1,0 +1,99 @@
+"""Which action to try first: what motions make easy, and what a guide says."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import Mask, States
+from falsework.robots.planning.keyframe_graph import KeyframeGraph, Node
+from falsework.robots.planning.solvability import Proposals
+from falsework.search.problem.guide import Guide
+from falsework.search.problem.task import Direction
+
+Array = NDArray[np.float64]
+
+
+class Ease:
+    """Scores the actions that lead out of a state by how easy they are for arms, plus what a guide says of them.
+
+    Removals first: they set a robot free. Then parts that nothing blocks, and high up. A guide knows what stands, not
+    what an arm can do: a policy followed alone leads to states where no part can be drawn out.
+    """
+
+    def __init__(self, graph: KeyframeGraph, guide: Guide | None) -> None:
+        """Score actions.
+
+        Args:
+            graph: keyframes of the structure in the cell.
+            guide: ranks actions, such as a trained policy.
+        """
+        self.graph, self.guide = graph, guide
+
+    def __call__(self, states: States, actions: Mask) -> Array:
+        """As `falsework.robots.planning.rollout.Taste`: shapes (batch, parts) and (batch, 2 parts), which is returned too."""
+        scores = self.guided(states, actions)
+        for row, action in zip(*(index.tolist() for index in np.nonzero(actions)), strict=True):
+            scores[row, action] += self.of(states[row], action)
+        return scores
+
+    def guided(self, states: States, actions: Mask) -> Array:
+        """What the guide says; zeros without one. Shapes as those of a call."""
+        if self.guide is None:
+            return np.zeros(actions.shape)
+        return np.array(self.guide(states, actions, Direction.DISASSEMBLY), dtype=np.float64)
+
+    def of(self, state: States, action: int) -> float:
+        """How easy one action is, wherever the robots are, by rules of thumb."""
+        if action >= len(state):
+            return 100.0
+        height = float(self.graph.parts.center[action, 2] - self.graph.lowest) / self.graph.height
+        return 2.0 * height - 5.0 * min(self.graph.blocked_by(action, state), 4)
+
+
+class Ranking:
+    """Orders the legal actions of keyframes."""
+
+    def __init__(self, graph: KeyframeGraph, ease: Ease, proposals: Proposals) -> None:
+        """Rank actions.
+
+        Args:
+            graph: keyframes of the structure in the cell.
+            ease: how easy actions are, wherever the robots are.
+            proposals: which actions are legal, and which are known to keep the way open.
+        """
+        self.graph, self.ease, self.proposals = graph, ease, proposals
+
+    def actions(self, node: Node, attempt: int, rng: np.random.Generator) -> list[int]:
+        """Legal actions in the order in which to try them: easy ones near a free robot and far from the busy ones.
+
+        Args:
+            node: where to go on.
+            attempt: number of the search; later ones are shaken more.
+            rng: shakes the order.
+        """
+        actions = self.proposals.legal(node.state)
+        if not actions:
+            return []
+        allowed: Mask = np.zeros((1, 2 * len(node.state)), dtype=bool)
+        allowed[0, actions] = True
+        scores = np.array([self._score(node, action) for action in actions])
+        scores += self.ease.guided(node.state[None], allowed)[0, actions]
+        scores += rng.normal(size=len(actions)) * (0.1 if attempt == 0 else 0.4 * min(attempt, 4))
+        return [actions[k] for k in np.argsort(-scores, kind="stable")]
+
+    def _score(self, node: Node, action: int) -> float:
+        # What is known costs nothing to judge; a part with its way blocked is worse than an unknown answer.
+        score = 3.0 * self.proposals.preferred(node.state, action) + self.proposals.known(node.state, action)
+        score += self.ease.of(node.state, action)
+        if action >= len(node.state):
+            return score
+        center = self.graph.parts.center[action]
+        robots = self.graph.cell.robots
+        free = [robot.base[:2, 3] for robot, held in zip(robots, node.held, strict=True) if held is None]
+        score -= min(float(np.linalg.norm(base - center[:2])) for base in free) / self.graph.spread
+        for part in node.held:
+            if part is not None:
+                apart = float(np.linalg.norm(self.graph.parts.center[part] - center)) / self.graph.spread
+                score += min(apart, 1.0)
+        return score

@@ -1,0 +1,148 @@
+"""Where a robot can stand: the grips in which it can hold a part, which of them to try first, and its drop-offs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import REMOVED, States
+from falsework.robots.grasping.grasp import Grasp, grasps
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.kinematics.inverse import inverse
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import PartShapes
+from falsework.robots.motion.collision_world import Contact, Scene
+from falsework.robots.motion.motion_cache import Kept
+from falsework.robots.planning.failure_report import Reasons
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Grip:
+    """A way for one robot to hold a part."""
+
+    robot: int
+    grasp: Grasp
+    configuration: Array
+    """Shape (joints,)."""
+
+
+class Grips:
+    """Standing configurations of the robots of a cell, found when they are asked for."""
+
+    def __init__(
+        self, assembly: Assembly, cell: Cell, parts: PartShapes, kept: Kept, reasons: Reasons, *, limit: int
+    ) -> None:
+        """Nothing is found yet.
+
+        Args:
+            assembly: the structure.
+            cell: the robots and what is around them.
+            parts: the parts as bodies in the cell.
+            kept: views of its scenes.
+            reasons: takes note of why a part cannot be held.
+            limit: number of grasps of a part that are looked at, best first.
+        """
+        self.assembly, self.cell, self.parts = assembly, cell, parts
+        self.kept, self.reasons, self.limit = kept, reasons, limit
+        self._grips: dict[tuple[int, int, bytes], list[Grip]] = {}
+        self._places: dict[int, Array] = {}
+
+    def of(self, robot: int, part: int, state: States) -> list[Grip]:
+        """All ways in which a robot can hold a part among the parts of a state; other robots do not count."""
+        present = state != REMOVED
+        key = (robot, part, np.packbits(present).tobytes())
+        if key not in self._grips:
+            self._grips[key] = self._find(robot, part, present)
+        return self._grips[key]
+
+    def places(self, robot: int) -> Array:
+        """Configurations in which a robot puts parts down, shape (n, joints)."""
+        if robot not in self._places:
+            entry = self.cell.robots[robot]
+            found = [values for values in inverse(entry, entry.places) if len(values)]
+            self._places[robot] = np.concatenate(found) if found else np.zeros((0, entry.model.joints))
+        return self._places[robot]
+
+    def best(self, grips: list[Grip], robot: int, scene: Scene, held: tuple[int | None, ...], count: int) -> list[Grip]:
+        """The grips to try, best first: near to where the robot is, and out of the way of others.
+
+        Args:
+            grips: of one robot.
+            robot: which one.
+            scene: where everything is.
+            held: the part that each of them holds.
+            count: most grips that are returned.
+        """
+        room = self._room(grips, robot, scene.configurations, held)
+        here = scene.configurations[robot]
+        way = np.array([np.abs(grip.configuration - here).max() for grip in grips])
+        return _spread([grips[row] for row in np.argsort(0.1 * way - room, kind="stable")], count)
+
+    def _room(
+        self, grips: list[Grip], robot: int, configurations: Sequence[Array], held: tuple[int | None, ...]
+    ) -> Array:
+        """How far grips keep out of the way of other arms, in lengths of an approach, shape (grips,).
+
+        The gripper's end at the flange had better be on the side of the own base, and away from what others hold.
+        Zeros for fewer than three arms: two seldom crowd each other, and nearest first does better for them.
+        """
+        if not grips or self.cell.robot_count < 3:
+            return np.zeros(len(grips))
+        entry = self.cell.robots[robot]
+        tools = np.array([grip.grasp.tool for grip in grips])
+        flanges = (tools @ np.linalg.inv(entry.gripper.tool))[:, :2, 3]
+        room = -np.linalg.norm(flanges - entry.base[:2, 3], axis=1)
+        for other, part in enumerate(held):
+            if part is not None:
+                flange = tool_pose(self.cell.robots[other], configurations[other]) @ np.linalg.inv(
+                    self.cell.robots[other].gripper.tool
+                )
+                room = room + np.minimum(np.linalg.norm(flanges - flange[:2, 3], axis=1), 0.3)
+        return room / self.cell.margins.approach
+
+    def _find(self, robot: int, part: int, present: NDArray[np.bool_]) -> list[Grip]:
+        entry = self.cell.robots[robot]
+        name = self.parts.names[part]
+        if self.parts.mass[part] > entry.payload:
+            what = f"{name} weighs {self.parts.mass[part]:.3g} kg, more than the payload of {entry.payload:.3g} kg"
+            self.reasons.add("hold", part, robot, what)
+            return []
+        found = grasps(self.assembly, self.parts, part, present, entry, limit=self.limit)
+        if not found:
+            self.reasons.add("hold", part, robot, "no face that the gripper can take")
+            return []
+        branches = inverse(entry, np.array([grasp.tool for grasp in found]))
+        if not sum(len(solutions) for solutions in branches):
+            self.reasons.add("hold", part, robot, "out of reach")
+            return []
+        # One robot among parts, all others at home.
+        alone = Scene(self.cell.homes, present, (None,) * self.cell.robot_count)
+        view = self.kept.view(alone, robot, Contact(gripper=frozenset({part})), self.cell.margins.line)
+        grips = []
+        pair = None
+        for grasp, solutions in zip(found, branches, strict=True):
+            hits = view.hits(solutions) if len(solutions) else np.empty(0, int)
+            grips += [Grip(robot, grasp, solutions[row]) for row in np.flatnonzero(hits < 0)]
+            if (hits >= 0).any():
+                pair = view.pair(int(hits[hits >= 0][0]))
+        if not grips:
+            self.reasons.add("hold", part, robot, "every grip collides", pair)
+        return grips
+
+
+def _spread(grips: list[Grip], count: int) -> list[Grip]:
+    """The first grips, of each grasp one at a time, so that a single grasp does not use up all tries."""
+    rank: dict[int, int] = {}
+    keyed = []
+    for place, grip in enumerate(grips):
+        turn = rank.setdefault(id(grip.grasp), 0)
+        rank[id(grip.grasp)] += 1
+        keyed.append((turn, place, grip))
+    keyed.sort(key=lambda entry: entry[:2])
+    return [grip for _, _, grip in keyed[:count]]

@@ -1,0 +1,398 @@
+"""The hybrid planner: abstract actions and motions together (paper, section 6, algorithm 1).
+
+A search in depth with backtracking. At every keyframe it takes the actions after which the structure can still come
+apart, the most promising first, and asks the keyframe graph for a motion; where there is none, the action is rejected
+with the reason and the next one is tried. After some dead ends it starts anew in another order; what was computed is
+kept. Under the criterion `contact` a plan whose replay in the order of assembly falls is not delivered either: the
+state in which it falls is forbidden, and the search begins anew.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import REMOVED, States
+from falsework.errors import InputError
+from falsework.robots.model.cell import Cell
+from falsework.robots.planning.action_ranking import Ease, Ranking
+from falsework.robots.planning.failure_report import Explanation, Reasons, explain
+from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
+from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
+from falsework.robots.planning.solvability import Proposals
+from falsework.robots.planning.trajectory_assembly import make_robot_plan
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.search.problem.guide import Guide, RememberingGuide
+from falsework.search.problem.result import Outcome, Route, SearchResult
+from falsework.search.problem.task import Task
+from falsework.stability.oracle import Stability
+
+_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
+"""How long missing parts are done without, as shares of what stability alone allows, in turn."""
+
+
+@dataclass(frozen=True)
+class HybridSettings:
+    """How hard to look for a robot plan."""
+
+    seed: int = 0
+    """Same seed, same machine, same result, unless the deadline strikes."""
+    deadline: float | None = None
+    """Seconds after which the search ends with what it has."""
+    attempts: int = 40
+    """Searches, each in another order."""
+    dead_ends: int = 15
+    """Dead ends in the first search; when they are used up, the next one begins and may have more."""
+    edges: int = 3
+    """Ways of carrying out one action that are tried at a keyframe."""
+    probes: int = 4
+    """Actions that lead to states not known to be solvable, for which that is asked at one keyframe; more in later
+    searches."""
+    actions: int = 8
+    """Actions that are tried at a keyframe with motions, before it counts as a dead end."""
+    keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
+    forces: bool = False
+    """Keep the contact forces that prove each state in the plan."""
+
+    def __post_init__(self) -> None:
+        if min(self.attempts, self.dead_ends, self.edges, self.actions) < 1:
+            raise InputError("a search needs at least one attempt, dead end, way and action; give numbers from 1 on")
+        if self.deadline is not None and self.deadline <= 0:
+            raise InputError(f"a deadline of {self.deadline:g} s leaves no time; give seconds above 0")
+
+
+@dataclass(frozen=True)
+class HybridProgress:
+    """One report of a running search."""
+
+    reached: int
+    """Steps of the longest plan so far."""
+    steps: int
+    attempt: int
+    dead_ends: int
+    seconds: float
+
+
+Progress = Callable[[HybridProgress], None]
+
+_REPLAYS = 40
+"""Plans with motions whose replay may fall before the search is given up."""
+
+
+@dataclass(frozen=True, eq=False)
+class HybridResult:
+    """End of a search for a robot plan."""
+
+    plan: RobotPlan | None
+    """From the start to the target, or None."""
+    partial: RobotPlan | None
+    """Where there is no plan: the longest one that was found, if it has any step and its replay stands."""
+    explanation: Explanation | None
+    """Where there is no plan: why."""
+    statistics: dict[str, Any]
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a plan."""
+        return self.plan is not None
+
+
+def plan_robots(
+    assembly: Assembly,
+    cell: Cell,
+    *,
+    task: Task | None = None,
+    configurations: Sequence[ArrayLike] | None = None,
+    held: Sequence[int | None] | None = None,
+    oracle: Stability | None = None,
+    guide: Guide | None = None,
+    settings: HybridSettings = HybridSettings(),
+    progress: Progress | None = None,
+    graph: KeyframeGraph | None = None,
+) -> HybridResult:
+    """Find a plan with motions for the robots of a cell.
+
+    Args:
+        assembly: the structure.
+        cell: the robots and what is around them.
+        task: from which state to which, and rules; by default the complete structure is taken apart. Its number of
+            robots is that of the cell, and every part that is removed needs a clear way out, not downwards.
+        configurations: where the robots are at the start, one a robot, shape (joints,) each; at home if not given.
+        held: the part that each robot holds at the start; needed if the start state has held parts.
+        oracle: decides stability; hand in the one you have, for it remembers what it was asked.
+        guide: ranks actions, such as a trained policy; how easy they are for the arms counts beside it.
+        settings: how hard to look.
+        progress: called now and then.
+        graph: keyframe graph of the same structure and cell, whose motions are used again.
+
+    Raises:
+        InputError: configurations that do not fit the robots, or in which something collides.
+        StateError: held parts that do not go with the start state.
+    """
+    search = _Search(assembly, cell, task, oracle or Stability(assembly), guide, settings, progress, graph)
+    return search.run(first_keyframe(search.graph, search.task, configurations, held))
+
+
+class _Search:
+    """One call of `plan_robots`."""
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        cell: Cell,
+        task: Task | None,
+        oracle: Stability,
+        guide: Guide | None,
+        settings: HybridSettings,
+        progress: Progress | None,
+        graph: KeyframeGraph | None,
+    ) -> None:
+        self.began = time.perf_counter()
+        self.assembly, self.cell, self.oracle = assembly, cell, oracle
+        self.settings, self.progress = settings, progress
+        self.reasons = Reasons() if graph is None else graph.reasons
+        self.graph = graph or KeyframeGraph(
+            assembly, cell, settings=settings.keyframes, seed=settings.seed, reasons=self.reasons
+        )
+        self.task = task_in_cell(assembly, cell, task, self.graph.exits)
+        ease = Ease(self.graph, None if guide is None else RememberingGuide(guide))
+        taste = None if guide is None else ease
+        self.proposals = Proposals(assembly, self.task, oracle, guide=guide, taste=taste, seed=settings.seed)
+        self.ranking = Ranking(self.graph, ease, self.proposals)
+        self.abstract: SearchResult | None = None
+        self.best: list[Edge] = []
+        self.tried: Counter[tuple[str, int]] = Counter()
+        self.dead: set[bytes] = set()
+        self.impossible: set[tuple[bytes, int]] = set()
+        self.counts: Counter[str] = Counter()
+        self.attempt = 0
+        self.unreachable: list[int] | None = None
+        self.fallen = ""
+        """Where the replay of the last plan that was not delivered falls, in words."""
+        self._reported = self.began
+
+    def run(self, root: Node) -> HybridResult:
+        """Find an abstract plan, then motions for it or for one near it."""
+        self.abstract = self.proposals.prepare(self.late)
+        if not self.abstract.found:
+            if self.proposals.fallen is not None:
+                place = self._place(*self.proposals.fallen)
+                self.fallen = f"every state of a plan stood, but built up in order it fell {place}"
+            return self.failed(root, self._abstract_outcome(), self.fallen)
+        if self.task.steps == 0:
+            return self.solved(root, [])
+        limit = ""
+        # Where parts are missing, they may have to come sooner than stability asks for, so that the arms get them in.
+        shares = _SHARES if any(self.proposals.postponed) else (1.0,)
+        for share in shares:
+            self.proposals.relax(share)
+            self.dead.clear()
+            for turn in range(self.settings.attempts if share == shares[-1] else 1):
+                if turn:
+                    self.proposals.vary(self.attempt)
+                chain = self.standing(root)
+                if chain is not None:
+                    return self.solved(root, chain)
+                if self.counts["replays_fallen"] == _REPLAYS:
+                    return self.failed(root, "not_found", self.fallen)
+                if self.late():
+                    limit = f"the deadline of {self.settings.deadline:g} s has passed"
+                    return self.failed(root, "interrupted", limit)
+                if self._hopeless():
+                    return self.failed(root, "not_found", "more searching would be in vain")
+                limit = f"{self.attempt} searches did not do{f'; {self.fallen}' if self.fallen else ''}"
+        return self.failed(root, "not_found", limit)
+
+    def standing(self, root: Node) -> list[Edge] | None:
+        """The edges of a plan whose replay stands, or None after too many dead ends or plans that fall."""
+        while self.counts["replays_fallen"] < _REPLAYS:
+            chain = self.dive(root, np.random.default_rng([self.settings.seed, self.attempt]))
+            self.attempt += 1
+            if chain is None:
+                return None
+            route = self._route(root, chain)
+            row = self.proposals.falls(route)
+            if row is None:
+                return chain
+            self.counts["replays_fallen"] += 1
+            self.fallen = (
+                f"every state of a plan with motions stood, but built up in order it fell {self._place(route, row)} "
+                f"({self.counts['replays_fallen']} such plans)"
+            )
+            if not self.proposals.forbid(route, row):
+                return None
+            self.best = []  # what falls is not handed back as a part of a plan either
+            self.dead.clear()
+            self.proposals.vary(self.attempt)
+        return None
+
+    def _place(self, route: Route, row: int) -> str:
+        """A state in the order of assembly, in words."""
+        if row == 0:
+            return "at the beginning"
+        action, parts = int(route.actions[::-1][row - 1]), self.assembly.part_count
+        doing = "inserting" if action >= parts else "releasing"
+        return f"at step {row} of assembly, {doing} {self.assembly.names[action % parts]}"
+
+    def dive(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
+        """One search in depth; the edges of a plan, or None after too many dead ends."""
+        nodes, chain = [root], []
+        options = [self._options(root, rng)]
+        dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
+        target = self.task.target
+        while nodes:
+            if self.late():
+                return None
+            edge = next(options[-1], None)
+            if edge is None:
+                self.dead.add(nodes[-1].key)
+                self._note_dead_end(nodes[-1], len(chain))
+                nodes.pop()
+                options.pop()
+                if chain:
+                    chain.pop()
+                dead_ends += 1
+                self.counts["dead_ends"] += 1
+                if dead_ends > allowed:
+                    return None
+                continue
+            chain.append(edge)
+            if len(chain) > len(self.best):
+                self.best = list(chain)
+                self.tried.clear()
+            self._report(dead_ends)
+            if np.array_equal(edge.node.state, target):
+                return chain
+            nodes.append(edge.node)
+            options.append(self._options(edge.node, rng))
+        return None
+
+    def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
+        """Edges out of a keyframe in the order in which to try them."""
+        tried, probes, worked = 0, self.settings.probes * (1 + self.attempt), False
+        for action in self.ranking.actions(node, self.attempt, rng):
+            if (node.key, action) in self.impossible or self.late():
+                continue
+            if not self.proposals.known(node.state, action):
+                # Where nothing has worked yet, there is no cheaper way on than to ask.
+                if probes <= 0 and worked:
+                    continue
+                probes -= 1
+            if not self.proposals.solvable(node.state, action):
+                self.counts["unsolvable"] += 1
+                continue
+            self.counts["actions"] += 1
+            found = 0
+            for edge in self.graph.edges(node, action):
+                found += 1
+                if edge.node.key not in self.dead:
+                    yield edge
+                if found == self.settings.edges:
+                    break
+            worked |= found > 0
+            if not found:
+                self.counts["rejected"] += 1
+                self.impossible.add((node.key, action))
+            tried += 1
+            if tried == self.settings.actions:
+                return
+
+    def _note_dead_end(self, node: Node, depth: int) -> None:
+        """Actions that failed where the search came farthest."""
+        if depth < len(self.best):
+            return
+        parts = self.assembly.part_count
+        for action in self.proposals.legal(node.state):
+            if (node.key, action) in self.impossible:
+                self.tried["hold" if action < parts else "remove", action % parts] += 1
+
+    def _hopeless(self) -> bool:
+        """Whether a part must leave that no robot can hold even where it stands alone."""
+        if self.unreachable is None:
+            leaving = np.flatnonzero((self.task.target == REMOVED) & (self.task.start != REMOVED))
+            self.unreachable = [part for part in leaving.tolist() if not self.graph.reachable(part)]
+        return bool(self.unreachable)
+
+    def late(self) -> bool:
+        """Whether the deadline has passed."""
+        limit = self.settings.deadline
+        return limit is not None and time.perf_counter() - self.began > limit
+
+    def _abstract_outcome(self) -> str:
+        assert self.abstract is not None
+        if self.abstract.outcome is Outcome.PROVED_IMPOSSIBLE:
+            return "proved_impossible"
+        return "interrupted" if self.late() else "not_found"
+
+    def _report(self, dead_ends: int) -> None:
+        now = time.perf_counter()
+        if self.progress is not None and now - self._reported > 0.1:
+            self._reported = now
+            self.progress(HybridProgress(len(self.best), self.task.steps, self.attempt, dead_ends, now - self.began))
+
+    def solved(self, root: Node, chain: list[Edge]) -> HybridResult:
+        """Prove and time a chain of edges."""
+        plan = self._plan(root, chain)
+        return HybridResult(plan, None, None, plan.statistics)
+
+    def failed(self, root: Node, outcome: str, limit: str) -> HybridResult:
+        """Say why there is no plan, and keep what there is."""
+        why = explain(
+            outcome,
+            len(self.best),
+            self.task.steps,
+            self.reasons,
+            self.tried,
+            [robot.name for robot in self.cell.robots],
+            self.assembly.names,
+            limit=limit,
+            unreachable=self.unreachable or [],
+            abstract=self.abstract is not None and not self.abstract.found,
+        )
+        partial = None
+        if self.best and self.proposals.falls(self._route(root, self.best)) is None:
+            partial = self._plan(root, self.best, why)
+        statistics = self._statistics() if partial is None else partial.statistics
+        return HybridResult(None, partial, why, statistics)
+
+    @staticmethod
+    def _route(root: Node, chain: list[Edge]) -> Route:
+        states: States = np.array([root.state, *(edge.node.state for edge in chain)], dtype=np.uint8)
+        return Route(states, np.array([edge.action for edge in chain], dtype=np.int64))
+
+    def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
+        route, task = self._route(root, chain), self.proposals.task
+        statistics = self._statistics()
+        if why is not None:
+            statistics["failure"] = why.record()
+        plan = make_robot_plan(
+            self.assembly, self.cell, task, self.oracle, route, root, chain, forces=self.settings.forces
+        )
+        statistics["seconds"] = round(time.perf_counter() - self.began, 3)
+        replay = plan.plan.replay
+        plan.statistics.update(statistics, replay=None if replay is None else asdict(replay))
+        return plan
+
+    def _statistics(self) -> dict[str, Any]:
+        return {
+            "criterion": self.oracle.settings.criterion,
+            "seed": self.settings.seed,
+            "seconds": round(time.perf_counter() - self.began, 3),
+            "attempts": self.attempt,
+            "dead_ends": self.counts["dead_ends"],
+            "actions": self.counts["actions"],
+            "rejected": self.counts["rejected"],
+            "unsolvable": self.counts["unsolvable"],
+            "replays_fallen": self.counts["replays_fallen"],
+            "solvable_states": len(self.proposals),
+            "free_motions": self.graph.motions,
+            "free_motions_used_again": self.graph.motions_kept,
+            "verdicts": self.oracle.counters.asked,
+        }

@@ -1,0 +1,76 @@
+"""Where a plan with motions begins: the task as it is in a cell, and the keyframe in which the robots stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD
+from falsework.errors import InputError, StateError
+from falsework.robots.model.cell import Cell
+from falsework.robots.planning.exit_directions import Exits
+from falsework.robots.planning.keyframe_graph import KeyframeGraph, Node
+from falsework.search.problem.task import Task
+
+
+def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: Exits) -> Task:
+    """A task with as many robots as the cell has, and with clear ways out, none of them downwards.
+
+    Raises:
+        InputError: more parts held at start or target than there are robots.
+    """
+    given = task or Task.create(assembly.boundary, cell.robot_count, identity=assembly.identity)
+    return Task.create(
+        assembly.boundary,
+        cell.robot_count,
+        start=given.start,
+        target=given.target,
+        fixed=given.fixed,
+        missing=given.missing,
+        clearance=exits.table,
+        identity=assembly.identity,
+    )
+
+
+def first_keyframe(
+    graph: KeyframeGraph,
+    task: Task,
+    configurations: Sequence[ArrayLike] | None,
+    held: Sequence[int | None] | None,
+) -> Node:
+    """The keyframe to begin with, checked.
+
+    Args:
+        graph: keyframes of the structure in the cell.
+        task: begins at its start.
+        configurations: where the robots are, one a robot, shape (joints,) each; at home if not given.
+        held: the part that each robot holds.
+
+    Raises:
+        InputError: configurations that do not fit the robots, or in which something collides.
+        StateError: held parts that do not go with the start state.
+    """
+    robots = graph.cell.robots
+    values = graph.cell.homes if configurations is None else tuple(configurations)
+    held = (None,) * len(robots) if held is None else tuple(held)
+    if len(values) != len(robots) or len(held) != len(robots):
+        raise InputError(f"{graph.cell.name} has {len(robots)} robots; say of each where it is and what it holds")
+    checked = tuple(
+        robot.model.check_configuration(entry, f"configuration of {robot.name}")
+        for robot, entry in zip(robots, values, strict=True)
+    )
+    wanted = np.flatnonzero((task.start == HELD) & ~graph.assembly.boundary).tolist()
+    named = sorted(part for part in held if part is not None)
+    if named != wanted:
+        raise StateError(
+            f"the robots hold parts {named}, the start state has {wanted} held; say which robot holds which part"
+        )
+    node = graph.start(task.start, checked, held)
+    for robot in range(len(robots)):
+        pair = graph.collision(node, robot)
+        if pair is not None:
+            raise InputError(f"at the start {pair[0]} is too near {pair[1]}; move {robots[robot].name} away first")
+    return node

@@ -1,0 +1,350 @@
+"""The keyframe graph: where robots can stand in each state, and how one of them moves on to the next state.
+
+Section 6 of the paper, figures 9 and 10. A node is a state with joint values of all robots and which of them holds
+which part. An edge carries out one action: one robot moves, all others stand. The graph is never built: what a search
+asks for is computed, and kept for when it asks again.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, REMOVED, States
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import PartShapes, place_parts
+from falsework.robots.motion.collision_world import NO_CONTACT, CollisionWorld, Contact, Scene, View
+from falsework.robots.motion.motion_cache import Kept
+from falsework.robots.motion.path_planner import follow_line
+from falsework.robots.planning.exit_directions import Exits
+from falsework.robots.planning.failure_report import Reasons
+from falsework.robots.planning.grasp_configurations import Grip, Grips
+from falsework.robots.planning.withdrawal import Withdrawal
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class KeyframeSettings:
+    """How many possibilities are tried before a step counts as impossible."""
+
+    grasps: int = 128
+    """Grasps of a part, best first."""
+    candidates: int = 24
+    """Configurations of one robot for one grasp or place that are looked at closely, nearest first."""
+    directions: int = 4
+    """Ways out that are tried for a part."""
+    approaches: tuple[float, ...] = (1.0, 0.4, 1.8)
+    """Lengths of the line on which a gripper comes, in lengths of an approach."""
+    withdrawals: tuple[float, ...] = (1.0, 2.0, 4.0)
+    """Lengths of the line on which a part leaves, in lengths of an approach, until it is clear of everything."""
+    places: int = 4
+    """Free motions to a drop-off that are tried."""
+    nodes: int = 500
+    """Nodes of the trees of one free motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A keyframe: a state and where the robots are."""
+
+    state: States
+    """Shape (parts,)."""
+    configurations: tuple[Array, ...]
+    held: tuple[int | None, ...]
+    """The part that each robot holds."""
+
+    @cached_property
+    def present(self) -> NDArray[np.bool_]:
+        """Which parts stand at their place, shape (parts,)."""
+        return self.state != REMOVED
+
+    @cached_property
+    def key(self) -> bytes:
+        """Equal nodes have equal keys."""
+        rounded = np.round(np.concatenate(self.configurations), 6) + 0.0
+        return self.state.tobytes() + rounded.tobytes() + repr(self.held).encode()
+
+    @property
+    def scene(self) -> Scene:
+        """The node as the collision world takes it."""
+        return Scene(self.configurations, self.present, (None,) * len(self.configurations))
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """A path of one robot, not yet timed."""
+
+    kind: str
+    """`free` or `line`."""
+    path: Array
+    """Shape (points, joints)."""
+    part: int | None = None
+    touches: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """One action carried out."""
+
+    action: int
+    robot: int
+    legs: tuple[Leg, ...]
+    node: Node
+    """Where it leads."""
+
+
+class KeyframeGraph:
+    """Keyframes of one structure in one cell, and the motions between them."""
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        cell: Cell,
+        *,
+        settings: KeyframeSettings = KeyframeSettings(),
+        seed: int = 0,
+        reasons: Reasons | None = None,
+        parts: PartShapes | None = None,
+    ) -> None:
+        """Nothing is computed yet.
+
+        Args:
+            assembly: the structure.
+            cell: the robots and what is around them.
+            settings: how many possibilities are tried.
+            seed: of the free motions.
+            reasons: takes note of why things are impossible.
+            parts: the parts as bodies in the cell, if they are at hand.
+        """
+        self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
+        self.parts = parts or place_parts(assembly, cell.placement)
+        self.world = CollisionWorld(cell, self.parts)
+        self.reasons = Reasons() if reasons is None else reasons
+        self._kept = Kept(self.world, nodes=settings.nodes, seed=seed)
+        self._grips = Grips(assembly, cell, self.parts, self._kept, self.reasons, limit=settings.grasps)
+        self._withdrawal = Withdrawal(
+            cell, self._kept, self.reasons, directions=settings.directions, lengths=settings.withdrawals
+        )
+        self.exits = Exits(assembly, self.parts.turn)
+
+    def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
+        """A node to begin with."""
+        return Node(np.asarray(state, np.uint8), tuple(np.array(c, float) for c in configurations), held)
+
+    def edges(self, node: Node, action: int) -> Iterator[Edge]:
+        """Ways to carry out an action, most promising first; each is computed when it is asked for."""
+        parts = self.assembly.part_count
+        return self._remove(node, action - parts) if action >= parts else self._hold(node, action)
+
+    def keyframes(self, state: States) -> Iterator[Node]:
+        """Every keyframe of a state: every assignment of robots to held parts, every grasp and joint branch.
+
+        Robots that hold nothing are at home. Yields only those in which nothing collides.
+        """
+        state = np.asarray(state, np.uint8)
+        wanted = np.flatnonzero((state == HELD) & ~self.assembly.boundary).tolist()
+        robots = range(self.cell.robot_count)
+        for chosen in itertools.permutations(robots, len(wanted)):
+            options = [self.grips(robot, part, state) for robot, part in zip(chosen, wanted, strict=True)]
+            for grips in itertools.product(*options):
+                values = list(self.cell.homes)
+                held: list[int | None] = [None] * self.cell.robot_count
+                for grip, part in zip(grips, wanted, strict=True):
+                    values[grip.robot], held[grip.robot] = grip.configuration, part
+                node = Node(state, tuple(values), tuple(held))
+                if all(self._stands(node, robot) for robot in robots):
+                    yield node
+
+    def grips(self, robot: int, part: int, state: States) -> list[Grip]:
+        """All ways in which a robot can hold a part among the parts of a state; other robots do not count."""
+        return self._grips.of(robot, part, state)
+
+    def way_out(self, part: int, state: States) -> tuple[States, Array]:
+        """The state in which a part can leave once what blocks its easiest way has gone, and its ways there, (n, 3)."""
+        blockers = self.exits.blockers(part) & (state != REMOVED)
+        count = blockers.sum(axis=1) + 1000 * (blockers & self.assembly.boundary).any(axis=1)
+        later = state.copy()
+        later[blockers[int(np.argmin(count))] & ~self.assembly.boundary] = REMOVED
+        return later, self.exits.free(part, later)
+
+    def blocked_by(self, part: int, state: States) -> int:
+        """How many parts stand in the easiest way out of a part."""
+        return int((self.exits.blockers(part) & (state != REMOVED)).sum(axis=1).min())
+
+    def reachable(self, part: int) -> bool:
+        """Whether any robot can hold a part where it stands alone on what is boundary."""
+        alone = np.where(self.assembly.boundary, HELD, REMOVED).astype(np.uint8)
+        alone[part] = HELD
+        return any(self.grips(robot, part, alone) for robot in range(self.cell.robot_count))
+
+    @property
+    def motions(self) -> int:
+        """Free motions that were planned."""
+        return self._kept.motions
+
+    @property
+    def motions_kept(self) -> int:
+        """Times that a free motion was asked for and known."""
+        return self._kept.motions_kept
+
+    @property
+    def views(self) -> int:
+        """Views of scenes that were made."""
+        return self._kept.views
+
+    @cached_property
+    def lowest(self) -> float:
+        """Height of the lowest centre of a part, metres."""
+        return float(self.parts.center[:, 2].min())
+
+    @cached_property
+    def spread(self) -> float:
+        """Width of the structure, metres."""
+        return float(np.ptp(self.parts.center[:, :2], axis=0).max()) + 1e-9
+
+    @cached_property
+    def height(self) -> float:
+        """Height of the structure, metres."""
+        return float(np.ptp(self.parts.center[:, 2])) + 1e-9
+
+    def collision(self, node: Node, robot: int) -> tuple[str, str] | None:
+        """Two bodies that meet where a robot stands, by name, or None."""
+        part = node.held[robot]
+        contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
+        # At the start of a plan robots stand as they stand: what does not touch is good enough.
+        return self._kept.view(node.scene, robot, contact, 0.0).explain(node.configurations[robot])
+
+    # Holding
+
+    def _hold(self, node: Node, part: int) -> Iterator[Edge]:
+        free = [robot for robot, held in enumerate(node.held) if held is None]
+        center = self.parts.center[part]
+        free.sort(key=lambda robot: float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2])))
+        # One way with each robot before another way with the first: who holds a part matters more than how.
+        turns = [self._hold_with(node, part, robot) for robot in free]
+        while turns:
+            for ways in list(turns):
+                edge = next(ways, None)
+                if edge is None:
+                    turns.remove(ways)
+                else:
+                    yield edge
+
+    def _hold_with(self, node: Node, part: int, robot: int) -> Iterator[Edge]:
+        grips = self.grips(robot, part, node.state)
+        if not grips:
+            return
+        contact = Contact(gripper=frozenset({part}))
+        view = self._kept.view(node.scene, robot, contact, self.cell.margins.line)
+        values = np.array([grip.configuration for grip in grips])
+        hits = view.hits(values)
+        for row in np.flatnonzero(hits >= 0)[:1]:
+            self.reasons.add("hold", part, robot, "a robot is in the way of every grip", view.pair(int(hits[row])))
+        open_grips = [grips[row] for row in np.flatnonzero(hits < 0)]
+        for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates):
+            edge = self._try_grip(node, part, grip, view)
+            if edge is not None:
+                yield edge
+
+    def _try_grip(self, node: Node, part: int, grip: Grip, view: View) -> Edge | None:
+        robot, margins = grip.robot, self.cell.margins
+        clear = self._kept.view(node.scene, robot, NO_CONTACT, margins.free)
+        outside: Array | None = None
+        for share in self.settings.approaches:
+            retreat = follow_line(view, grip.configuration, -grip.grasp.approach, share * margins.approach)
+            if retreat.path is None:
+                self.reasons.add("hold", part, robot, f"approach: {retreat.reason}", retreat.pair, retreat.at)
+                continue
+            hit = int(clear.hits(retreat.path[-1])[0])
+            if hit < 0:
+                outside = retreat.path[-1]
+                break
+            self.reasons.add("hold", part, robot, "approach: too near", clear.pair(hit), retreat.path[-1])
+        if outside is None:
+            return None
+        # A robot cannot grip anew later: the part must be able to leave in this grip, when its way is free.
+        if not self._can_leave_later(node, part, grip):
+            return None
+        free = self._kept.motion(node.scene, robot, node.configurations[robot], outside)
+        if not free:
+            self.reasons.add("hold", part, robot, f"way to the part: {free.reason}", free.pair, free.at)
+            return None
+        state = node.state.copy()
+        state[part] = HELD
+        after = _replaced(node, state, robot, grip.configuration, part)
+        legs = (Leg("free", free.path), Leg("line", retreat.path[::-1].copy(), touches=part))  # type: ignore[index]
+        return Edge(part, robot, legs, after)
+
+    def _can_leave_later(self, node: Node, part: int, grip: Grip) -> bool:
+        later, ways = self.way_out(part, node.state)
+        values = tuple(
+            np.asarray(grip.configuration)
+            if robot == grip.robot
+            else (node.configurations[robot] if held is not None and later[held] != REMOVED else entry.home)
+            for robot, (entry, held) in enumerate(zip(self.cell.robots, node.held, strict=True))
+        )
+        scene = Scene(values, later != REMOVED, (None,) * len(values))
+        lines = self._withdrawal.lines(scene, part, grip.robot, grip.configuration, ways, "later way out")
+        return next(lines, None) is not None
+
+    # Removing
+
+    def _remove(self, node: Node, part: int) -> Iterator[Edge]:
+        robot = node.held.index(part)
+        here = node.configurations[robot]
+        ways = self.exits.free(part, node.state)
+        if not len(ways):
+            self.reasons.add("remove", part, robot, "no clear way out")
+            return
+        for paths, scene in self._withdrawal.lines(node.scene, part, robot, here, ways, "way out"):
+            edge = self._carry(node, part, robot, paths, scene)
+            if edge is not None:
+                yield edge
+
+    def _carry(self, node: Node, part: int, robot: int, paths: tuple[Array, ...], scene: Scene) -> Edge | None:
+        entry = self.cell.robots[robot]
+        view = self._kept.view(scene, robot, NO_CONTACT, self.cell.margins.free)
+        end = paths[-1][-1]
+        places = self._grips.places(robot)
+        if not len(places):
+            self.reasons.add("remove", part, robot, "no place to put parts is within reach")
+            return None
+        hits = view.hits(places)
+        clear = places[hits < 0]
+        if not len(clear):
+            self.reasons.add(
+                "remove", part, robot, "every place to put it collides", view.pair(int(hits[0])), places[0]
+            )
+        for goal in clear[np.argsort(np.abs(clear - end).max(axis=1), kind="stable")][: self.settings.places]:
+            free = self._kept.motion(scene, robot, end, goal)
+            if free:
+                state = node.state.copy()
+                state[part] = REMOVED
+                after = _replaced(node, state, robot, goal, None)
+                lines = tuple(Leg("line", path, part=part) for path in paths)
+                assert free.path is not None
+                legs = (*lines, Leg("free", free.path, part=part))
+                return Edge(self.assembly.part_count + part, robot, legs, after)
+            self.reasons.add("remove", part, robot, f"way to {entry.name}'s place: {free.reason}", free.pair, free.at)
+        return None
+
+    # What both need
+
+    def _stands(self, node: Node, robot: int) -> bool:
+        part = node.held[robot]
+        contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
+        view = self._kept.view(node.scene, robot, contact, self.cell.margins.line)
+        return not bool(view.collides(node.configurations[robot])[0])
+
+
+def _replaced(node: Node, state: States, robot: int, values: Array, part: int | None) -> Node:
+    configurations, held = list(node.configurations), list(node.held)
+    configurations[robot], held[robot] = np.asarray(values), part
+    return Node(state, tuple(configurations), tuple(held))

@@ -1,0 +1,305 @@
+"""Which actions keep the way to the target open: states that are known to be solvable, and a search that joins them.
+
+One abstract plan is found first: by a rollout where there is a taste to follow, else by a search. Its states are
+solvable, and so is every state from which a short search, forwards and narrow, meets one that is. The set grows with
+every answer, so that alternatives near a plan are cheap to judge.
+
+Under the criterion `contact` a plan is followed only if its replay in the order of assembly stands. The state in which
+a replay falls is forbidden from then on, and what could only go on through it is no longer solvable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, Mask, States
+from falsework.robots.planning.rollout import Taste, roll_out
+from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
+from falsework.search.planner import Planner, PlannerSettings
+from falsework.search.problem.guide import Guide, SupportGuide
+from falsework.search.problem.result import Route, SearchResult, Stop
+from falsework.search.problem.task import Direction, Task
+from falsework.stability.oracle import Stability
+
+_LEVELS = 8
+"""Steps that the joining search looks ahead."""
+_WIDTH = 6
+"""States that it keeps at each step."""
+_VERDICTS = 48
+"""Verdicts that it asks for before it gives up: what does not join soon rarely does."""
+_FIRST = 256
+"""Widest beam for the first plan."""
+_VARIED = 16
+"""Widest beam for another one."""
+_ROLLOUTS = 16
+"""Rollouts with random actions at once."""
+_REPLAYS = 40
+"""Plans of one search whose replay may fall before it is given up."""
+
+
+class Proposals:
+    """Abstract actions for the hybrid planner, with the certainty that the structure can still come apart."""
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        task: Task,
+        oracle: Stability,
+        *,
+        guide: Guide | None = None,
+        taste: Taste | None = None,
+        seed: int = 0,
+    ) -> None:
+        """Nothing is known yet but the target.
+
+        Args:
+            assembly: the structure.
+            task: rules, with clear ways out.
+            oracle: decides stability.
+            guide: ranks actions in the search for the first plan; by default parts with much support go in first.
+            taste: scores actions for rollouts, which are tried before a search for a plan.
+            seed: of that search.
+        """
+        self.task, self.oracle = task.judged_by(oracle), oracle
+        self._guide = guide or SupportGuide(assembly)
+        self._taste = taste
+        self._assembly, self._seed = assembly, seed
+        self.postponed: tuple[int, ...] = ()
+        self.fallen: tuple[Route, int] | None = None
+        """Where `prepare` finds nothing: the plan that came farthest in its replay, and the state in which it falls."""
+        self._left = 0
+        self._preferred: set[bytes] = set()
+        self._solvable: set[bytes] = {task.target.tobytes()}
+        self._not_found: set[bytes] = set()
+        self._forbidden: set[bytes] = set()
+        self._moves: dict[bytes, list[int]] = {}
+
+    def __len__(self) -> int:
+        return len(self._solvable)
+
+    def prepare(self, stop: Stop | None = None) -> SearchResult:
+        """Find one abstract plan. Where parts are missing, the task then says how late they can come."""
+        settings = PlannerSettings(width=_FIRST, seed=self._seed)
+        planner = Planner(self.task, self.oracle, settings, guide=self._guide)
+        route = self._roll_out(None, stop) or self._roll_out(np.random.default_rng(self._seed), stop)
+        if route is not None:
+            planner.begin_with(route)
+        result = planner.run(stop=stop)  # which replays what it finds
+        self.fallen = planner.fallen
+        if result.found:
+            self.postponed = planner.postponed
+            self.task = self.task.postpone(planner.postponed)
+            self._follow(planner.routes)
+        return result
+
+    def vary(self, seed: int) -> None:
+        """Find another abstract plan to follow, with the guide's taste disturbed; the old one stays known."""
+        rng = np.random.default_rng([self._seed, seed])
+        route = self._roll_out(rng)
+        if route is not None:
+            self._follow([route])
+            return
+
+        def disturbed(states: States, actions: Mask, direction: Direction) -> NDArray[np.floating]:
+            scores = np.asarray(self._guide(states, actions, direction), dtype=np.float64)
+            return scores + rng.normal(scale=0.3 * (scores.std() + 1e-3), size=scores.shape)
+
+        direction = Direction.ASSEMBLY if seed % 2 else Direction.DISASSEMBLY
+        beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(direction, seed=seed), guide=disturbed)
+        self._follow(self._search(beam, _VARIED))
+
+    def falls(self, route: Route) -> int | None:
+        """First state in the order of assembly in which the replay of a route falls; None if it stands.
+
+        Always None under the criterion `equilibrium`, which knows no history.
+        """
+        replayer = self.oracle.replayer
+        return None if replayer is None else replayer.replay(route.states[::-1]).falls_at
+
+    def forbid(self, route: Route, row: int) -> bool:
+        """Rule out the state in which the replay of a route falls, and all that could go on through it alone.
+
+        Where that is the first or the last state of the task, which every plan has, the one next to it is ruled out.
+
+        Args:
+            route: whose replay falls.
+            row: state at which it does, in the order of assembly.
+
+        Returns:
+            Whether there was such a state; False for a route that has nothing between its ends.
+        """
+        states, last = route.states[::-1], len(route.states) - 1
+        row = min(max(row, 1), last - 1)
+        if row < 1:
+            return False
+        self._forbidden.add(states[row].tobytes())
+        self._prune()
+        return True
+
+    def _prune(self) -> None:
+        """Keep of the solvable states those from which a way to the target is left."""
+        known = np.array([np.frombuffer(key, np.uint8) for key in self._solvable - self._forbidden])
+        left = {self.task.target.tobytes()}
+        done = self.task.steps_done(known)
+        for level in np.unique(done)[::-1]:
+            states = known[done == level]
+            rows, actions = np.nonzero(self.task.moves(states, Direction.DISASSEMBLY))
+            after = self.task.follow(states[rows], actions, Direction.DISASSEMBLY)
+            leads = np.array([state.tobytes() in left for state in after], dtype=bool)
+            left |= {states[row].tobytes() for row in np.unique(rows[leads])}
+        self._solvable = left
+        self._preferred &= left
+
+    def _search(self, beam: AdaptiveBeam, widest: int) -> Sequence[Route]:
+        """Routes of a beam whose replays stand; none if it finds none."""
+        for _ in range(_REPLAYS):
+            if self._forbidden:
+                beam.search.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
+            routes = beam.run(widest).routes
+            row = self.falls(routes[0]) if routes else None
+            if row is None:
+                return routes
+            if not self.forbid(routes[0], row):
+                break
+        return ()
+
+    def _roll_out(self, rng: np.random.Generator | None, stop: Stop | None = None) -> Route | None:
+        """A whole way by taste: the best actions, or some drawn at random; None if there is no taste, or no luck."""
+        if self._taste is None or self.task.steps == 0:
+            return None
+        target, rows = {self.task.target.tobytes()}, 1 if rng is None else _ROLLOUTS
+        for _ in range(_REPLAYS):
+            route = roll_out(
+                self.task,
+                self.oracle,
+                self._taste,
+                self.task.start,
+                target,
+                rng=rng,
+                rows=rows,
+                forbidden=self._forbidden,
+                stop=stop,
+            )
+            row = None if route is None else self.falls(route)
+            if route is None or row is None:
+                return route
+            if not self.forbid(route, row):
+                break
+        return None
+
+    def preferred(self, state: States, action: int) -> bool:
+        """Whether an action follows the plan found last."""
+        return self._after(state, action).tobytes() in self._preferred
+
+    def _follow(self, routes: Sequence[Route]) -> None:
+        if routes:
+            self._preferred = {state.tobytes() for route in routes for state in route.states}
+            self._solvable |= self._preferred
+
+    def relax(self, share: float) -> None:
+        """Let missing parts come after a share of the steps that stability alone would let them wait for."""
+        if share == 1.0:
+            return
+        self.task = self.task.postpone([int(share * steps) for steps in self.postponed])
+        self._moves.clear()
+        self._not_found.clear()
+        # What is known lies around the plan for the latest parts: add one for the new rules.
+        beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(seed=self._seed), guide=self._guide)
+        self._follow(self._search(beam, _FIRST))
+
+    def legal(self, state: States) -> list[int]:
+        """Actions that the rules allow, stability aside."""
+        key = state.tobytes()
+        if key not in self._moves:
+            self._moves[key] = np.flatnonzero(self.task.moves(state[None], Direction.DISASSEMBLY)[0]).tolist()
+        return self._moves[key]
+
+    def known(self, state: States, action: int) -> bool:
+        """Whether the state after an action is known to be solvable."""
+        return self._after(state, action).tobytes() in self._solvable
+
+    def solvable(self, state: States, action: int) -> bool:
+        """Whether the state after an action stands and a way from there to the target is found; asked once."""
+        after = self._after(state, action)
+        key = after.tobytes()
+        if key in self._solvable:
+            return True
+        if key in self._not_found or key in self._forbidden:
+            return False
+        asked = self.task.needs_verdict(np.array([action]), Direction.DISASSEMBLY)[0]
+        if (asked and not self.oracle.stable(after[None], parents=state[None])[0]) or not self._join(after):
+            self._not_found.add(key)
+            return False
+        return True
+
+    def _after(self, state: States, action: int) -> States:
+        return self.task.follow(state[None], np.array([action]), Direction.DISASSEMBLY)[0]
+
+    def _join(self, start: States) -> bool:
+        """Search forwards from a stable state until one is met that is solvable; all on the way then are."""
+        self._left = _VERDICTS
+        levels: list[States] = [start[None]]
+        parents: list[np.ndarray] = []
+        for _ in range(_LEVELS):
+            states = levels[-1]
+            rows, actions = np.nonzero(self.task.moves(states, Direction.DISASSEMBLY))
+            if not len(rows):
+                return False
+            after = self.task.follow(states[rows], actions, Direction.DISASSEMBLY)
+            first, after = _distinct(after)
+            rows, actions = rows[first], actions[first]
+            hit = next((k for k, state in enumerate(after) if state.tobytes() in self._solvable), None)
+            if hit is not None:  # what is solvable is stable, so the step to it needs no verdict
+                self._remember(levels, parents, int(rows[hit]))
+                return True
+            kept = self._stable_few(states[rows], after, actions)
+            if not len(kept):
+                return False
+            levels.append(after[kept])
+            parents.append(rows[kept])
+        return False
+
+    def _stable_few(self, before: States, after: States, actions: np.ndarray) -> np.ndarray:
+        """The most promising successors that stand: few held, then the guide's taste."""
+        removal = actions >= self.task.part_count
+        asked = self.task.needs_verdict(actions, Direction.DISASSEMBLY)
+        mask = np.zeros((len(before), 2 * self.task.part_count), dtype=bool)
+        mask[np.arange(len(before)), actions] = True
+        score = np.asarray(self._guide(before, mask, Direction.DISASSEMBLY))[np.arange(len(before)), actions]
+        held = ((after == HELD) & ~self.task.boundary).sum(axis=1)
+        order = np.lexsort((-score, held))
+        kept: list[int] = []
+        holds = 0
+        for k in order.tolist():
+            if after[k].tobytes() in self._forbidden:
+                continue
+            if removal[k]:
+                if self._left == 0:
+                    continue
+                self._left -= 1
+            elif holds < 2 * _WIDTH:
+                holds += 1
+            else:
+                continue
+            if not asked[k] or self.oracle.stable(after[k][None], parents=before[k][None])[0]:
+                kept.append(k)
+            if len(kept) >= 3 * _WIDTH:
+                break
+        return np.array(kept[: 3 * _WIDTH], dtype=np.intp)
+
+    def _remember(self, levels: list[States], parents: list[np.ndarray], row: int) -> None:
+        for level in range(len(levels) - 1, -1, -1):
+            self._solvable.add(levels[level][row].tobytes())
+            if level:
+                row = int(parents[level - 1][row])
+
+
+def _distinct(states: States) -> tuple[np.ndarray, States]:
+    keys = np.ascontiguousarray(states).view(np.dtype((np.void, states.shape[1]))).ravel()
+    _, first = np.unique(keys, return_index=True)
+    first = np.sort(first)
+    return first, states[first]

@@ -1,0 +1,124 @@
+"""From paths to timed motions: the robot plan along a chain of edges of the keyframe graph."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.robot_model import RobotModel
+from falsework.robots.motion.timing import time_path
+from falsework.robots.planning.keyframe_graph import Edge, Leg, Node
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, Step, Trajectory, cell_identity, records_of
+from falsework.search.find_plans import plan_of
+from falsework.search.problem.result import Route
+from falsework.search.problem.task import Task
+from falsework.stability.oracle import Stability
+
+Array = NDArray[np.float64]
+
+_STILL = 1e-7
+"""A path that goes no farther takes no time, rad or m."""
+_NEAR = 2e-5
+"""Samples that cubics between others come so near are left out, rad or m."""
+_STRIDES = (64, 32, 16, 8, 4, 2, 1)
+
+
+def make_robot_plan(
+    assembly: Assembly,
+    cell: Cell,
+    task: Task,
+    oracle: Stability,
+    route: Route,
+    root: Node,
+    chain: Sequence[Edge],
+    *,
+    forces: bool = False,
+) -> RobotPlan:
+    """Prove the states of a route and time the motions along it.
+
+    Args:
+        assembly: the structure.
+        cell: the robots.
+        task: what was planned.
+        oracle: proves the states.
+        route: states and actions.
+        root: the first keyframe.
+        chain: an edge for every action.
+        forces: keep the contact forces in the plan.
+
+    Raises:
+        PlanError: a state that cannot be proved stable.
+    """
+    abstract = plan_of(route, assembly, task, oracle, forces=forces)
+    steps = []
+    for edge in chain:
+        model = cell.robots[edge.robot].model
+        timed = (timed_leg(model, leg, cell.speed) for leg in edge.legs)
+        steps.append(Step(edge.robot, tuple(trajectory for trajectory in timed if trajectory is not None)))
+    nodes = (root, *(edge.node for edge in chain))
+    return RobotPlan(
+        plan=abstract,
+        keyframes=tuple(Keyframe(node.configurations, node.held) for node in nodes),
+        steps=tuple(steps),
+        robots=records_of(cell),
+        cell_name=cell.name,
+        cell_identity=cell_identity(cell),
+    )
+
+
+def timed_leg(model: RobotModel, leg: Leg, speed: float) -> Trajectory | None:
+    """A path as fast as the limits of the arm allow, at a share of them; None if it leads nowhere."""
+    if np.abs(np.diff(leg.path, axis=0)).sum() < _STILL:
+        return None
+    timed = time_path(model, leg.path, speed)
+    knots = _enough(timed.times, timed.positions, timed.velocities, model.acceleration * speed**2)
+    made = Trajectory(
+        "line" if leg.kind == "line" else "free",
+        timed.times[knots],
+        timed.positions[knots],
+        timed.velocities[knots],
+        leg.part,
+        leg.touches,
+    )
+    # Where the push changes between two samples, the cubic between them needs a little more of it: slow down for that.
+    fastest, strongest = made.peaks()
+    over = max(
+        float((fastest / (model.velocity * speed)).max()),
+        float(np.sqrt((strongest / (model.acceleration * speed**2)).max())),
+    )
+    if over <= 1.0:
+        return made
+    stretch = over * (1 + 1e-6)
+    return replace(made, times=made.times * stretch, velocities=made.velocities / stretch)
+
+
+def _enough(times: Array, positions: Array, velocities: Array, acceleration: Array) -> NDArray[np.intp]:
+    """Samples that are needed as knots: the cubics between them pass the others within `_NEAR`, and push no harder."""
+    kept = [0]
+    while kept[-1] < len(times) - 1:
+        here = kept[-1]
+        for ahead in _STRIDES:
+            there = here + ahead
+            if there >= len(times):
+                continue
+            if ahead == 1:
+                break
+            span, rise = times[there] - times[here], positions[there] - positions[here]
+            start = (6 * rise / span - 4 * velocities[here] - 2 * velocities[there]) / span
+            stop = (-6 * rise / span + 2 * velocities[here] + 4 * velocities[there]) / span
+            if (np.maximum(np.abs(start), np.abs(stop)) > acceleration).any():
+                continue
+            between = slice(here + 1, there)
+            t = (times[between] - times[here])[:, None]
+            cubic = positions[here] + velocities[here] * t + start * t**2 / 2 + (stop - start) / span * t**3 / 6
+            if np.abs(cubic - positions[between]).max() <= _NEAR:
+                break
+        else:
+            there = here + 1
+        kept.append(there)
+    return np.array(kept, dtype=np.intp)

@@ -1,0 +1,56 @@
+"""Compile the motion code ahead of its first use, with a word to whoever waits."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from falsework.robots import connect, kinematics, newton
+
+MESSAGE = "compiling the motion code; this happens once and takes up to 15 seconds"
+
+
+def is_compiled() -> bool:
+    """Whether numba finds compiled code of all entry points that fits their sources."""
+    functions = (connect._run, kinematics.place_many, newton.reach_poses)
+    for function in functions:
+        if function.signatures:
+            continue
+        cache = Path(str(function.stats.cache_path))
+        source = Path(function.py_func.__code__.co_filename)
+        name = function.py_func.__name__
+        found = list(cache.glob(f"{source.stem}.{name}-*.nbi"))
+        if not any(entry.stat().st_mtime >= source.stat().st_mtime for entry in found):
+            return False
+    return True
+
+
+def compile_kernels(report: Callable[[str], None] | None = None) -> float:
+    """Make sure that collision checks, planning and kinematics are compiled.
+
+    Args:
+        report: called with one line if there is something to wait for.
+
+    Returns:
+        Seconds that it took.
+    """
+    began = time.perf_counter()
+    if report is not None and not is_compiled():
+        report(MESSAGE)
+    from falsework.robots.cells.validate import no_parts
+    from falsework.robots.model.builtin_robots import builtin_robot
+    from falsework.robots.model.cell import Cell, CellRobot, Gripper
+    from falsework.robots.model.shapes import block
+    from falsework.robots.motion.collision_world import CollisionWorld, Scene
+    from falsework.robots.motion.path_planner import follow_line
+
+    model = builtin_robot("irb2600-12/1.65")
+    gripper = Gripper("none", "suction", (block((-0.01, -0.01, 0), (0.01, 0.01, 0.02)),), np.eye(4), 1.0)
+    cell = Cell("compile", (CellRobot("arm", model, np.eye(4), gripper, model.home, np.zeros((0, 4, 4))),))
+    parts = no_parts()
+    view = CollisionWorld(cell, parts).view(Scene.at_home(cell, parts), 0)
+    follow_line(view, model.home, (0.0, 0.0, 1.0), 0.01)
+    return time.perf_counter() - began

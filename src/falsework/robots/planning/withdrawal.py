@@ -1,0 +1,87 @@
+"""Lines on which a robot draws a part out of the structure, until it is clear of everything."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.model.cell import Cell
+from falsework.robots.motion.collision_world import NO_CONTACT, Contact, Scene, View
+from falsework.robots.motion.motion_cache import Kept
+from falsework.robots.motion.path_planner import follow_line
+from falsework.robots.planning.failure_report import Reasons
+
+Array = NDArray[np.float64]
+
+
+class Withdrawal:
+    """Straight ways out for parts that robots hold."""
+
+    def __init__(
+        self, cell: Cell, kept: Kept, reasons: Reasons, *, directions: int, lengths: tuple[float, ...]
+    ) -> None:
+        """Nothing is computed yet.
+
+        Args:
+            cell: the robots and what is around them.
+            kept: views of its scenes.
+            reasons: takes note of why a part cannot leave.
+            directions: ways out that are tried for a part.
+            lengths: of the line on which a part leaves, in lengths of an approach, tried in turn until it is clear.
+        """
+        self.cell, self.kept, self.reasons = cell, kept, reasons
+        self.directions, self.lengths = directions, lengths
+
+    def lines(
+        self, scene: Scene, part: int, robot: int, here: Array, ways: Array, what: str
+    ) -> Iterator[tuple[tuple[Array, ...], Scene]]:
+        """Paths on which a part leaves, each with the scene in which it is carried; computed when asked for.
+
+        Args:
+            scene: where everything is.
+            part: the one that leaves.
+            robot: the one that holds it.
+            here: configuration in which it does, shape (joints,).
+            ways: directions that nothing blocks, in the world, shape (n, 3).
+            what: what a way is called where a reason is noted.
+        """
+        tool = tool_pose(self.cell.robots[robot], here)
+        scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
+        around = frozenset(np.flatnonzero(scene.present).tolist())
+        contact = Contact(carried=around, carried_floor=True)
+        line = self.kept.view(scene, robot, contact, self.cell.margins.line)
+        free: View | None = None
+        for way in self._ordered(ways, tool):
+            for times in self.lengths:
+                out = follow_line(line, here, way, times * self.cell.margins.approach)
+                if not out:
+                    self.reasons.add("remove", part, robot, f"{what}: {out.reason}", out.pair, out.at)
+                    break
+                free = free or self.kept.view(scene, robot, NO_CONTACT, self.cell.margins.free)
+                path = out.path
+                assert path is not None
+                hit = int(free.hits(path[-1])[0])
+                if hit < 0:
+                    yield (path,), scene
+                    break
+                lift = self._lift(scene, robot, path[-1], free)
+                if lift is not None:
+                    yield (path, lift), scene
+                    break
+                self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), path[-1])
+
+    def _lift(self, scene: Scene, robot: int, here: Array, free: View) -> Array | None:
+        """A part that has been drawn out over the floor is lifted off it before it is carried away."""
+        view = self.kept.view(scene, robot, Contact(carried_floor=True), self.cell.margins.line)
+        up = follow_line(view, here, (0.0, 0.0, 1.0), 0.3 * self.cell.margins.approach)
+        if up.path is None or free.collides(up.path[-1])[0]:
+            return None
+        return up.path
+
+    def _ordered(self, ways: Array, tool: Array) -> Array:
+        """Ways out to try: best first those away from where the gripper points, then upwards."""
+        score = ways @ -tool[:3, 2] + 0.5 * ways[:, 2]
+        return ways[np.argsort(-score, kind="stable")][: self.directions]

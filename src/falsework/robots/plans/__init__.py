@@ -1,0 +1,1 @@
+"""Robot plans: files, independent checks, export."""

@@ -1,0 +1,300 @@
+"""Is a robot plan right? Every motion sampled finely and checked by libraries that share nothing with the planner."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, REMOVED
+from falsework.errors import InputError
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.plans.pinocchio_checker import Judge
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.search.problem.task import Direction
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """What counts as right."""
+
+    step: float = 0.01
+    """No joint moves farther between two samples, rad or m."""
+    tolerance: float = 0.001
+    """A part that leaves its place, or arrives there, may overlap its neighbours by so much, metres; where the
+    structure's own meshes overlap by more at that place, this is doubled until they do not."""
+    reach: float = 0.005
+    """A gripper holds a part if it is no farther from it than this, metres."""
+    joins: float = 1e-5
+    """Joint values that differ by no more are the same, rad or m."""
+    over: float = 0.01
+    """Share by which rounded knots may exceed a limit of velocity or acceleration."""
+    problems: int = 20
+    """Stop after so many."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.step <= 0.5:
+            raise InputError(f"a check every {self.step:g} rad is too coarse or none; give up to 0.5, such as 0.01")
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong."""
+
+    step: int
+    """Step of the plan, from 0."""
+    robot: str
+    what: str
+    """In words."""
+    pair: tuple[str, str] | None = None
+    """Bodies that meet, if that is what is wrong."""
+    seconds: float | None = None
+    """When, from the start of its trajectory."""
+    configuration: tuple[float, ...] | None = None
+
+    def __str__(self) -> str:
+        when = "" if self.seconds is None else f" after {self.seconds:.2f} s"
+        return f"step {self.step + 1}, {self.robot}{when}: {self.what}"
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """End of a check."""
+
+    problems: tuple[Problem, ...]
+    samples: int
+    """Configurations that were checked for collisions."""
+    trajectories: int
+    largest_step: float
+    """Largest difference of a joint between neighbouring samples, rad or m."""
+    largest_join: float
+    """Largest difference of a joint where one motion ends and the next begins, rad or m."""
+    velocity_share: float
+    """Largest speed of a joint as a share of what the cell allows."""
+    acceleration_share: float
+    tolerance: float
+    """Most that a part was shrunk where it leaves or arrives, metres."""
+    seconds: float
+    """That the check took."""
+
+    @property
+    def good(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.problems
+
+
+class _Checker:
+    """Walks through a plan and keeps what it finds."""
+
+    def __init__(self, plan: RobotPlan, assembly: Assembly, cell: Cell, settings: CheckSettings) -> None:
+        self.plan, self.cell, self.settings = plan, cell, settings
+        parts = place_parts(assembly, cell.placement)
+        self.judge = Judge(cell, parts, settings.tolerance)
+        self.boundary = assembly.boundary
+        self.problems: list[Problem] = []
+        self.samples = self.trajectories = 0
+        self.largest_step = self.largest_join = self.velocity = self.acceleration = 0.0
+
+    def full(self) -> bool:
+        return len(self.problems) >= self.settings.problems
+
+    def say(self, step: int, robot: int, what: str, **more) -> None:
+        self.problems.append(Problem(step, self.cell.robots[robot].name, what, **more))
+
+    def keyframe(self, index: int) -> None:
+        """Whether the robots hold exactly the parts that the state says, and touch them."""
+        state, frame = self.plan.plan.states[index], self.plan.keyframes[index]
+        step = min(index, len(self.plan) - 1)
+        held = [part for part in frame.held if part is not None]
+        wanted = np.flatnonzero((state == HELD) & ~self.boundary).tolist()
+        if sorted(held) != wanted:
+            self.say(step, 0, f"the robots hold parts {sorted(held)}, the state says {wanted}")
+        for robot, part in enumerate(frame.held):
+            if part is None:
+                continue
+            far = self.judge.grip_distance(robot, frame.configurations[robot], part)
+            if far > self.settings.reach:
+                name = self.judge.parts.names[part]
+                self.say(step, robot, f"the gripper is {1000 * far:.1f} mm away from {name}, which it should hold")
+
+    def step(self, index: int) -> None:
+        """One action: contents, continuity, limits, collisions."""
+        before, after = self.plan.keyframes[index], self.plan.keyframes[index + 1]
+        step = self.plan.steps[index]
+        robot = step.robot
+        part, removes = self._action(index)
+        state = self.plan.plan.states[index]
+        present = state != REMOVED
+        if removes:
+            present = present.copy()
+            present[part] = False
+        for other, (old, new) in enumerate(zip(before.held, after.held, strict=True)):
+            if (old != new) != (other == robot):
+                self.say(index, other, "what it holds does not change as the action says")
+        grip = self._grip(index, robot) if removes else None
+        values = before.configurations[robot]
+        for order, trajectory in enumerate(step.trajectories):
+            if self.full():
+                return
+            self._content(index, order, trajectory, part, removes)
+            values = self._joins(index, robot, values, trajectory.positions[0], trajectory.positions[-1])
+            self._limits(index, robot, trajectory)
+            at_place = removes and trajectory.kind == "line"
+            self._collisions(index, robot, trajectory, present, grip, at_place)
+        self._joins(index, robot, values, after.configurations[robot], values)
+        for other, (old, new) in enumerate(zip(before.configurations, after.configurations, strict=True)):
+            if other != robot:
+                self._joins(index, other, old, new, new)
+
+    def start(self) -> None:
+        """Nothing is hit where the robots stand at first."""
+        frame, present = self.plan.keyframes[0], self.plan.plan.states[0] != REMOVED
+        for robot, values in enumerate(frame.configurations):
+            move = self.judge.prepare(robot, frame.configurations, present, touches=frame.held[robot])
+            pair = move.hits(values)
+            if pair is not None:
+                self.say(0, robot, f"at the start {pair[0]} meets {pair[1]}", pair=pair)
+
+    def _action(self, index: int) -> tuple[int, bool]:
+        """Part of an action, and whether it leaves or enters the structure in the gripper."""
+        parts = len(self.boundary)
+        action = int(self.plan.plan.actions[index])
+        return action % parts, action >= parts
+
+    def _grip(self, index: int, robot: int) -> Array:
+        """Configuration with which the part of a removal, or an insertion, is gripped at its place."""
+        apart = self.plan.direction is Direction.DISASSEMBLY
+        return self.plan.keyframes[index if apart else index + 1].configurations[robot]
+
+    def _content(self, index: int, order: int, trajectory: Trajectory, part: int, removes: bool) -> None:
+        """A removal carries its part all the way; a hold carries nothing and touches its part on the line only."""
+        robot = self.plan.steps[index].robot
+        wanted = part if removes else None
+        if trajectory.part != wanted:
+            self.say(index, robot, f"motion {order + 1} carries part {trajectory.part}, the action says {wanted}")
+        if trajectory.touches is not None and (removes or trajectory.touches != part or trajectory.kind != "line"):
+            self.say(index, robot, f"motion {order + 1} may not touch part {trajectory.touches}")
+
+    def _joins(self, index: int, robot: int, here: Array, there: Array, end: Array) -> Array:
+        far = float(np.abs(here - there).max())
+        self.largest_join = max(self.largest_join, far)
+        if far > self.settings.joins:
+            self.say(index, robot, f"it jumps by {far:.4g} rad between two motions")
+        return end
+
+    def _limits(self, index: int, robot: int, trajectory: Trajectory) -> None:
+        model, share = self.cell.robots[robot].model, self.cell.speed
+        speed, acceleration = trajectory.peaks()
+        velocity = speed / (model.velocity * share)
+        push = acceleration / (model.acceleration * share**2)
+        self.velocity = max(self.velocity, float(velocity.max()))
+        self.acceleration = max(self.acceleration, float(push.max()))
+        for what, found in (("speed", velocity), ("acceleration", push)):
+            if found.max() > 1 + self.settings.over:
+                joint = model.joint_names[int(np.argmax(found))]
+                self.say(index, robot, f"the {what} of {joint} is {100 * found.max():.0f} % of its limit")
+        if any(np.abs(trajectory.velocities[end]).max() > 1e-6 for end in (0, -1)):
+            self.say(index, robot, "a motion starts or ends at speed")
+
+    def _collisions(
+        self,
+        index: int,
+        robot: int,
+        trajectory: Trajectory,
+        present: NDArray[np.bool_],
+        grip: Array | None,
+        at_place: bool,
+    ) -> None:
+        moments, samples = trajectory.dense(self.settings.step)
+        self.samples += len(samples)
+        self.trajectories += 1
+        if len(samples) > 1:
+            self.largest_step = max(self.largest_step, float(np.abs(np.diff(samples, axis=0)).max()))
+        model = self.cell.robots[robot].model
+        outside = ~model.within_limits(samples, 1e-6)
+        if outside.any():
+            row = int(np.argmax(outside))
+            beyond = np.maximum(samples[row] - model.upper, model.lower - samples[row])
+            what = f"{model.joint_names[int(np.argmax(beyond))]} is outside its limits"
+            self.say(index, robot, what, seconds=float(moments[row]), configuration=tuple(samples[row].tolist()))
+        move = self.judge.prepare(
+            robot,
+            self.plan.keyframes[index].configurations,
+            present,
+            carried=trajectory.part,
+            grip=grip,
+            touches=trajectory.touches,
+            at_place=at_place,
+        )
+        for moment, values in zip(moments, samples, strict=True):
+            pair = move.hits(values)
+            if pair is not None:
+                what = f"{pair[0]} meets {pair[1]}"
+                place = tuple(values.tolist())
+                self.say(index, robot, what, pair=pair, seconds=float(moment), configuration=place)
+                return
+
+
+def check_robot_plan(
+    plan: RobotPlan,
+    assembly: Assembly,
+    cell: Cell,
+    settings: CheckSettings = CheckSettings(),
+    *,
+    progress: Progress | None = None,
+) -> CheckReport:
+    """Check all motions of a plan with Pinocchio (kinematics) and Coal (collisions).
+
+    One robot moves, all else stands. Everything that moves is checked against everything that stands, with these
+    exceptions and no others:
+
+    - neighbouring links, and the pairs that the description of the arm says never to check;
+    - a gripper and the last two links of its arm, and a part in a gripper and the last link and the gripper;
+    - on an approach or a retreat: the gripper and the part that it grips;
+    - on the lines on which a part leaves its place or arrives there, the part is shrunk by the tolerance, since it
+      touches its neighbours and the floor. Everywhere else it has its full size.
+
+    The stability of the states is not checked here; `plan.plan.validate` does that.
+
+    Args:
+        plan: what to check.
+        assembly: the structure that it is for.
+        cell: the cell that it is for.
+        settings: what counts as right.
+        progress: called with steps done and all steps.
+
+    Raises:
+        PlanError: the plan is for another structure or cell.
+        DependencyError: Pinocchio or Coal is missing.
+    """
+    plan.check_identity(assembly, cell)
+    began = time.perf_counter()
+    checker = _Checker(plan, assembly, cell, settings)
+    checker.start()
+    for index in range(len(plan)):
+        if checker.full():
+            break
+        checker.keyframe(index)
+        checker.step(index)
+        if progress is not None:
+            progress(index + 1, len(plan))
+    checker.keyframe(len(plan))
+    return CheckReport(
+        tuple(checker.problems),
+        checker.samples,
+        checker.trajectories,
+        checker.largest_step,
+        checker.largest_join,
+        checker.velocity,
+        checker.acceleration,
+        checker.judge.slack,
+        time.perf_counter() - began,
+    )

@@ -1,0 +1,333 @@
+"""Collisions by Pinocchio and Coal: another code, another geometry, for checking what our own kernels found.
+
+The parts are their exact surfaces here, not convex pieces. Links and grippers are the convex pieces of the cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from falsework.errors import DependencyError
+from falsework.geometry.mesh.collision import shrink
+from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import PartShapes
+from falsework.robots.model.shapes import inverse_pose
+
+Array = NDArray[np.float64]
+
+WORLD = 0
+"""Joint of Pinocchio that does not move."""
+
+
+def import_pinocchio() -> tuple[Any, Any]:
+    """Pinocchio and Coal.
+
+    Raises:
+        DependencyError: not installed; the message names the extra.
+    """
+    try:
+        import coal  # pyright: ignore[reportMissingImports]
+        import pinocchio  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise DependencyError(
+            "checking robot plans needs Pinocchio and Coal; install them: pip install 'falsework[robots]'"
+        ) from None
+    return pinocchio, coal
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Something that takes part in a check."""
+
+    name: str
+    shape: Any
+    joint: int
+    placement: Array
+    """In the frame of the joint, shape (4, 4)."""
+    against: frozenset[int] | None = None
+    """Where given, it is checked against these parts at their places, shrunk as it is itself, and nothing else."""
+    slack: float = 0.0
+    """By how much it is shrunk, metres."""
+    spared: frozenset[int] = frozenset()
+    """Parts at their places that it is not checked against."""
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """A check prepared: one robot moves, everything else stands."""
+
+    model: Any
+    data: Any
+    geometry: Any
+    found: Any
+    """Pinocchio's results; the manager points into it, so it must live as long."""
+    manager: Any
+    names: tuple[str, ...]
+    values: Array
+    """Joint values of all robots; those of the one that moves are filled in for each sample."""
+    slot: slice
+
+    def hits(self, configuration: Array) -> tuple[str, str] | None:
+        """The first two bodies found to meet at joint values of the robot that moves, or None."""
+        pinocchio, _ = import_pinocchio()
+        self.values[self.slot] = configuration
+        if not pinocchio.computeCollisions(self.model, self.data, self.manager, self.values, True):
+            return None
+        pinocchio.computeCollisions(self.model, self.data, self.geometry, self.found, self.values, False)
+        for pair, result in zip(self.geometry.collisionPairs, self.found.collisionResults, strict=True):
+            if result.isCollision():
+                return self.names[pair.first], self.names[pair.second]
+        return None
+
+
+class Judge:
+    """A cell and the parts of a structure in it, as Pinocchio and Coal see them."""
+
+    def __init__(self, cell: Cell, parts: PartShapes, tolerance: float) -> None:
+        """Build shapes and kinematics.
+
+        Args:
+            cell: robots and what is around them.
+            parts: exact surfaces where they stand.
+            tolerance: a part is shrunk by so much where it may touch its neighbours, metres.
+        """
+        self.cell, self.parts, self.tolerance = cell, parts, tolerance
+        pinocchio, coal = import_pinocchio()
+        self._pin, self._coal = pinocchio, coal
+        self.model = pinocchio.Model()
+        self.slots: list[slice] = []
+        self._joints: list[list[int]] = []
+        for robot in cell.robots:
+            self._add_chain(robot)
+        self._links = [[[self._convex(p) for p in link] for link in robot.model.pieces] for robot in cell.robots]
+        self._grippers = [[self._convex(piece) for piece in robot.gripper.pieces] for robot in cell.robots]
+        self._obstacles = [(o.name, self._convex(p)) for o in cell.obstacles for p in o.pieces]
+        self._parts = [self._surface(mesh, mesh.vertices) for mesh in parts.meshes]
+        self._shrunken: dict[tuple[int, float], Any] = {}
+        self._looseness: dict[int, list[tuple[float, frozenset[int]]]] = {}
+        self.slack = tolerance
+        """Most that a part had to be shrunk so far, metres."""
+        self._floor = coal.Box(np.array([100.0, 100.0, 1.0]))
+
+    def prepare(
+        self,
+        robot: int,
+        configurations: Sequence[Array],
+        present: NDArray[np.bool_],
+        *,
+        carried: int | None = None,
+        grip: Array | None = None,
+        touches: int | None = None,
+        at_place: bool = False,
+    ) -> Move:
+        """One robot moves.
+
+        Args:
+            robot: which one.
+            configurations: joint values of all robots; those of the one that moves do not matter.
+            present: parts that stand at their place, shape (parts,).
+            carried: part in the gripper.
+            grip: configuration in which the carried part is at its place, shape (joints,).
+            touches: part that the gripper may touch.
+            at_place: whether the carried part starts or ends at its place; it is then shrunk by the tolerance, since
+                it touches its neighbours there.
+        """
+        moving = self._robot_bodies(robot)
+        joints = self.cell.robots[robot].model.joints
+        if carried is not None and grip is not None:
+            moving += [(joints + 2, body) for body in self._carried(robot, carried, grip, at_place)]
+        standing = self._standing(robot, present)
+        for _, body in moving:
+            for number in sorted(body.against or ()):
+                if present[number]:
+                    shrunk = self._shrunk(number, body.slack)
+                    name = f"part {self.parts.names[number]}"
+                    standing.append(("shrunk part", number, Body(name, shrunk, WORLD, np.eye(4), slack=body.slack)))
+        bodies = [body for _, body in moving] + [body for _, _, body in standing]
+        geometry = self._pin.GeometryModel()
+        for number, body in enumerate(bodies):
+            placement = self._pin.SE3(body.placement[:3, :3], body.placement[:3, 3])
+            entry = self._pin.GeometryObject(f"{number} {body.name}", body.joint, WORLD, placement, body.shape)
+            geometry.addGeometryObject(entry)
+        ignored = self.cell.robots[robot].model.ignored
+        for a, (link, body) in enumerate(moving):
+            for b, (other, _) in enumerate(moving[:a]):
+                if body.against is None and self._against_itself(link, other, joints, ignored):
+                    geometry.addCollisionPair(self._pin.CollisionPair(b, a))
+            for b, (what, number, other_body) in enumerate(standing, len(moving)):
+                if what == "base" and (0, link) in ignored:
+                    continue
+                if what == "part" and (number in body.spared or (link == joints + 1 and number == touches)):
+                    continue
+                tangled = body.against is not None and number in body.against and other_body.slack == body.slack
+                if (body.against is not None or what == "shrunk part") and not (what == "shrunk part" and tangled):
+                    continue
+                geometry.addCollisionPair(self._pin.CollisionPair(a, b))
+        values = np.concatenate([np.asarray(entry, float) for entry in configurations])
+        data = self.model.createData()
+        found = self._pin.GeometryData(geometry)
+        manager = self._pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.model, geometry, found)
+        names = tuple(body.name for body in bodies)
+        return Move(self.model, data, geometry, found, manager, names, values, self.slots[robot])
+
+    def grip_distance(self, robot: int, configuration: Array, part: int) -> float:
+        """Distance between a gripper and a part at its place, metres; 0 where they touch."""
+        flange = self.flange(robot, configuration)
+        coal = self._coal
+        here = coal.Transform3s()
+        there = coal.Transform3s(flange[:3, :3], flange[:3, 3])
+        least = np.inf
+        for piece in self._grippers[robot]:
+            found = coal.distance(piece, there, self._parts[part], here, coal.DistanceRequest(), coal.DistanceResult())
+            least = min(least, float(found))
+        return max(least, 0.0)
+
+    def flange(self, robot: int, configuration: Array) -> Array:
+        """Pose of a flange in the world, shape (4, 4)."""
+        values = np.zeros(self.model.nq)
+        values[self.slots[robot]] = configuration
+        data = self.model.createData()
+        self._pin.forwardKinematics(self.model, data, values)
+        return data.oMi[self._joints[robot][-1]].homogeneous @ self.cell.robots[robot].model.flange
+
+    def _add_chain(self, robot) -> None:
+        pin, model = self._pin, robot.model
+        parent, joints, placement = WORLD, [], robot.base
+        begin = self.model.nq
+        for j in range(model.joints):
+            origin = placement @ model.origins[j]
+            kind = pin.JointModelPrismaticUnaligned if model.prismatic[j] else pin.JointModelRevoluteUnaligned
+            axis = np.array(model.axes[j], dtype=float)
+            frame = pin.SE3(np.array(origin[:3, :3]), np.array(origin[:3, 3]))
+            parent = self.model.addJoint(parent, kind(axis), frame, f"{robot.name} {model.joint_names[j]}")
+            joints.append(parent)
+            placement = np.eye(4)
+        self._joints.append(joints)
+        self.slots.append(slice(begin, self.model.nq))
+
+    def _robot_bodies(self, robot: int) -> list[tuple[int, Body]]:
+        """Moving bodies: the link that each is of, `joints + 1` for the gripper."""
+        entry = self.cell.robots[robot]
+        found = []
+        for link in range(1, entry.model.joints + 1):
+            name = f"{entry.name} {entry.model.link_names[link]}"
+            for shape in self._links[robot][link]:
+                found.append((link, Body(name, shape, self._joints[robot][link - 1], np.eye(4))))
+        for shape in self._grippers[robot]:
+            body = Body(f"{entry.name} gripper", shape, self._joints[robot][-1], entry.model.flange)
+            found.append((entry.model.joints + 1, body))
+        return found
+
+    def _carried(self, robot: int, part: int, grip: Array, at_place: bool) -> list[Body]:
+        """The part in a gripper; where it may touch its neighbours once for each distance that it is shrunk by."""
+        entry = self.cell.robots[robot]
+        # A part at its place has the identity as its pose, so in the flange it is the inverse of the flange's pose.
+        placement = entry.model.flange @ inverse_pose(self.flange(robot, grip))
+        name, joint = f"part {self.parts.names[part]}", self._joints[robot][-1]
+        if not at_place:
+            return [Body(name, self._parts[part], joint, placement)]
+        (least, _), *more = self._loose(part)
+        tangled: frozenset[int] = frozenset().union(*(others for _, others in more))
+        found = [Body(name, self._shrunk(part, least), joint, placement, spared=tangled)]
+        return found + [
+            Body(name, self._shrunk(part, slack), joint, placement, against=others, slack=slack)
+            for slack, others in more
+        ]
+
+    def _shrunk(self, part: int, slack: float) -> Any:
+        if (part, slack) not in self._shrunken:
+            mesh = self.parts.meshes[part]
+            self._shrunken[part, slack] = self._surface(mesh, shrink(mesh, min(slack, mesh.thickness / 4)))
+        return self._shrunken[part, slack]
+
+    def _loose(self, part: int) -> list[tuple[float, frozenset[int]]]:
+        """How far a part is shrunk where it may touch its neighbours, and for which of them.
+
+        By the tolerance, as long as it does not meet them at its place then. Where the meshes themselves overlap by
+        more, both are shrunk, by twice as much again and again until they come apart, and once more for the way; at
+        most by a quarter of their thickness. The clearance table treats such pairs in the same way.
+        """
+        if part in self._looseness:
+            return self._looseness[part]
+        low, high = self.parts.meshes[part].bounds
+        left = {
+            number
+            for number, other in enumerate(self.parts.meshes)
+            if number != part and (other.bounds[0] <= high).all() and (other.bounds[1] >= low).all()
+        }
+        tangled = {other for other in left if self._meet(self._shrunk(part, self.tolerance), self._parts[other])}
+        slack, found = self.tolerance, [(self.tolerance, frozenset(left - tangled))]
+        while tangled:
+            slack *= 2
+            last = slack > self.parts.meshes[part].thickness / 4
+            apart = {
+                other
+                for other in tangled
+                if last or not self._meet(self._shrunk(part, slack), self._shrunk(other, slack))
+            }
+            if apart:
+                found.append((2 * slack, frozenset(apart)))
+                self.slack = max(self.slack, min(2 * slack, self.parts.meshes[part].thickness / 4))
+            tangled -= apart
+        self._looseness[part] = found
+        return found
+
+    def _meet(self, one: Any, other: Any) -> bool:
+        """Whether two shapes collide where they are."""
+        here, request, result = self._coal.Transform3s(), self._coal.CollisionRequest(), self._coal.CollisionResult()
+        return bool(self._coal.collide(one, here, other, here, request, result))
+
+    def _standing(self, robot: int, present: NDArray[np.bool_]) -> list[tuple[str, int, Body]]:
+        found: list[tuple[str, int, Body]] = []
+        for other, entry in enumerate(self.cell.robots):
+            name = f"{entry.name} {entry.model.link_names[0]}"
+            kind = "base" if other == robot else "robot"
+            found += [(kind, other, Body(name, shape, WORLD, entry.base)) for shape in self._links[other][0]]
+            if other != robot:
+                found += [("robot", other, body) for _, body in self._robot_bodies(other)]
+        for part in np.flatnonzero(present).tolist():
+            body = Body(f"part {self.parts.names[part]}", self._parts[part], WORLD, np.eye(4))
+            found.append(("part", part, body))
+        found += [
+            ("obstacle", k, Body(name, shape, WORLD, np.eye(4))) for k, (name, shape) in enumerate(self._obstacles)
+        ]
+        if self.cell.floor is not None:
+            below = np.eye(4)
+            below[2, 3] = self.cell.floor - 0.5
+            found.append(("floor", 0, Body("floor", self._floor, WORLD, below)))
+        return found
+
+    @staticmethod
+    def _against_itself(one: int, other: int, joints: int, ignored: frozenset[tuple[int, int]]) -> bool:
+        """Whether two bodies of one arm are checked: not neighbours, nor the gripper with the wrist that it is on."""
+        low, high = sorted((one, other))
+        if high <= joints:
+            return low != high and (low, high) not in ignored
+        return low < (joints - 1 if high == joints + 1 else joints)
+
+    def _convex(self, points: Array) -> Any:
+        vertices = self._coal.StdVec_Vec3s()
+        for point in points:
+            vertices.append(np.array(point, dtype=float))
+        return self._coal.ConvexBase.convexHull(vertices, True, None)
+
+    def _surface(self, mesh: TriangleMesh, vertices: Array) -> Any:
+        """A convex solid where the part is one, else its triangles."""
+        hull = ConvexHull(vertices)
+        corners = vertices[mesh.faces]
+        volume = np.einsum("ti,ti->t", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+        if hull.volume - volume <= 1e-6 * hull.volume:
+            return self._convex(vertices[hull.vertices])
+        made = self._coal.BVHModelOBBRSS()
+        made.beginModel(len(mesh.faces), len(vertices))
+        made.addVertices(np.ascontiguousarray(vertices, dtype=float))
+        made.addTriangles(np.ascontiguousarray(mesh.faces, dtype=np.int64))
+        made.endModel()
+        return made

@@ -1,0 +1,283 @@
+"""The robot plan: an abstract plan with the motions that carry it out, one robot at a time."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import PlanError
+from falsework.robots.plans.robot_plan_file import read_robot_plan, write_robot_plan
+from falsework.search.plans.plan import Plan
+from falsework.search.problem.task import Direction
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.robots.model.cell import Cell
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """How one robot moves while all others stand: knots that cubic polynomials connect.
+
+    Between two knots the positions are the cubics that have the positions and velocities of both, as a controller that
+    is given positions and velocities interpolates.
+    """
+
+    kind: Literal["free", "line"]
+    """`free` moves through the open; `line` moves the tool straight to or from the place of a part."""
+    times: Array
+    """Seconds from the start of the trajectory, ascending from 0, shape (knots,)."""
+    positions: Array
+    """Shape (knots, joints)."""
+    velocities: Array
+    """Shape (knots, joints)."""
+    part: int | None = None
+    """Part in the gripper."""
+    touches: int | None = None
+    """Part at its place that the gripper may touch: the one that an approach ends at, or that a retreat starts from."""
+
+    @property
+    def seconds(self) -> float:
+        """How long it takes."""
+        return float(self.times[-1])
+
+    def reverse(self) -> Trajectory:
+        """The same way back, in the same time."""
+        return replace(
+            self,
+            times=(self.times[-1] - self.times[::-1]).copy(),
+            positions=self.positions[::-1].copy(),
+            velocities=-self.velocities[::-1],
+        )
+
+    def sample(self, seconds: Array) -> Array:
+        """Positions at some times, shape (samples,) to (samples, joints)."""
+        return self._cubics()(np.clip(seconds, 0.0, self.times[-1]))
+
+    def peaks(self) -> tuple[Array, Array]:
+        """Largest speed and acceleration of each joint, exactly; both of shape (joints,)."""
+        cubic = self._cubics()
+        speed, acceleration = cubic.derivative(1), cubic.derivative(2)
+        # The speed is a parabola between two knots: it peaks at a knot or where the acceleration is zero.
+        ends = np.abs(self.velocities).max(axis=0)
+        first, second = acceleration(self.times[:-1]), _before(acceleration, self.times)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = first / (first - second)
+        inside = (share > 0) & (share < 1)
+        top = np.zeros_like(first)
+        for row, column in np.argwhere(inside):
+            moment = self.times[row] + share[row, column] * (self.times[row + 1] - self.times[row])
+            top[row, column] = abs(speed(moment)[column])
+        return np.maximum(ends, top.max(axis=0)), np.maximum(np.abs(first), np.abs(second)).max(axis=0)
+
+    def dense(self, step: float) -> tuple[Array, Array]:
+        """Times, and positions of which no joint differs from the last by more than `step`, rad or m."""
+        times = [np.zeros(1)]
+        reach = self._reach()
+        for begin, end, far in zip(self.times[:-1], self.times[1:], reach, strict=True):
+            count = max(int(np.ceil(far / step)), 1)
+            times.append(begin + (end - begin) * np.arange(1, count + 1) / count)
+        found = np.concatenate(times)
+        return found, self.sample(found)
+
+    def _reach(self) -> Array:
+        """Between knots, duration times the largest speed of a joint: none moves farther. Shape (knots - 1,)."""
+        span = np.diff(self.times)
+        rise = np.diff(self.positions, axis=0)
+        # A cubic with these ends: its speed is a quadratic in Bernstein form with these three coefficients.
+        middle = 3 * rise - span[:, None] * (self.velocities[:-1] + self.velocities[1:])
+        ends = span[:, None] * np.maximum(np.abs(self.velocities[:-1]), np.abs(self.velocities[1:]))
+        return np.maximum(np.abs(middle), ends).max(axis=1)
+
+    def _cubics(self):
+        from scipy.interpolate import CubicHermiteSpline
+
+        return CubicHermiteSpline(self.times, self.positions, self.velocities)
+
+
+def _before(function, times: Array) -> Array:
+    """Values of a piecewise linear function just before each of its knots but the first."""
+    span = np.diff(times)
+    start, middle = function(times[:-1]), function(times[:-1] + span / 2)
+    return 2 * middle - start
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One action of the plan, carried out by one robot."""
+
+    robot: int
+    trajectories: tuple[Trajectory, ...]
+    """In their order in time."""
+
+    @property
+    def seconds(self) -> float:
+        """How long the robot moves."""
+        return sum(trajectory.seconds for trajectory in self.trajectories)
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """Where all robots are between two steps, and what they hold (paper, section 6)."""
+
+    configurations: tuple[Array, ...]
+    """Joint values of every robot."""
+    held: tuple[int | None, ...]
+    """The installed part that each robot holds."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotRecord:
+    """What a plan says of one of its robots, for those who have no cell file."""
+
+    name: str
+    model: str
+    joint_names: tuple[str, ...]
+    base: Array
+    """Pose of the base in the world, shape (4, 4)."""
+    gripper: str
+    tool: Array
+    """Tool frame in the frame of the flange, shape (4, 4)."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotPlan:
+    """An abstract plan, the keyframe of each of its states, and the motions between them."""
+
+    plan: Plan
+    """States, actions, proofs; its direction is that of the motions."""
+    keyframes: tuple[Keyframe, ...]
+    """One for every state of the plan."""
+    steps: tuple[Step, ...]
+    """One for every action of the plan."""
+    robots: tuple[RobotRecord, ...]
+    cell_name: str
+    cell_identity: str
+    """Digest of the cell, see `cell_identity`."""
+    cell_source: str | None = None
+    """Name of the built-in cell, or path of the cell file relative to the file of the plan."""
+    statistics: dict[str, Any] = field(default_factory=dict)
+    """How it was found: seconds, seed, counts."""
+
+    def __post_init__(self) -> None:
+        if len(self.keyframes) != len(self.plan) + 1 or len(self.steps) != len(self.plan):
+            raise PlanError(
+                f"{len(self.keyframes)} keyframes and {len(self.steps)} steps do not go with a plan of "
+                f"{len(self.plan)} actions; plan again"
+            )
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    @property
+    def seconds(self) -> float:
+        """How long the robots take, one after the other."""
+        return sum(step.seconds for step in self.steps)
+
+    @property
+    def direction(self) -> Direction:
+        """Whether the motions take apart or put together."""
+        return self.plan.direction
+
+    def describe(self, step: int) -> str:
+        """One step in words, such as `left: remove keystone (3.1 s)`."""
+        entry = self.steps[step]
+        return f"{self.robots[entry.robot].name}: {self.plan.describe(step)} ({entry.seconds:.1f} s)"
+
+    def moves(self) -> Iterator[tuple[int, int, Trajectory]]:
+        """All trajectories in time: step, robot, trajectory."""
+        for index, step in enumerate(self.steps):
+            for trajectory in step.trajectories:
+                yield index, step.robot, trajectory
+
+    def reverse(self) -> RobotPlan:
+        """The same the other way round: assembly from disassembly, and back."""
+        steps = tuple(
+            Step(step.robot, tuple(trajectory.reverse() for trajectory in reversed(step.trajectories)))
+            for step in reversed(self.steps)
+        )
+        return replace(self, plan=self.plan.reverse(), keyframes=self.keyframes[::-1], steps=steps)
+
+    def save(self, path: Path | str) -> None:
+        """Write the plan as JSON, format `falsework.robot-plan/1`, whole or not at all.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        write_robot_plan(self, path)
+
+    @classmethod
+    def load(cls, path: Path | str) -> RobotPlan:
+        """Read a robot plan and check that it is one: format, lengths, that motions and keyframes join.
+
+        Collisions and limits are not checked; see `falsework.robots.plans.check`.
+
+        Raises:
+            PlanError: no such file, damaged, of another version, or with motions that do not join.
+        """
+        return read_robot_plan(path)
+
+    def check_identity(self, assembly: Assembly, cell: Cell) -> None:
+        """Raise PlanError unless the plan is for this structure in this cell."""
+        if assembly.identity != self.plan.identity:
+            raise PlanError(
+                f"the robot plan is for another {self.plan.name} than this {assembly.name}; give the structure that it "
+                "was made for"
+            )
+        if cell_identity(cell) != self.cell_identity:
+            raise PlanError(
+                f"the robot plan is for another cell {self.cell_name} than this {cell.name}: something in it differs; "
+                "give the cell that it was made for, or plan again"
+            )
+
+
+def records_of(cell: Cell) -> tuple[RobotRecord, ...]:
+    """What a plan says of the robots of a cell."""
+    return tuple(
+        RobotRecord(
+            robot.name,
+            robot.model.name,
+            tuple(robot.model.joint_names),
+            np.array(robot.base),
+            robot.gripper.name,
+            np.array(robot.gripper.tool),
+        )
+        for robot in cell.robots
+    )
+
+
+def cell_identity(cell: Cell) -> str:
+    """Digest of everything in a cell that motions depend on; hexadecimal SHA-256.
+
+    Names of files and where a description came from do not count.
+    """
+    digest = hashlib.sha256(b"falsework.cell/1")
+    _feed(digest, cell)
+    return digest.hexdigest()
+
+
+def _feed(digest, value: Any) -> None:
+    if is_dataclass(value):
+        for entry in fields(value):
+            if entry.name not in ("source", "path"):
+                digest.update(entry.name.encode())
+                _feed(digest, getattr(value, entry.name))
+    elif isinstance(value, np.ndarray):
+        # Rounded, so that a cell that went through a file keeps its digest.
+        digest.update((np.round(value.astype(np.float64), 9) + 0.0).astype("<f8").tobytes())
+    elif isinstance(value, (tuple, list)):
+        digest.update(np.int64(len(value)).tobytes())
+        for entry in value:
+            _feed(digest, entry)
+    elif isinstance(value, (set, frozenset)):
+        _feed(digest, sorted(value))
+    else:
+        digest.update(repr(value).encode())

@@ -1,0 +1,247 @@
+"""Robot plans on disk: versioned JSON with a published schema, read strictly."""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_file import from_json as plan_from_json
+from falsework.search.plans.plan_file import to_json as plan_to_json
+from falsework.utils.json_file import Reader, write_json
+
+if TYPE_CHECKING:
+    from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, Step, Trajectory
+
+Array = NDArray[np.float64]
+
+FORMAT = "falsework.robot-plan/1"
+
+DIGITS = 9
+"""Decimals of joint values, velocities and times: coarser ones would show as acceleration where knots are close."""
+JOINS = 1e-5
+"""Joint values that differ by no more than this are the same, rad or m."""
+
+_KEYS = {"format", "cell", "plan", "keyframes", "steps", "statistics"}
+
+
+def robot_plan_schema() -> dict[str, Any]:
+    """The JSON Schema (draft 2020-12) of robot plan files; `plan` in it follows `falsework.search.plan_schema`."""
+    text = resources.files("falsework.robots.plans").joinpath("robot_plan.schema.json").read_text(encoding="utf-8")
+    return json.loads(text)
+
+
+def write_robot_plan(plan: RobotPlan, path: Path | str) -> None:
+    """Write a robot plan as JSON, whole or not at all.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_json(path, robot_plan_to_json(plan), spread=("keyframes", "steps"))
+
+
+def robot_plan_to_json(plan: RobotPlan) -> dict[str, Any]:
+    """The robot plan as plain JSON values; see `robot_plan.schema.json`."""
+    return {
+        "format": FORMAT,
+        "cell": {
+            "name": plan.cell_name,
+            "identity": plan.cell_identity,
+            **({} if plan.cell_source is None else {"source": plan.cell_source}),
+            "robots": [
+                {
+                    "name": robot.name,
+                    "model": robot.model,
+                    "joints": list(robot.joint_names),
+                    "base": _numbers(robot.base),
+                    "gripper": robot.gripper,
+                    "tool": _numbers(robot.tool),
+                }
+                for robot in plan.robots
+            ],
+        },
+        "plan": plan_to_json(plan.plan, proofs=plan.plan.proof_arrays() is not None),
+        "keyframes": [
+            {"configurations": [_numbers(values) for values in keyframe.configurations], "held": list(keyframe.held)}
+            for keyframe in plan.keyframes
+        ],
+        "steps": [
+            {
+                "do": plan.plan.describe(index),
+                "robot": step.robot,
+                "trajectories": [
+                    {
+                        "kind": trajectory.kind,
+                        "part": trajectory.part,
+                        "touches": trajectory.touches,
+                        "times": _numbers(trajectory.times),
+                        "positions": _numbers(trajectory.positions),
+                        "velocities": _numbers(trajectory.velocities),
+                    }
+                    for trajectory in step.trajectories
+                ],
+            }
+            for index, step in enumerate(plan.steps)
+        ],
+        "statistics": plan.statistics,
+    }
+
+
+def read_robot_plan(path: Path | str) -> RobotPlan:
+    """Read a robot plan from a file.
+
+    Raises:
+        PlanError: no such file, damaged, of another version, or with motions that do not join.
+    """
+    return robot_plan_from_json(_Reader.load(path), str(Path(path)))
+
+
+def robot_plan_from_json(data: Any, source: str = "the robot plan") -> RobotPlan:
+    """A robot plan from JSON values; `source` names them in messages.
+
+    Raises:
+        PlanError: as `read_robot_plan`.
+    """
+    return _Reader(source).plan(data)
+
+
+def _numbers(values: Array) -> Any:
+    return (np.round(np.asarray(values, dtype=np.float64), DIGITS) + 0.0).tolist()
+
+
+class _Reader(Reader):
+    """Checks all of a robot plan that can be checked without the cell and the structure."""
+
+    kind, form, command = "robot plan", FORMAT, "falsework robots plan"
+
+    def plan(self, data: Any) -> RobotPlan:
+        from falsework.robots.plans.robot_plan import RobotPlan
+
+        self._header(data, _KEYS)
+        cell = data["cell"]
+        self._keys(cell, {"name", "identity", "robots"}, "cell", frozenset({"source"}))
+        robots = tuple(self._robot(entry, f"robot {k}") for k, entry in enumerate(self._list(cell["robots"], "robots")))
+        abstract = Plan(**plan_from_json(data["plan"], f"the plan in {self._source}"))
+        joints = [len(robot.joint_names) for robot in robots]
+        keyframes = tuple(
+            self._keyframe(entry, f"keyframe {k}", joints, len(abstract.boundary))
+            for k, entry in enumerate(self._list(data["keyframes"], "keyframes"))
+        )
+        steps = tuple(
+            self._step(entry, f"step {k + 1}", joints, len(abstract.boundary))
+            for k, entry in enumerate(self._list(data["steps"], "steps"))
+        )
+        if not isinstance(data["statistics"], dict):
+            self._fail("statistics is no object")
+        made = RobotPlan(
+            plan=abstract,
+            keyframes=keyframes,
+            steps=steps,
+            robots=robots,
+            cell_name=self._text(cell["name"], "cell.name"),
+            cell_identity=self._text(cell["identity"], "cell.identity"),
+            cell_source=None if "source" not in cell else self._text(cell["source"], "cell.source"),
+            statistics=data["statistics"],
+        )
+        self._joins(made)
+        return made
+
+    def _robot(self, data: Any, place: str) -> RobotRecord:
+        from falsework.robots.plans.robot_plan import RobotRecord
+
+        self._keys(data, {"name", "model", "joints", "base", "gripper", "tool"}, place)
+        names = tuple(self._text(name, f"{place}: a joint") for name in self._list(data["joints"], f"{place}: joints"))
+        return RobotRecord(
+            self._text(data["name"], f"{place}: name"),
+            self._text(data["model"], f"{place}: model"),
+            names,
+            self._array(data["base"], (4, 4), f"{place}: base"),
+            self._text(data["gripper"], f"{place}: gripper"),
+            self._array(data["tool"], (4, 4), f"{place}: tool"),
+        )
+
+    def _keyframe(self, data: Any, place: str, joints: list[int], parts: int) -> Keyframe:
+        from falsework.robots.plans.robot_plan import Keyframe
+
+        self._keys(data, {"configurations", "held"}, place)
+        values, held = data["configurations"], data["held"]
+        if any(not isinstance(entry, list) or len(entry) != len(joints) for entry in (values, held)):
+            self._fail(f"{place} is not about {len(joints)} robots")
+        return Keyframe(
+            tuple(
+                self._array(entry, (count,), f"{place}: robot {k}")
+                for k, (entry, count) in enumerate(zip(values, joints, strict=True))
+            ),
+            tuple(self._part(part, parts, f"{place}: held") for part in held),
+        )
+
+    def _step(self, data: Any, place: str, joints: list[int], parts: int) -> Step:
+        from falsework.robots.plans.robot_plan import Step
+
+        self._keys(data, {"do", "robot", "trajectories"}, place)
+        robot = data["robot"]
+        if type(robot) is not int or not 0 <= robot < len(joints):
+            self._fail(f"{place}: robot is {robot!r}", f"it must be a number from 0 to {len(joints) - 1}")
+        found = self._list(data["trajectories"], f"{place}: trajectories")
+        return Step(robot, tuple(self._trajectory(entry, place, joints[robot], parts) for entry in found))
+
+    def _trajectory(self, data: Any, place: str, joints: int, parts: int) -> Trajectory:
+        from falsework.robots.plans.robot_plan import Trajectory
+
+        self._keys(data, {"kind", "part", "touches", "times", "positions", "velocities"}, place)
+        if data["kind"] not in ("free", "line"):
+            self._fail(f"{place}: kind is {data['kind']!r}", "it must be free or line")
+        times = self._array(data["times"], None, f"{place}: times")
+        if len(times) < 2 or times[0] != 0 or (np.diff(times) <= 0).any():
+            self._fail(f"{place}: times do not ascend from 0")
+        shape = (len(times), joints)
+        return Trajectory(
+            data["kind"],
+            times,
+            self._array(data["positions"], shape, f"{place}: positions"),
+            self._array(data["velocities"], shape, f"{place}: velocities"),
+            self._part(data["part"], parts, f"{place}: part"),
+            self._part(data["touches"], parts, f"{place}: touches"),
+        )
+
+    def _joins(self, plan: RobotPlan) -> None:
+        """Every trajectory begins where the robot is, and leads to the next keyframe."""
+        for index, (before, after) in enumerate(pairwise(plan.keyframes)):
+            step, place = plan.steps[index], f"step {index + 1} ({plan.plan.describe(index)})"
+            values = before.configurations[step.robot]
+            for trajectory in step.trajectories:
+                if np.abs(trajectory.positions[0] - values).max() > JOINS:
+                    self._fail(f"{place}: a motion begins elsewhere than the last one ended")
+                values = trajectory.positions[-1]
+            for robot, (old, new) in enumerate(zip(before.configurations, after.configurations, strict=True)):
+                if np.abs((values if robot == step.robot else old) - new).max() > JOINS:
+                    self._fail(f"{place}: robot {robot} is not where keyframe {index + 1} says")
+
+    def _array(self, value: Any, shape: tuple[int, ...] | None, place: str) -> Array:
+        try:
+            found = np.array(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            self._fail(f"{place} holds no numbers")
+        if shape is None and found.ndim != 1:
+            self._fail(f"{place} is no list of numbers")
+        if shape is not None and found.shape != shape:
+            self._fail(f"{place} has shape {found.shape}", f"expected {shape}")
+        if not np.isfinite(found).all():
+            self._fail(f"{place} holds a number that is not finite")
+        return found
+
+    def _part(self, value: Any, parts: int, place: str) -> int | None:
+        if value is not None and (type(value) is not int or not 0 <= value < parts):
+            self._fail(f"{place} is {value!r}", f"it must be null or a part from 0 to {parts - 1}")
+        return value
+
+    def _text(self, value: Any, place: str) -> str:
+        if not isinstance(value, str):
+            self._fail(f"{place} is {value!r}", "it must be a text")
+        return value
