@@ -22,9 +22,9 @@ from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.search import find_plans, task_of
 from falsework.search.problem.task import Direction
-from falsework.viewer.model import Model
-from falsework.viewer.page import Page
-from falsework.viewer.sheet import contact_sheet, one_state
+from falsework.viewer.page.page import Page
+from falsework.viewer.page.viewer_state import Model
+from falsework.viewer.pictures.contact_sheet import contact_sheet, one_state
 from falsework.viewer.timeline import Timeline, holders
 
 FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]

@@ -9,10 +9,10 @@ import tempfile
 from pathlib import Path
 
 from falsework.assembly import load_structure
+from falsework.interop.assembly_instructions import sheet_csv, site_sheet, way_in_words
 from falsework.interop.compas_read import load_compas
 from falsework.interop.compas_write import write_compas
 from falsework.interop.gltf import write_gltf
-from falsework.interop.sheet import sheet_csv, site_sheet, way_in_words
 from falsework.interop.usd import write_usd
 from falsework.search import find_plans
 

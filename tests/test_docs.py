@@ -25,7 +25,7 @@ def blocks(page: Path, language: str) -> list[str]:
 @pytest.fixture
 def nobody_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     """A page in the browser is served, and closed at once."""
-    monkeypatch.setattr("falsework.viewer.page.Page.wait", lambda _: None)
+    monkeypatch.setattr("falsework.viewer.page.page.Page.wait", lambda _: None)
 
 
 def name_of(page: Path) -> str:

@@ -9,8 +9,8 @@ import numpy as np
 
 from falsework.assembly import load_structure
 from falsework.search import find_plans, task_of
-from falsework.viewer.model import Model
-from falsework.viewer.page import Page
+from falsework.viewer.page.page import Page
+from falsework.viewer.page.viewer_state import Model
 from falsework.viewer.timeline import NOBODY, Timeline
 
 FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]

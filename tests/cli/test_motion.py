@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.cli.motion import describe, motions
+from falsework.cli.velocity_text import describe, motions
 
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 

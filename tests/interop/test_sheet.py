@@ -16,7 +16,7 @@ import pytest
 from falsework.assembly import Assembly, load_structure
 from falsework.cli.main import main
 from falsework.errors import PlanError
-from falsework.interop.sheet import COLUMNS, sheet_csv, site_sheet, way_in_words
+from falsework.interop.assembly_instructions import COLUMNS, sheet_csv, site_sheet, way_in_words
 from falsework.search import Plan, find_plans
 from falsework.search.problem.task import Task
 
@@ -107,7 +107,7 @@ def test_a_plan_for_another_structure(plan: Plan) -> None:
 def pdf(arch: Assembly, plan: Plan) -> bytes:
     """The sheet of the arch."""
     pytest.importorskip("reportlab", reason="needs reportlab; pip install 'falsework[sheet]'")
-    from falsework.interop.sheet_pdf import sheet_pdf
+    from falsework.interop.assembly_instructions_pdf import sheet_pdf
 
     return sheet_pdf(site_sheet(plan, arch))
 
@@ -134,10 +134,10 @@ def test_the_pdf_says_what_the_table_does(pdf: bytes, arch: Assembly, plan: Plan
 
 def test_pictures_show_what_stands(arch: Assembly, plan: Plan) -> None:
     """With every part placed, more of the picture is covered; a held part has the colour of its support."""
-    from falsework.interop.sheet_pdf import CAMERA
-    from falsework.viewer.look import look_at
+    from falsework.interop.assembly_instructions_pdf import CAMERA
+    from falsework.viewer.appearance import look_at
     from falsework.viewer.palette import robot_color, unit_rgb
-    from falsework.viewer.sheet import draw
+    from falsework.viewer.pictures.contact_sheet import draw
 
     sheet = site_sheet(plan, arch)
     covered = []

@@ -13,7 +13,7 @@ pytest.importorskip("fastapi", reason="the service needs fastapi; pip install 'f
 
 from falsework.assembly import Assembly
 from falsework.assembly.library.blocks import box, gather
-from falsework.service.description import components, models_of
+from falsework.service.schema import components, models_of
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import Item, Recipe, _Judge, _Planner
 

@@ -14,9 +14,9 @@ from falsework.robots.model.cell import Cell, CellRobot, Gripper, Placement
 from falsework.robots.model.shapes import block, pose
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, Step, Trajectory, cell_identity, records_of
 from falsework.search import Direction, Plan
+from falsework.viewer.appearance import bounds_of, look_at
 from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms, wxyz_of
-from falsework.viewer.look import bounds_of, look_at
-from falsework.viewer.model import Model
+from falsework.viewer.page.viewer_state import Model
 from falsework.viewer.timeline import NOBODY, Timeline
 
 SCALE = 0.25

@@ -20,11 +20,11 @@ import numpy as np
 import pytest
 
 from falsework.assembly.state import REMOVED
-from falsework.viewer.disruption import Tool
-from falsework.viewer.model import Model
-from falsework.viewer.page import Page
+from falsework.viewer.page.disruption import Tool
+from falsework.viewer.page.page import Page
+from falsework.viewer.page.scene import SIZE
+from falsework.viewer.page.viewer_state import Model
 from falsework.viewer.palette import ROBOTS, rgb
-from falsework.viewer.scene import SIZE
 from falsework.viewer.timeline import Timeline
 
 pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
@@ -315,7 +315,7 @@ def test_a_thousand_parts_are_few_draw_calls(opened: Callable[..., Open]) -> Non
 
 def test_only_this_machine_is_served_unless_told_otherwise(arch: Any) -> None:
     from falsework.errors import InputError
-    from falsework.viewer.page import check_host
+    from falsework.viewer.page.page import check_host
 
     assert check_host("127.0.0.1") is None
     assert check_host("localhost") is None

@@ -8,8 +8,8 @@ import pytest
 from falsework.assembly.state import HELD, INSTALLED, REMOVED
 from falsework.errors import InputError, StateError
 from falsework.search import Direction
-from falsework.viewer.disruption import Disruption, Tool, chance_of_parts
-from falsework.viewer.model import Model
+from falsework.viewer.page.disruption import Disruption, Tool, chance_of_parts
+from falsework.viewer.page.viewer_state import Model
 from falsework.viewer.palette import FIXED, SELECTED, ramp_in_steps, rgb
 from falsework.viewer.timeline import Timeline
 

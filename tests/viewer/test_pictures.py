@@ -17,10 +17,10 @@ from falsework.cli.main import main
 from falsework.errors import InputError
 from falsework.search import Plan
 from falsework.search.problem.state_graph import StateGraph
-from falsework.viewer.drawing import drawing, flat_axis, outlines
-from falsework.viewer.film import frame_places
-from falsework.viewer.graph_picture import covered, graph_figure, places_of
 from falsework.viewer.palette import BOUNDARY, RAMP, ROBOTS, SELECTED
+from falsework.viewer.pictures.drawing import drawing, flat_axis, outlines
+from falsework.viewer.pictures.graph_picture import covered, graph_figure, places_of
+from falsework.viewer.pictures.video import frame_places
 from falsework.viewer.timeline import Timeline
 
 pil = pytest.importorskip("PIL.Image", reason="pictures need Pillow; pip install 'falsework[picture]'")
@@ -181,7 +181,7 @@ def test_sorting_rows_crosses_less(graph: StateGraph, monkeypatch: pytest.Monkey
         return count
 
     sorted_ones = crossings(places_of(graph))
-    monkeypatch.setattr("falsework.viewer.graph_picture._SWEEPS", 0)
+    monkeypatch.setattr("falsework.viewer.pictures.graph_picture._SWEEPS", 0)
     assert sorted_ones < crossings(places_of(graph))
 
 

@@ -16,12 +16,12 @@ from falsework.assembly.store import save_assembly
 from falsework.cli.main import main
 from falsework.search import Plan, find_plans
 from falsework.stability import Stability, StabilitySettings
-from falsework.viewer.film import frames_of
-from falsework.viewer.model import Model
-from falsework.viewer.page_text import legend_text, where_text
+from falsework.viewer.page.page_text import legend_text, where_text
+from falsework.viewer.page.viewer_state import Model
 from falsework.viewer.palette import SLIDING, rgb
+from falsework.viewer.pictures.render import Camera
+from falsework.viewer.pictures.video import frames_of
 from falsework.viewer.proof import proof_of_state, proofs_of_states
-from falsework.viewer.render import Camera
 from falsework.viewer.timeline import Timeline
 
 CUBE, IDLER = 0, 1
@@ -204,7 +204,7 @@ def test_the_command_names_the_states(plan_file: Path, tmp_path: Path, capsys: p
 
 def test_the_scene_of_the_page_has_the_part_and_its_way(clamp: Assembly) -> None:
     pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
-    from falsework.viewer.page import Page
+    from falsework.viewer.page.page import Page
 
     page = Page(Model(Timeline.still(clamp, complete_state(clamp.boundary))), port=0)
     try:

@@ -9,7 +9,7 @@ from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import PlanError
 from falsework.search import Direction
-from falsework.viewer.look import FADE, look_at, pick
+from falsework.viewer.appearance import FADE, look_at, pick
 from falsework.viewer.palette import BOUNDARY, ramp, rgb, robot_color
 from falsework.viewer.timeline import NOBODY, Timeline, holders, interesting, way_out
 

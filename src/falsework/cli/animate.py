@@ -51,8 +51,8 @@ class Animate(Command):
 
     def run(self, output: Output) -> Exit:
         """Open, draw every picture, write."""
-        from falsework.viewer.film import KINDS, frame_places, write_film
-        from falsework.viewer.render import Camera
+        from falsework.viewer.pictures.render import Camera
+        from falsework.viewer.pictures.video import KINDS, frame_places, write_film
 
         if self.out.suffix.lower() not in KINDS:
             raise InputError(f"{self.out}: films are written as {' or '.join(KINDS)}; name such a file")

@@ -100,7 +100,7 @@ class CheckPlan(Command):
         return Exit.DONE if stands else Exit.NO
 
     def _report(self, plan: Plan, assembly: Assembly, found: PlanReport, output: Output) -> None:
-        from falsework.cli.motion import describe, motions
+        from falsework.cli.velocity_text import describe, motions
         from falsework.stability.motion import motion_of
 
         motion = None if found.verdict is None else motion_of(assembly, found.verdict, 0)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from falsework.cli.motion import Motion, describe, motions
+from falsework.cli.velocity_text import Motion, describe, motions
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

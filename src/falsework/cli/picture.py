@@ -16,8 +16,8 @@ from falsework.errors import InputError
 if TYPE_CHECKING:
     from falsework.assembly.state import States
     from falsework.cli.output import Output
-    from falsework.viewer.model import Model
-    from falsework.viewer.render import Camera
+    from falsework.viewer.page.viewer_state import Model
+    from falsework.viewer.pictures.render import Camera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,13 +82,20 @@ class MakePicture(Command):
         return Exit.DONE
 
     def _draw(self, subject: Subject, out: Path) -> dict[str, Any]:
-        from falsework.viewer.drawing import drawing, write_svg
-        from falsework.viewer.sheet import caption, check_places, contact_sheet, legend, one_state, write_png
+        from falsework.viewer.pictures.contact_sheet import (
+            caption,
+            check_places,
+            contact_sheet,
+            legend,
+            one_state,
+            write_png,
+        )
+        from falsework.viewer.pictures.drawing import drawing, write_svg
         from falsework.viewer.timeline import interesting
 
         timeline, policy = subject.timeline, subject.policy
         if subject.graph is not None and self.step is None:
-            from falsework.viewer.graph_picture import covered, graph_figure, write_figure
+            from falsework.viewer.pictures.graph_picture import covered, graph_figure, write_figure
 
             route = timeline.states if len(timeline) else None
             visited = self._visited(subject) if policy is not None else None
@@ -147,7 +154,7 @@ class MakePicture(Command):
         return {"shows": f"{shows}; {note}", "steps": places, "criterion": self.criterion, "not_standing": fallen}
 
     def _model(self, subject: Subject, place: int) -> Model:
-        from falsework.viewer.model import Model
+        from falsework.viewer.page.viewer_state import Model
 
         model = Model(subject.timeline, policy=subject.policy, graph=subject.graph)
         model.go_to(place)
@@ -157,7 +164,7 @@ class MakePicture(Command):
         return self._model(subject, 0).visited()
 
     def _camera(self, width: int, share: float) -> Camera:
-        from falsework.viewer.render import Camera
+        from falsework.viewer.pictures.render import Camera
 
         across = self.width or width
         return Camera(self.azimuth, self.elevation, across, round(across * share), 0.96)

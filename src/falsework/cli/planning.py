@@ -100,7 +100,7 @@ def refuse_unstable(assembly: Assembly, oracle: Stability, task: Task, output: O
     import numpy as np
 
     from falsework.assembly.state import complete_state
-    from falsework.cli.motion import describe, motions
+    from falsework.cli.velocity_text import describe, motions
     from falsework.stability.motion import motion_of
 
     for name, state in (("start", task.start), ("target", task.target)):

@@ -186,7 +186,7 @@ class MakeReplan(Command):
     def _refuse(self, assembly: Assembly, oracle: Stability, request: Request, answer: Replan, output: Output) -> None:
         """Say why there is no plan, and what moves where the search broke off."""
         from falsework.cli.failure import explain
-        from falsework.cli.motion import describe, motions
+        from falsework.cli.velocity_text import describe, motions
         from falsework.search.problem.result import Outcome
         from falsework.stability.motion import motion_of
 

@@ -44,7 +44,7 @@ class MakeSheet(Command):
         """Load, lay out, write."""
         from falsework.cli.loading import structure_of
         from falsework.cli.planning import writable
-        from falsework.interop.sheet import sheet_csv, site_sheet, write_sheet
+        from falsework.interop.assembly_instructions import sheet_csv, site_sheet, write_sheet
         from falsework.search.plans.plan import Plan
 
         kind = self.out.suffix.lower()
@@ -60,7 +60,7 @@ class MakeSheet(Command):
         else:
             from dataclasses import replace
 
-            from falsework.interop.sheet_pdf import CAMERA, sheet_pdf
+            from falsework.interop.assembly_instructions_pdf import CAMERA, sheet_pdf
 
             camera = replace(CAMERA, azimuth=self.azimuth, elevation=self.elevation)
             with output.bar("drawing") as show:

@@ -46,7 +46,7 @@ class CheckStability(Command):
 
         from falsework.assembly.state import as_states, complete_state
         from falsework.cli.arguments import read_states
-        from falsework.cli.motion import describe, motions, part_name
+        from falsework.cli.velocity_text import describe, motions, part_name
         from falsework.stability import Proof, Stability, Verdict
         from falsework.stability.motion import motion_of
 

@@ -49,8 +49,8 @@ class View(Command):
     def run(self, output: Output) -> Exit:
         """Open, serve until interrupted."""
         from falsework.assembly.state import check_robots
-        from falsework.viewer.model import Model
-        from falsework.viewer.page import Page, check_host, import_viser, serve
+        from falsework.viewer.page.page import Page, check_host, import_viser, serve
+        from falsework.viewer.page.viewer_state import Model
 
         check_robots(self.robots)
         if not 0 <= self.port <= 65535:

@@ -13,7 +13,7 @@ from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.task import Direction
-from falsework.viewer.look import diagonal
+from falsework.viewer.appearance import diagonal
 from falsework.viewer.timeline import NOBODY, holders, way_out
 
 if TYPE_CHECKING:

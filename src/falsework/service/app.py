@@ -16,9 +16,9 @@ from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.service import description
-from falsework.service.guard import INSIDE, App, Guard
+from falsework.service.docs_page import page_of
 from falsework.service.metrics import Metrics
-from falsework.service.page import page_of
+from falsework.service.middleware import INSIDE, App, Guard
 from falsework.service.pool import Pool, Reply
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import refusal

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.search.problem.task import Direction
-from falsework.viewer.look import Look
+from falsework.viewer.appearance import Look
 from falsework.viewer.palette import robot_color, unit_rgb
-from falsework.viewer.render import Solid
+from falsework.viewer.pictures.render import Solid
 from falsework.viewer.timeline import NOBODY
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import INSTALLED, REMOVED, States
-from falsework.viewer.look import diagonal
+from falsework.viewer.appearance import diagonal
 from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, MOTION, SLIDING
-from falsework.viewer.render import Solid
+from falsework.viewer.pictures.render import Solid
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

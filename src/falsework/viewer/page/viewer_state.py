@@ -17,9 +17,9 @@ from falsework.search.problem.task import Direction
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
+from falsework.viewer.appearance import Look, look_at, pick
 from falsework.viewer.arms import Arms, Moment, look_with_arms
-from falsework.viewer.disruption import Disruption, Tool, chance_of_parts
-from falsework.viewer.look import Look, look_at, pick
+from falsework.viewer.page.disruption import Disruption, Tool, chance_of_parts
 from falsework.viewer.palette import FIXED, SELECTED
 from falsework.viewer.proof import StateProof, proof_of_state
 from falsework.viewer.timeline import NOBODY, Timeline
@@ -292,7 +292,7 @@ class Model:
 
     def visited(self, rollouts: int = 32) -> States:
         """States that the policy comes through from the start, greedily and at random. Shape (count, parts)."""
-        from falsework.viewer.coverage import visited_states
+        from falsework.viewer.page.coverage import visited_states
 
         assert self._guide is not None or self.policy is not None
         self.chances()

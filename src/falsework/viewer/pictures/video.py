@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
 from falsework.utils.archive import write_whole
+from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import Arms, bounds_with_arms
-from falsework.viewer.look import bounds_of
 from falsework.viewer.palette import BOUNDARY, INSTALLED, ROBOTS, SLIDING, rgb
+from falsework.viewer.pictures.contact_sheet import Pixels, bounds_with_ways, caption, import_pillow, legend, one_state
+from falsework.viewer.pictures.render import Camera
 from falsework.viewer.proof import StateProof
-from falsework.viewer.render import Camera
-from falsework.viewer.sheet import Pixels, bounds_with_ways, caption, import_pillow, legend, one_state
 from falsework.viewer.timeline import Timeline
 
 HOLD = 1.0

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.utils.archive import write_whole
+from falsework.viewer.appearance import look_at
 from falsework.viewer.arrows import Arrows
-from falsework.viewer.look import look_at
 from falsework.viewer.palette import INK
+from falsework.viewer.pictures.contact_sheet import caption, check_places, legend
 from falsework.viewer.proof import StateProof
-from falsework.viewer.sheet import caption, check_places, legend
 from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:

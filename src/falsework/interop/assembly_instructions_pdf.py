@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from falsework.errors import DependencyError
-from falsework.interop.sheet import SiteSheet, SiteStep, way_in_words
-from falsework.viewer.look import look_at
+from falsework.interop.assembly_instructions import SiteSheet, SiteStep, way_in_words
+from falsework.viewer.appearance import look_at
 from falsework.viewer.palette import INK, mix, robot_color
-from falsework.viewer.render import Camera
-from falsework.viewer.sheet import draw
+from falsework.viewer.pictures.contact_sheet import draw
+from falsework.viewer.pictures.render import Camera
 
 if TYPE_CHECKING:
     from reportlab.pdfgen.canvas import Canvas

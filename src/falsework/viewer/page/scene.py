@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.viewer.appearance import Look, bounds_of, diagonal
 from falsework.viewer.arms import Arms, Moment, wxyz_of
 from falsework.viewer.arrows import KINDS, Arrows
-from falsework.viewer.look import Look, bounds_of, diagonal
 from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, rgb, robot_color
 from falsework.viewer.timeline import Timeline
 

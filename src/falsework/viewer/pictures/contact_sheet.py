@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
 from falsework.utils.archive import write_whole
+from falsework.viewer.appearance import TRAVEL, Look, bounds_of, diagonal, look_at
 from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms
 from falsework.viewer.arrows import Arrows
-from falsework.viewer.look import TRAVEL, Look, bounds_of, diagonal, look_at
 from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, ROBOTS, SLIDING, hex_of, ramp, robot_color
+from falsework.viewer.pictures.render import Camera, Image, Solid, render
 from falsework.viewer.proof import StateProof
-from falsework.viewer.render import Camera, Image, Solid, render
 from falsework.viewer.timeline import NOBODY, Timeline, interesting
 
 if TYPE_CHECKING:

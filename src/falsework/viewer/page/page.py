@@ -14,13 +14,13 @@ import numpy as np
 
 from falsework.errors import DependencyError, FalseworkError, InputError
 from falsework.search.problem.task import Direction
+from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import bounds_with_arms
 from falsework.viewer.arrows import KINDS
-from falsework.viewer.disruption import Tool
-from falsework.viewer.look import bounds_of
-from falsework.viewer.model import Model
-from falsework.viewer.page_text import about_text, legend_text, marked_text, where_text
-from falsework.viewer.scene import SIZE, Scene
+from falsework.viewer.page.disruption import Tool
+from falsework.viewer.page.page_text import about_text, legend_text, marked_text, where_text
+from falsework.viewer.page.scene import SIZE, Scene
+from falsework.viewer.page.viewer_state import Model
 
 LOCAL = ("localhost", "127.0.0.1", "::1")
 """Hosts that nobody else can reach."""
@@ -217,7 +217,7 @@ class Page:
             words = gui.add_markdown("")
 
             def show() -> None:
-                from falsework.viewer.graph_picture import covered
+                from falsework.viewer.pictures.graph_picture import covered
 
                 visited = model.visited()
                 share = covered(graph, visited)
@@ -227,7 +227,7 @@ class Page:
             cover.on_click(lambda event: self._guard(event, show))
 
     def _graph_pixels(self, visited: Any) -> Any:
-        from falsework.viewer.graph_picture import figure_pixels, graph_figure
+        from falsework.viewer.pictures.graph_picture import figure_pixels, graph_figure
 
         model = self.model
         assert model.graph is not None

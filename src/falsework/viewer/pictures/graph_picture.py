@@ -12,7 +12,7 @@ from falsework.assembly.state import States
 from falsework.errors import DependencyError
 from falsework.search.problem.state_graph import StateGraph
 from falsework.utils.archive import write_whole
-from falsework.viewer.look import look_at
+from falsework.viewer.appearance import look_at
 from falsework.viewer.palette import INK, ROBOTS
 from falsework.viewer.timeline import Timeline
 
@@ -159,7 +159,7 @@ def figure_pixels(figure: Any, dpi: int = 110) -> NDArray[np.uint8]:
 def _draw_icons(
     axis: Any, assembly: Assembly, graph: StateGraph, place: Array, useful: NDArray[np.bool_], seen: NDArray[np.bool_]
 ) -> None:
-    from falsework.viewer.drawing import flat_axis, outlines
+    from falsework.viewer.pictures.drawing import flat_axis, outlines
 
     lines = outlines(assembly, flat_axis(assembly))
     points = np.concatenate([line for part in lines for line in part])
@@ -193,7 +193,7 @@ def _legend(axis: Any, route: bool, visited: bool, useless: bool, labels: tuple[
 
 def _is_flat(assembly: Assembly) -> bool:
     from falsework.errors import InputError
-    from falsework.viewer.drawing import flat_axis
+    from falsework.viewer.pictures.drawing import flat_axis
 
     try:
         flat_axis(assembly)

@@ -8,7 +8,7 @@ from collections.abc import Collection
 import numpy as np
 
 from falsework.viewer.arrows import KINDS
-from falsework.viewer.model import Model
+from falsework.viewer.page.viewer_state import Model
 from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, SLIDING, robot_color
 from falsework.viewer.timeline import NOBODY
 

@@ -1,0 +1,1 @@
+"""Interactive page in the browser, served by viser."""
