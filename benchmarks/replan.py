@@ -31,7 +31,7 @@ from states import find
 
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import States, complete_state
-from falsework.replan.replanner import Replan, Replanner, Request
+from falsework.replanning.replanner import Replan, Replanner, Request
 from falsework.search import BeamSearch, BeamSettings, Task
 from falsework.stability import Stability, StabilitySettings
 

@@ -118,7 +118,7 @@ def policy_guide(run: Path, assembly: Assembly, cell: Cell) -> Guide:
 
     from falsework.learn.data.dataset import task_for
     from falsework.learn.training.checkpoint import load_run
-    from falsework.replan.policy_guide import PolicyGuide
+    from falsework.replanning.policy_guide import PolicyGuide
 
     torch.set_num_threads(1)
     task = task_for(assembly, cell.robot_count, clearance=True)

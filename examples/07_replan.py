@@ -6,8 +6,8 @@ Run: python examples/07_replan.py
 from __future__ import annotations
 
 from falsework.assembly import load_structure
-from falsework.replan.plan_diff import difference
-from falsework.replan.replanner import Replanner
+from falsework.replanning.plan_diff import difference
+from falsework.replanning.replanner import Replanner
 from falsework.search import Task, find_plans
 from falsework.search.problem.task import Direction
 

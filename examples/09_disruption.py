@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from falsework.assembly import Assembly, load_structure
-from falsework.replan.plan_diff import difference
+from falsework.replanning.plan_diff import difference
 from falsework.robots.cells.cell_file import load_cell
 from falsework.robots.model.cell import Cell, Placement
 from falsework.robots.planning.hybrid_planner import plan_robots

@@ -22,7 +22,7 @@ ROOMS = (
     "assembly",
     "stability",
     "search",
-    "replan",
+    "replanning",
     "learn",
     "robots",
     "viewer",
@@ -30,7 +30,7 @@ ROOMS = (
     "interop",
     "cli",
 )
-CORE = ("errors", "utils", "geometry", "assembly", "stability", "search", "replan", "cli")
+CORE = ("errors", "utils", "geometry", "assembly", "stability", "search", "replanning", "cli")
 
 # Distribution names whose import name differs.
 IMPORT_NAMES = {"python-fcl": "fcl"}

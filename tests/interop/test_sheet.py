@@ -173,7 +173,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 def test_without_reportlab_the_extra_is_named(arch: Assembly, plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     from falsework.errors import DependencyError
-    from falsework.interop import sheet_pdf
+    from falsework.interop import assembly_instructions_pdf as sheet_pdf
 
     monkeypatch.setattr(sheet_pdf, "find_spec", lambda name: None)
     with pytest.raises(DependencyError, match=r"falsework\[sheet\].*\.csv"):

@@ -9,10 +9,10 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.errors import PlanError
-from falsework.replan.plan_diff import difference
-from falsework.replan.replanner import Replanner
+from falsework.replanning.plan_diff import difference
+from falsework.replanning.replanner import Replanner
 from falsework.search import Plan
-from falsework.search.find_plans import find_plans
+from falsework.search.find import find_plans
 from falsework.search.planner import PlannerSettings
 from falsework.search.problem.task import Direction
 

@@ -12,10 +12,10 @@ from falsework.assembly import load_structure
 from falsework.assembly.state import action_mask
 from falsework.errors import InputError
 from falsework.learn.networks.policy import PolicySettings, make_policy
-from falsework.replan.deadline import Clock, TimedOracle, TimeUp
-from falsework.replan.policy_guide import PolicyGuide
+from falsework.replanning.deadline import Clock, TimedOracle, TimeUp
+from falsework.replanning.policy_guide import PolicyGuide
 from falsework.search import BeamSearch, BeamSettings
-from falsework.search.find_plans import find_plans, task_of
+from falsework.search.find import find_plans, task_of
 from falsework.search.problem.task import Direction
 from falsework.stability import Stability
 

@@ -16,9 +16,9 @@ from falsework.learn.algorithms.policy_beam import search_from
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.policy import PolicySettings, make_policy
-from falsework.replan.result import Decider
+from falsework.replanning.result import Decider
 from falsework.search import ExhaustiveSearch, StateGraph
-from falsework.search.find_plans import task_of
+from falsework.search.find import task_of
 from falsework.search.problem.task import Task
 
 ARCH = load_structure("arch:blocks=5")
@@ -157,7 +157,7 @@ def test_everything_is_solved(environment: Environment, graph: StateGraph, solva
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 def test_on_a_gpu(graph: StateGraph) -> None:
     """The same truths where everything is on a GPU."""
-    from falsework.replan.replanner import Replanner
+    from falsework.replanning.replanner import Replanner
 
     environment = Environment(ARCH, 2, device="cuda")
     policy = make_policy(ARCH, PolicySettings(kind="parts"), "cuda", seed=3)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, complete_state, empty_state
 from falsework.errors import FalseworkError, InputError, StateError
-from falsework.replan.replanner import Decider, Replanner, ReplanSettings, Request, replan
+from falsework.replanning.replanner import Decider, Replanner, ReplanSettings, Request, replan
 from falsework.search import ExhaustiveSearch, Outcome, find_plans
 from falsework.search.planner import Planner
 from falsework.search.problem.task import Direction
@@ -529,8 +529,8 @@ def test_works_without_torch() -> None:
         "u.find_spec = lambda name, *rest: None if name == 'torch' else find(name, *rest)\n"
         "from falsework.assembly import load_structure\n"
         "from falsework.assembly.state import complete_state\n"
-        "from falsework.replan.replanner import replan\n"
-        "import falsework.replan.plan_diff, falsework.replan.policy_guide\n"
+        "from falsework.replanning.replanner import replan\n"
+        "import falsework.replanning.plan_diff, falsework.replanning.policy_guide\n"
         "arch = load_structure('arch:blocks=3')\n"
         "assert replan(arch, complete_state(arch.boundary)).found\n"
         "try:\n    replan(arch, complete_state(arch.boundary), policy=object())\n"

@@ -89,7 +89,7 @@ def test_a_token_is_wanted_everywhere_but_for_the_health() -> None:
 
 
 def test_what_goes_wrong_inside_stays_inside(monkeypatch: pytest.MonkeyPatch) -> None:
-    from falsework.service import description
+    from falsework.service import schema as description
 
     def fail(*_: Any, **__: Any) -> Any:
         raise RuntimeError("/secret/path/of/mine")

@@ -15,7 +15,7 @@ from falsework.errors import InputError
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
-    from falsework.search.find_plans import Planning
+    from falsework.search.find import Planning
     from falsework.search.planner import PlannerSettings
     from falsework.search.plans.plan import Plan
 
@@ -64,7 +64,7 @@ class MakePlan(Command):
     def run(self, output: Output) -> Exit:
         """Search, prove, save."""
         from falsework.cli.failure import explain
-        from falsework.search.find_plans import find_plans
+        from falsework.search.find import find_plans
         from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)

@@ -18,8 +18,8 @@ from falsework.errors import InputError
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
-    from falsework.replan.request import Request
-    from falsework.replan.result import Replan
+    from falsework.replanning.request import Request
+    from falsework.replanning.result import Replan
     from falsework.search.plans.plan import Plan
     from falsework.stability import Stability
 
@@ -80,8 +80,8 @@ class MakeReplan(Command):
 
     def run(self, output: Output) -> Exit:
         """Ask, prove, compare, save."""
-        from falsework.replan.plan_diff import difference
-        from falsework.replan.replanner import Replanner
+        from falsework.replanning.plan_diff import difference
+        from falsework.replanning.replanner import Replanner
         from falsework.search.plans.plan import Plan
         from falsework.stability import Stability, StabilitySettings
 
@@ -139,7 +139,7 @@ class MakeReplan(Command):
         return run.assembly, run.policy, source, robots, clear
 
     def _request(self, assembly: Assembly, robots: int, clear: bool) -> Request:
-        from falsework.replan.request import Request
+        from falsework.replanning.request import Request
         from falsework.search.problem.task import Direction
 
         return Request(

@@ -104,7 +104,7 @@ class PlanRobots(Command):
         if self.policy is None:
             return None
         from falsework.learn.training.checkpoint import load_run
-        from falsework.replan.policy_guide import PolicyGuide
+        from falsework.replanning.policy_guide import PolicyGuide
 
         return PolicyGuide(load_run(self.policy, assembly=assembly).policy, task=task)
 

@@ -8,10 +8,10 @@ from falsework.search.depth_first import DepthFirstSettings as DepthFirstSetting
 from falsework.search.device.beam import DeviceBeam as DeviceBeam
 from falsework.search.exhaustive import Census as Census
 from falsework.search.exhaustive import ExhaustiveSearch as ExhaustiveSearch
-from falsework.search.find_plans import Planning as Planning
-from falsework.search.find_plans import find_plans as find_plans
-from falsework.search.find_plans import plan_of as plan_of
-from falsework.search.find_plans import task_of as task_of
+from falsework.search.find import Planning as Planning
+from falsework.search.find import find_plans as find_plans
+from falsework.search.find import plan_of as plan_of
+from falsework.search.find import task_of as task_of
 from falsework.search.planner import Planner as Planner
 from falsework.search.planner import PlannerSettings as PlannerSettings
 from falsework.search.plans.alternatives import Alternatives as Alternatives

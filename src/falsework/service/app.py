@@ -15,7 +15,7 @@ from starlette.exceptions import HTTPException
 from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.service import description
+from falsework.service import schema as description
 from falsework.service.docs_page import page_of
 from falsework.service.metrics import Metrics
 from falsework.service.middleware import INSIDE, App, Guard

@@ -28,7 +28,7 @@ from falsework.stability.settings import CpuSettings, StabilitySettings
 from falsework.stability.verdict import Criterion, Proof, Verdict, Verdicts
 
 if TYPE_CHECKING:
-    from falsework.replan.replanner import Replan, Replanner
+    from falsework.replanning.replanner import Replan, Replanner
 
 Kind = Literal["replan", "stability"]
 
@@ -77,7 +77,7 @@ class Item:
 
     number: int
     payload: Any
-    """Fields of `falsework.replan.request.Request`, or for stability `(states, explain)`."""
+    """Fields of `falsework.replanning.request.Request`, or for stability `(states, explain)`."""
     seconds: float
     """Time that is left for it."""
 
@@ -179,13 +179,13 @@ class _Planner:
         self._replanner = self._make(policy)
 
     def _make(self, policy: Any) -> Replanner:
-        from falsework.replan.replanner import Replanner
+        from falsework.replanning.replanner import Replanner
 
         return Replanner(self._assembly, policy, Stability(self._assembly, self._settings))
 
     def answer(self, items: Sequence[Item], pipe: Connection) -> None:
         """The requests together; if one of them breaks the batch, each by itself."""
-        from falsework.replan.request import Request
+        from falsework.replanning.request import Request
 
         counters = self._replanner.oracle.counters
         if counters.cpu + counters.exact > REMEMBERED:

@@ -15,7 +15,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.search import find_plans
-from falsework.search.find_plans import task_of
+from falsework.search.find import task_of
 from falsework.stability import Replayer, ReplaySettings, Stability
 from falsework.stability.contact.replay import replay_plans, replay_varied
 from falsework.stability.judges import replay_by_discrete_elements

@@ -21,7 +21,7 @@ from falsework.learn.algorithms.policy_beam import search_from
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import Policy, Rollouts
-from falsework.replan.result import Decider
+from falsework.replanning.result import Decider
 from falsework.search.planner import Planner, PlannerSettings
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.task import Task

@@ -31,7 +31,7 @@ class Ease:
         self.graph, self.guide = graph, guide
 
     def __call__(self, states: States, actions: Mask) -> Array:
-        """As `falsework.robots.planning.rollout.Taste`: shapes (batch, parts) and (batch, 2 parts), which is returned too."""
+        """As `rollout.Taste`: shapes (batch, parts) and (batch, 2 parts), which is returned too."""
         scores = self.guided(states, actions)
         for row, action in zip(*(index.tolist() for index in np.nonzero(actions)), strict=True):
             scores[row, action] += self.of(states[row], action)

@@ -14,7 +14,7 @@ from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.timing import time_path
 from falsework.robots.planning.keyframe_graph import Edge, Leg, Node
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, Step, Trajectory, cell_identity, records_of
-from falsework.search.find_plans import plan_of
+from falsework.search.find import plan_of
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability

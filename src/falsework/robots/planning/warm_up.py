@@ -8,14 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from falsework.robots import connect, kinematics, newton
+from falsework.robots.kernels import numeric_ik, rrt_connect
+from falsework.robots.kinematics import forward
 
 MESSAGE = "compiling the motion code; this happens once and takes up to 15 seconds"
 
 
 def is_compiled() -> bool:
     """Whether numba finds compiled code of all entry points that fits their sources."""
-    functions = (connect._run, kinematics.place_many, newton.reach_poses)
+    functions = (rrt_connect._run, forward.place_many, numeric_ik.reach_poses)
     for function in functions:
         if function.signatures:
             continue

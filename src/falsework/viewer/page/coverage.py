@@ -10,7 +10,7 @@ from falsework.assembly.state import States, action_mask, apply_actions
 from falsework.stability.oracle import Stability
 
 if TYPE_CHECKING:
-    from falsework.replan.policy_guide import PolicyGuide
+    from falsework.replanning.policy_guide import PolicyGuide
 
 
 def visited_states(

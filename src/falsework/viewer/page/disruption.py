@@ -74,7 +74,7 @@ class Disruption:
         return site
 
     def question(self, assembly: Assembly, state: States, direction: Direction) -> dict[str, Any]:
-        """Arguments for `falsework.replan.replanner.replan`.
+        """Arguments for `falsework.replanning.replanner.replan`.
 
         Args:
             assembly: the structure.

@@ -26,7 +26,7 @@ from falsework.viewer.timeline import NOBODY, Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.replan.policy_guide import PolicyGuide
+    from falsework.replanning.policy_guide import PolicyGuide
     from falsework.search.plans.plan import Plan
     from falsework.search.problem.state_graph import StateGraph
 
@@ -281,7 +281,7 @@ class Model:
             return np.full(parts, np.nan)
         with self.lock:
             if self._guide is None:
-                from falsework.replan.policy_guide import PolicyGuide
+                from falsework.replanning.policy_guide import PolicyGuide
 
                 self._guide = PolicyGuide(self.policy)
             site = self.site[None]
@@ -305,7 +305,7 @@ class Model:
         Raises:
             InputError: what is marked makes no sense; the message says what to do.
         """
-        from falsework.replan.replanner import Replanner
+        from falsework.replanning.replanner import Replanner
 
         begun = time.perf_counter()
         with self.lock:
@@ -346,7 +346,7 @@ class Model:
     def _compare(self, old: Plan | None, new: Plan) -> str:
         if old is None:
             return "There was no plan before."
-        from falsework.replan.plan_diff import difference
+        from falsework.replanning.plan_diff import difference
 
         text = difference(old, new).text
         return text[:1].upper() + text[1:] + "."

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.state import States
-from falsework.replan.deadline import Clock, TimeUp
+from falsework.replanning.deadline import Clock, TimeUp
 from falsework.stability.contact.newton import RESTS
 from falsework.stability.contact.replay import History, Replay, Replayer
 from falsework.stability.problem import Problem

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
-from falsework.replan.policy_guide import PolicyGuide
+from falsework.replanning.policy_guide import PolicyGuide
 from falsework.search.problem.task import Direction, Task
 
 Stable = Callable[[NDArray[np.int64], States, States], Mask]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, Mask, States, complete_state
-from falsework.search.find_plans import plan_of
+from falsework.search.find import plan_of
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
-from falsework.replan.deadline import Pace
-from falsework.replan.policy_guide import PolicyGuide
-from falsework.replan.result import Decider
-from falsework.replan.rollout import Rollout, roll_out
-from falsework.replan.session import Job, Kit
+from falsework.replanning.deadline import Pace
+from falsework.replanning.policy_guide import PolicyGuide
+from falsework.replanning.result import Decider
+from falsework.replanning.rollout import Rollout, roll_out
+from falsework.replanning.session import Job, Kit
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict

@@ -17,16 +17,16 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
-from falsework.replan.deadline import Clock
-from falsework.replan.policy_guide import PolicyGuide
-from falsework.replan.policy_stages import follow_greedily, follow_samples, with_time
-from falsework.replan.proving import Prover
-from falsework.replan.request import Request as Request
-from falsework.replan.result import Decider as Decider
-from falsework.replan.result import Replan as Replan
-from falsework.replan.search_stages import search_on
-from falsework.replan.session import Job, Kit
-from falsework.replan.session import ReplanSettings as ReplanSettings
+from falsework.replanning.deadline import Clock
+from falsework.replanning.policy_guide import PolicyGuide
+from falsework.replanning.policy_stages import follow_greedily, follow_samples, with_time
+from falsework.replanning.proving import Prover
+from falsework.replanning.request import Request as Request
+from falsework.replanning.result import Decider as Decider
+from falsework.replanning.result import Replan as Replan
+from falsework.replanning.search_stages import search_on
+from falsework.replanning.session import Job, Kit
+from falsework.replanning.session import ReplanSettings as ReplanSettings
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.task import Direction
 from falsework.stability.oracle import Stability

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
-from falsework.replan.deadline import Clock
-from falsework.replan.policy_guide import PolicyGuide
-from falsework.replan.result import Decider
-from falsework.replan.session import Job
+from falsework.replanning.deadline import Clock
+from falsework.replanning.policy_guide import PolicyGuide
+from falsework.replanning.result import Decider
+from falsework.replanning.session import Job
 from falsework.search.beam.beam import BeamSearch, BeamSettings
 from falsework.search.exhaustive import ExhaustiveSearch
 from falsework.search.planner import Planner, PlannerSettings

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.replan.replays import Replayed
+from falsework.replanning.replays import Replayed
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Outcome, SearchResult
 from falsework.search.problem.task import Direction

@@ -14,7 +14,7 @@ from falsework.search.problem.oracle import Oracle
 from falsework.stability.verdict import Verdict, Verdicts
 
 if TYPE_CHECKING:
-    from falsework.replan.replays import TimedReplayer
+    from falsework.replanning.replays import TimedReplayer
 
 _AT_ONCE = 16
 """States judged between two looks at the clock, at first ..."""
