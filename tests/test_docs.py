@@ -1,4 +1,4 @@
-"""What README and documentation tell people to type does what they say."""
+"""Commands and code of README and documentation run."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ def blocks(page: Path, language: str) -> list[str]:
 def nobody_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     """A page in the browser is served, and closed at once."""
     monkeypatch.setattr("falsework.viewer.page.page.Page.wait", lambda _: None)
+    monkeypatch.setattr("webbrowser.open", lambda *_: True)
 
 
 def name_of(page: Path) -> str:
@@ -38,6 +39,7 @@ def test_the_readme_has_code() -> None:
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=name_of)
+@pytest.mark.usefixtures("nobody_waits")
 def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The blocks of a page, one after the other, in an empty folder."""
     monkeypatch.chdir(tmp_path)
