@@ -18,6 +18,7 @@ from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.obj import obj_text
 from falsework.geometry.mesh.read import load_meshes, unit_length
+from falsework.utils.json_text import parse_json
 
 FORMAT = "falsework.assembly/1"
 FILE = "assembly.json"
@@ -129,8 +130,8 @@ def _read_description(source: Path) -> dict[str, Any]:
     described: dict[str, Any] = {}
     if file.is_file():
         try:
-            described = json.loads(file.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+            described = parse_json(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
             raise AssemblyError(f"cannot read {file}: {error}; write it again") from error
         if not isinstance(described, dict):
             raise AssemblyError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -11,6 +10,7 @@ from tyro.conf import arg
 
 from falsework.cli.command import UNSET, Command, Exit, StructureOptions
 from falsework.errors import InputError
+from falsework.utils.json_text import parse_json
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -94,8 +94,8 @@ def _is_plan(path: Path) -> bool:
     if path.suffix.lower() != ".json" or not path.is_file():
         return False
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError):
+        data = parse_json(path.read_text(encoding="utf-8"))
+    except ValueError:
         return False
     return isinstance(data, dict) and str(data.get("format", "")).startswith("falsework.plan/")
 

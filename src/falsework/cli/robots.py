@@ -153,7 +153,8 @@ class PlanRobots(Command):
 class CheckRobots(Command):
     """Verify all motions of a robot plan with libraries that share nothing with the planner, and every state.
 
-    Pinocchio moves the arms and Coal looks for collisions, every 0.01 rad; limits of position, velocity and
+    Pinocchio moves the arms and Coal looks for collisions, every 0.01 rad, of the meshes of parts and links; links of
+    built-in arms, which have none, are the convex pieces that they are described by. Limits of position, velocity and
     acceleration are checked, and that motions join. The stability of the states is decided by the exact solver. Exit
     code 1 if anything is wrong.
     """
@@ -204,6 +205,7 @@ class CheckRobots(Command):
                 "velocity_share": report.velocity_share,
                 "acceleration_share": report.acceleration_share,
                 "tolerance": report.tolerance,
+                "links": report.links,
                 "stable": None if stable is None else stable.good,
                 "problems": [
                     {
@@ -229,9 +231,10 @@ class CheckRobots(Command):
         if not report.good or (stable is not None and not stable.good):
             return Exit.NO
         states = "" if stable is None else f", all {stable.states} states are stable"
+        links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
         output.say(
-            f"{self.plan}: no collision in {report.samples} configurations of {report.trajectories} motions, limits "
-            f"kept{states}"
+            f"{self.plan}: no collision in {report.samples} configurations of {report.trajectories} motions (links of "
+            f"{links}), limits kept{states}"
         )
         return Exit.DONE
 

@@ -12,6 +12,7 @@ from tyro.conf import Positional, arg
 
 from falsework.cli.command import UNSET, LoadOptions
 from falsework.errors import InputError, PlanError
+from falsework.utils.json_text import parse_json
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -194,8 +195,10 @@ def _format_of(path: Path) -> str:
         PlanError: it is no JSON.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, ValueError, RecursionError):
+        content = parse_json(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError:
         raise PlanError(f"{path} is not valid JSON; it may be truncated; write it again") from None
+    except (OSError, ValueError) as error:
+        raise PlanError(f"{path} cannot be read: {error}; write it again") from None
     form = content.get("format") if isinstance(content, dict) else None
     return form if isinstance(form, str) else ""

@@ -34,6 +34,9 @@ class View(Command):
     """Run whose policy colours the parts and proposes new plans."""
     host: Annotated[str | None, arg(metavar="HOST", help_behavior_hint=UNSET)] = None
     """Address to serve at; this machine alone if not given. Others then see and steer the page, without a password."""
+    allow_host: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint=UNSET)] = None
+    """Further names under which browsers may open the page, such as plans.example or a proxy's, separated by commas.
+    Requests for other names, and those that pages of other sites send, are refused."""
     port: int = 8080
     """Port to serve at; the next free one is taken if it is not free."""
     robots: int = 2
@@ -70,7 +73,7 @@ class View(Command):
             criterion=self.criterion,
             deadline=self.deadline,
         )
-        page = Page(model, host=host, port=self.port)
+        page = Page(model, host=host, port=self.port, allowed_hosts=(self.allow_host or "").split(","))
         if warning is not None:
             output.note(f"falsework: warning: {warning}")
         output.record({"address": page.address, "kind": subject.kind, "parts": subject.assembly.part_count})

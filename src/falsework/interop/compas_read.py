@@ -7,7 +7,6 @@ needs nothing but this package.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,6 +21,7 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.repair import check_mesh
+from falsework.utils.json_text import parse_json
 
 LARGEST_FILE = 512 * 1024 * 1024
 """Bytes; a file beyond that is refused rather than read into memory."""
@@ -111,11 +111,11 @@ class _Reader:
         if self._path.stat().st_size > LARGEST_FILE:
             self._fail(f"it is larger than {LARGEST_FILE // 2**20} MiB", "write fewer or coarser meshes")
         try:
-            data = json.loads(self._path.read_text(encoding="utf-8"))
+            data = parse_json(self._path.read_text(encoding="utf-8"))
             found = list(self._find(data))
         except UnicodeDecodeError:
             self._fail("it is no text")
-        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
             if isinstance(error, InputError):
                 raise
             self._fail(f"something in it is not as COMPAS writes it ({type(error).__name__})")

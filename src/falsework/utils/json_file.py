@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NoReturn
 
 from falsework.errors import PlanError
 from falsework.utils.archive import write_whole
+from falsework.utils.json_text import parse_json
 
 
 def write_json(path: Path | str, data: Mapping[str, Any], spread: Container[str]) -> None:
@@ -55,13 +56,15 @@ class Reader:
         """
         path = Path(path)
         try:
-            return json.loads(path.read_text(encoding="utf-8"))
+            return parse_json(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise PlanError(f"there is no {cls.kind} file {path}") from None
         except (OSError, UnicodeDecodeError) as error:
             raise PlanError(f"{path} cannot be read as a {cls.kind} ({type(error).__name__}); plan again") from None
-        except (ValueError, RecursionError):
+        except json.JSONDecodeError:
             raise PlanError(f"{path} is not valid JSON; it may be truncated; plan again") from None
+        except ValueError as error:
+            raise PlanError(f"{path} cannot be read as a {cls.kind}: {error}; plan again") from None
 
     def _header(self, data: Any, keys: set[str], optional: frozenset[str] = frozenset()) -> None:
         """The format comes first: of a file of another version it is all there is to say."""

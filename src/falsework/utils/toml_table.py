@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import sys
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -36,7 +37,9 @@ class Table:
         """
         try:
             return Table(source, "", tomllib.loads(text))
-        except tomllib.TOMLDecodeError as error:
+        except RecursionError:
+            raise CellError(f"{source} is nested too deeply; write it with tables") from None
+        except ValueError as error:  # of its syntax, or a number with thousands of digits
             raise CellError(f"{source} is no TOML: {' '.join(str(error).split())}") from error
 
     def name(self, key: str) -> str:
@@ -78,7 +81,7 @@ class Table:
         if default is not None and not self.has(key):
             return default
         value = self.take(key)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        if not _is_number(value):
             raise self.fail(key, f"is {value!r}; give a number")
         if not low <= value <= high:
             wanted = f"at least {low:g}" if high == math.inf else f"between {low:g} and {high:g}"
@@ -90,10 +93,7 @@ class Table:
         if default is not None and not self.has(key):
             return np.array(list(default), float)
         value = self.take(key)
-        good = isinstance(value, list) and len(value) == count
-        if not good or any(
-            isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in value
-        ):
+        if not isinstance(value, list) or len(value) != count or not all(map(_is_number, value)):
             raise self.fail(key, f"is {value!r}; give {count} numbers in brackets")
         return np.array(value, float)
 
@@ -119,6 +119,12 @@ class Table:
                 near = difflib.get_close_matches(key, self._known, 1)
                 hint = f"; did you mean {near[0]}?" if near else f"; known are {', '.join(sorted(set(self._known)))}"
                 raise self.fail(key, f"is not known{hint}")
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is a finite number that a float holds."""
+    known = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return known and abs(value) <= sys.float_info.max
 
 
 def read_text(path: Path) -> str:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from falsework.errors import CellError, DependencyError, InputError
+from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.kernels.collision import Rules, make_work
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain, make_obstacles, self_pairs
 from falsework.robots.kernels.rrt_connect import check_many
@@ -63,13 +66,13 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
             origins.append(pose)
             pose = np.eye(4)
         frame_of[joint.child] = (len(origins), pose)
-    pieces: list[list[Array]] = [[] for _ in range(len(moving) + 1)]
+    shapes: list[list[TriangleMesh]] = [[] for _ in range(len(moving) + 1)]
     owner: dict[str, int] = {}
     for name, link in links.items():
         at = _carrier(name, below, frame_of)
         if at is not None:
             owner[name] = at[0]
-            pieces[at[0]] += [move(at[1], piece) for piece in _shapes(file, link)]
+            shapes[at[0]] += [replace(shape, vertices=move(at[1], shape.vertices)) for shape in _shapes(file, link)]
     limits = np.array([_limits(file, joint) for joint in moving])
     names = (root, *(joint.child for joint in moving))
     middle = np.clip(np.zeros(len(moving)), limits[:, 0], limits[:, 1])
@@ -84,10 +87,11 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
         upper=limits[:, 1],
         velocity=limits[:, 2],
         acceleration=limits[:, 2] / ACCELERATION_TIME,
-        pieces=tuple(tuple(outer_hull(piece) for piece in of_link) for of_link in pieces),
+        pieces=tuple(tuple(outer_hull(shape.vertices) for shape in of_link) for of_link in shapes),
         ignored=frozenset((link, link + 1) for link in range(len(moving))),
         flange=pose,
         home=middle,
+        meshes=tuple(map(tuple, shapes)),
         source=str(file),
     )
     ignored = set(model.ignored)
@@ -196,23 +200,24 @@ def _limits(file: Path, joint: Any) -> tuple[float, float, float]:
     return float(limit.lower), float(limit.upper), float(limit.velocity)
 
 
-def _shapes(file: Path, link: Any) -> Iterable[Array]:
-    """Points of every collision shape of a link, in the frame of the link."""
+def _shapes(file: Path, link: Any) -> Iterable[TriangleMesh]:
+    """Every collision shape of a link, in the frame of the link; round ones as polytopes around them."""
     for collision in link.collisions:
         pose = np.eye(4) if collision.origin is None else np.asarray(collision.origin, float)
         shape = collision.geometry
         if shape.box is not None:
             half = np.asarray(shape.box.size, float) / 2
-            points = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+            made = hull_mesh(half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]))
         elif shape.cylinder is not None:
-            points = cylinder(shape.cylinder.radius, -shape.cylinder.length / 2, shape.cylinder.length / 2)
+            half_length = shape.cylinder.length / 2
+            made = hull_mesh(cylinder(shape.cylinder.radius, -half_length, half_length))
         elif shape.sphere is not None:
-            points = _ball(shape.sphere.radius)
+            made = hull_mesh(_ball(shape.sphere.radius))
         elif shape.mesh is not None:
-            points = _mesh_points(file, shape.mesh)
+            made = _read_mesh(file, shape.mesh)
         else:
             continue
-        yield move(pose, points)
+        yield replace(made, name=link.name, vertices=move(pose, made.vertices))
 
 
 def _ball(radius: float) -> Array:
@@ -223,7 +228,17 @@ def _ball(radius: float) -> Array:
     return points / np.linalg.norm(points[0]) * radius * 1.2585  # circumscribed by inscribed radius
 
 
-def _mesh_points(file: Path, mesh: Any) -> Array:
+def hull_mesh(points: Array) -> TriangleMesh:
+    """The convex hull of points as triangles that face outwards."""
+    found = ConvexHull(points)
+    corners = points[found.simplices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inwards = np.einsum("ij,ij->i", normals, found.equations[:, :3]) < 0
+    faces = np.where(inwards[:, None], found.simplices[:, ::-1], found.simplices)
+    return TriangleMesh.from_arrays("", points, faces)
+
+
+def _read_mesh(file: Path, mesh: Any) -> TriangleMesh:
     import trimesh
 
     name = str(mesh.filename).removeprefix("file://")
@@ -234,12 +249,14 @@ def _mesh_points(file: Path, mesh: Any) -> Array:
         raise CellError(f"{file}: mesh {mesh.filename} is not there; keep it beside the description")
     try:
         loaded: Any = trimesh.load(found, force="mesh")
-        points = np.asarray(loaded.vertices, float)
+        points, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces)
         if len(points) < 4:
             raise InputError("too few vertices")
     except Exception as error:
         raise CellError(f"{file}: mesh {found.name} cannot be read: {' '.join(str(error).split())}") from error
-    return points * (1.0 if mesh.scale is None else np.asarray(mesh.scale, float))
+    return TriangleMesh.from_arrays(
+        name, points * (1.0 if mesh.scale is None else np.asarray(mesh.scale, float)), faces
+    )
 
 
 def _named_pairs(srdf: Path, owner: dict[str, int]) -> set[tuple[int, int]]:

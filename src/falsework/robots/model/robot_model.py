@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.model.shapes import Pieces
 
 Array = NDArray[np.float64]
@@ -52,6 +53,9 @@ class RobotModel:
     """A configuration to rest in, shape (joints,)."""
     payload: float | None = None
     """What the arm carries at the flange, gripper included, kg; None: not known."""
+    meshes: tuple[tuple[TriangleMesh, ...], ...] | None = None
+    """Collision shapes of every link as the description has them, in the frame of the link, for checks that do not
+    trust `pieces`; None: there are none but the pieces."""
     source: str = field(default="built-in")
     """Where the description is from: `built-in` or the path of a URDF file."""
 

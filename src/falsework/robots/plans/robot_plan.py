@@ -257,7 +257,7 @@ def records_of(cell: Cell) -> tuple[RobotRecord, ...]:
 def cell_identity(cell: Cell) -> str:
     """Digest of everything in a cell that motions depend on; hexadecimal SHA-256.
 
-    Names of files and where a description came from do not count.
+    Names of files and where a description came from do not count, nor meshes that only the check looks at.
     """
     digest = hashlib.sha256(b"falsework.cell/1")
     _feed(digest, cell)
@@ -267,7 +267,7 @@ def cell_identity(cell: Cell) -> str:
 def _feed(digest, value: Any) -> None:
     if is_dataclass(value):
         for entry in fields(value):
-            if entry.name not in ("source", "path"):
+            if entry.name not in ("source", "path", "meshes"):
                 digest.update(entry.name.encode())
                 _feed(digest, getattr(value, entry.name))
     elif isinstance(value, np.ndarray):
