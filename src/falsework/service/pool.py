@@ -120,11 +120,6 @@ class Pool:
         """Workers of each kind that take requests."""
         return {kind: sum(worker.ready for worker in self._workers if worker.kind == kind) for kind in KINDS}
 
-    @property
-    def pids(self) -> dict[Kind, list[int]]:
-        """Process ids of the workers."""
-        return {kind: [worker.process.pid for worker in self._workers if worker.kind == kind] for kind in KINDS}
-
     async def start(self) -> None:
         """Start all workers and wait until each has loaded the structure.
 

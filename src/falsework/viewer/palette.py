@@ -6,8 +6,6 @@ without the medium-wave or the long-wave cones, by the matrices of Machado, Oliv
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -23,7 +21,6 @@ MISSING = "#b2182b"
 FIXED = "#14241c"
 """Not to be touched: darker than boundary."""
 INK = "#22252a"
-PAPER = "#ffffff"
 
 FORCE = "#1f4fd8"
 FRICTION = "#d7263d"
@@ -109,11 +106,6 @@ def difference(one: str, other: str) -> float:
     """How far apart two colours are for the eyes that tell them apart least (CIE 1976, about 2 is just visible)."""
     eyes = (_linear, seen_by_deuteranope, seen_by_protanope)
     return min(float(np.linalg.norm(_lab(eye(rgb(one))) - _lab(eye(rgb(other))))) for eye in eyes)
-
-
-def lightness(color: Sequence[int] | NDArray[np.uint8]) -> float:
-    """CIE lightness from 0 to 100 of red, green, blue from 0 to 255."""
-    return float(_lab(_linear(color))[0])
 
 
 def _linear(color: ArrayLike) -> Array:

@@ -15,7 +15,7 @@ from falsework.geometry.clearance.exhaustion import all_ways
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.utils.bits import pack, unpack
+from falsework.utils.bits import pack
 
 Array = NDArray[np.float64]
 
@@ -60,12 +60,6 @@ class ClearanceTable:
         """A unit vector along which the part leaves in a straight line, or None. `state` has shape (parts,)."""
         way = _ways_out(self._pack(np.asarray(state)[None]), self.blockers, self.start)[0, part]
         return None if way < 0 else self.directions[way].copy()
-
-    def blocking(self, state: NDArray[np.uint8], part: int) -> NDArray[np.int64]:
-        """The present parts in the way of `part` along its least blocked way out, ascending ids."""
-        ways = slice(self.start[part], self.start[part + 1])
-        present = unpack(self.blockers[ways] & self._pack(np.asarray(state)[None]))
-        return np.flatnonzero(present[np.argmin(present.sum(axis=1))])
 
     def doubt(self, parts: NDArray[np.bool_]) -> str:
         """Why some of the parts, shape (parts,), may have ways out that are not listed; empty if all are exact."""

@@ -68,12 +68,6 @@ class Scene:
         carried[robot] = Attached(part, inverse_pose(tool))
         return replace(self.with_removed(part), attached=tuple(carried))
 
-    def with_released(self, robot: int) -> Scene:
-        """The same with what the robot carries taken out of the cell."""
-        carried = list(self.attached)
-        carried[robot] = None
-        return replace(self, attached=tuple(carried))
-
 
 @dataclass(frozen=True)
 class Contact:

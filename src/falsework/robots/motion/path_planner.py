@@ -152,16 +152,6 @@ def plan_free(
     return Motion("found", room[:count].copy(), samples=int(sizes[0] + sizes[1]))
 
 
-def path_is_free(view: View, path: ArrayLike, settings: MotionSettings = MotionSettings()) -> bool:
-    """Whether all straight edges of a path keep the margin of the view everywhere. Shape (points, joints)."""
-    values = np.ascontiguousarray(path, dtype=np.float64)
-    if view.collides(values[[0, -1]]).any():
-        return False
-    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
-    opened = np.empty((2, INTERVALS), np.int64)
-    return int(edges_free(values, resolution_of(view, settings), *arrays, opened)) == len(values) - 1
-
-
 def resolution_of(view: View, settings: MotionSettings) -> float:
     """Motion of the farthest point within half an interval at which halving ends, metres."""
     return max(settings.resolution * view.margin, settings.finest)

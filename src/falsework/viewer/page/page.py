@@ -111,11 +111,6 @@ class Page:
         while not self._stop.wait(1.0):
             pass
 
-    def sync(self) -> None:
-        """Bring slider, scene and words up to date after the model was changed from outside."""
-        self._set_slider()
-        self.refresh()
-
     def refresh(self) -> None:
         """Bring scene and words up to date with the model."""
         with self._lock, self.server.atomic():
