@@ -33,7 +33,7 @@ def path_is_free(view: View, path: np.ndarray) -> bool:
         return False
     arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
     opened = np.empty((2, INTERVALS), np.int64)
-    return int(edges_free(path, resolution_of(view, MotionSettings()), *arrays, opened)) == len(path) - 1
+    return int(edges_free(path, resolution_of(view), *arrays, opened)) == len(path) - 1
 
 
 def test_the_straight_edge_is_taken_where_it_is_free(make_view: Callable[..., View]) -> None:

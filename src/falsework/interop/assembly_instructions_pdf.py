@@ -32,6 +32,8 @@ _TOP = 16.0 * _POINT
 _PICTURE = (60.0 * _POINT, 38.0 * _POINT)
 _COLUMNS = (0.0, 13.0 * _POINT, 76.0 * _POINT, 126.0 * _POINT)
 """Where number, picture, what to do and what to hold begin."""
+_LISTED_PARTS = 12
+"""Names of parts in one line; the rest is a number."""
 CAMERA = Camera(width=480, height=304, zoom=0.96)
 """How the pictures look at the structure."""
 _REGULAR, _BOLD = "FalseworkSans", "FalseworkSans-Bold"
@@ -215,9 +217,9 @@ def _text(
     return x + canvas.stringWidth(text, font, size)
 
 
-def _shortened(sheet: SiteSheet, parts: tuple[int, ...], most: int = 12) -> str:
-    names = ", ".join(sheet.name(part) for part in parts[:most])
-    return names if len(parts) <= most else f"{names} and {len(parts) - most} more"
+def _shortened(sheet: SiteSheet, parts: tuple[int, ...]) -> str:
+    names = ", ".join(sheet.name(part) for part in parts[:_LISTED_PARTS])
+    return names if len(parts) <= _LISTED_PARTS else f"{names} and {len(parts) - _LISTED_PARTS} more"
 
 
 def _register_fonts() -> None:

@@ -21,7 +21,7 @@ from falsework.utils.archive import read_archive, write_archive
 
 FORMAT = "falsework.depth-first/1"
 
-_REPORTED = 64
+_REPORTED_STATES = 64
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ class DepthFirstSearch:
         order = np.lexsort((rng.random(len(rows)), preference))
         if len(self._path) > self._reached or not len(self._deepest):
             self._reached, self._deepest = len(self._path), level
-            self._rejected = frontier.states(asked[~stable[asked]])[:_REPORTED]
+            self._rejected = frontier.states(asked[~stable[asked]])[:_REPORTED_STATES]
         self._path.append(state)
         self._untried.append(frontier.action[rows[order]].tolist())
         self._entered.add(state.tobytes())

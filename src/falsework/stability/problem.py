@@ -104,7 +104,7 @@ class Problem:
 
 
 def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float = 9.81) -> Problem:
-    """Set up the equilibrium problem of an assembly (paper, equations 2 to 6; DESIGN, section 4).
+    """Set up the equilibrium problem of an assembly (paper, equations 2 to 6; docs/how-it-works).
 
     Args:
         assembly: parts, contacts, masses and friction.

@@ -70,9 +70,6 @@ class GpuSettings:
     """Steps of the interior point method before a state is left to the exact solver."""
     contact_steps: int = 400
     """Newton iterations under the criterion `contact` before a state is left undecided."""
-    admm_shares: tuple[float, ...] = (0.5, 1.0)
-    """Sizes of state, as shares of the whole structure, that ADMM has a launch for: small states leave room on
-    a multiprocessor for more of them."""
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ from falsework.robots.model.simplify import outer_hull
 
 Array = NDArray[np.float64]
 
-SAMPLES = 1000
+COLLISION_SAMPLES = 1000
 """Random configurations in which pairs of links are tried where no SRDF names those to ignore."""
-ALWAYS = 0.95
+ALWAYS_SHARE = 0.95
 """Pairs that touch in this share of them are ignored: their hulls overlap at the joint between."""
 
 
@@ -96,9 +96,9 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
     return RobotModel(**{**model.__dict__, "ignored": frozenset(ignored)})
 
 
-def always_touching(model: RobotModel, seed: int = 0) -> set[tuple[int, int]]:
+def always_touching(model: RobotModel) -> set[tuple[int, int]]:
     """Pairs of links that touch in nearly all random configurations, so that a check of them says nothing."""
-    configurations = np.random.default_rng(seed).uniform(model.lower, model.upper, (SAMPLES, model.joints))
+    configurations = np.random.default_rng(0).uniform(model.lower, model.upper, (COLLISION_SAMPLES, model.joints))
     bare = Gripper("none", "suction", (), np.eye(4), 0.0)
     robot = CellRobot("arm", model, np.eye(4), bare, model.home, np.zeros((0, 4, 4)))
     bodies, _, kinds = make_bodies(robot, None, ())
@@ -107,12 +107,12 @@ def always_touching(model: RobotModel, seed: int = 0) -> set[tuple[int, int]]:
     chain = make_chain(model, np.eye(4))
     pairs = self_pairs(model, links)
     found = set()
-    hits = np.empty(SAMPLES, np.int64)
+    hits = np.empty(COLLISION_SAMPLES, np.int64)
     for a, b in sorted({(int(links[i]), int(links[j])) for i, j in pairs}):
         tried = np.array([(i, j) for i, j in pairs if (links[i], links[j]) == (a, b)], np.int64)
         rules = Rules(np.zeros((len(links), 0), bool), tried, -1e9, np.zeros(len(links), bool), 0.0)
         check_many(configurations, chain, bodies, obstacles, rules, make_work(chain, bodies, obstacles, rules), hits)
-        if (hits >= 0).mean() >= ALWAYS:
+        if (hits >= 0).mean() >= ALWAYS_SHARE:
             found.add((a, b))
     return found
 

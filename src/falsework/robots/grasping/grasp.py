@@ -22,17 +22,19 @@ from falsework.utils.bits import intersect, pack
 
 Array = NDArray[np.float64]
 
-YAWS = 8
+SUCTION_TURNS = 8
 """Turns about the normal of a face that a suction grasp is tried at."""
-SPREAD = 8
+JAW_TURNS = 8
 """Directions around the jaws' axis from which a jaw grasp is tried."""
-SPOT = 0.8
+CUP_OFFSET_SHARE = 0.8
 """How far out other places for the cup lie on a face, as a share of the way to where it just fits."""
 STANDOFF = 0.0005
 """Distance that the tool frame keeps from the face it grips, metres: what a soft cup makes up for."""
-NEAR = 0.001
+GRIPPER_MARGIN = 0.001
 """Distance that a gripper keeps from other parts at the grasp and on its way there, metres."""
-STEPS = 6
+APPROACH_LENGTH = 0.1
+"""Length of the straight way to a part on which the gripper alone is checked, metres."""
+APPROACH_SAMPLES = 6
 """Places on the way to the part at which the gripper is checked."""
 
 
@@ -58,7 +60,6 @@ def grasps(
     present: ArrayLike,
     robot: CellRobot,
     *,
-    approach: float = 0.1,
     limit: int = 64,
 ) -> list[Grasp]:
     """Grasps of a part among the parts that are there, best first; the arm is not considered.
@@ -72,7 +73,6 @@ def grasps(
         part: which one to hold.
         present: which parts are there: a mask or a state, shape (parts,).
         robot: whose gripper; a part heavier than its payload has no grasp.
-        approach: length of the straight way to the part, metres.
         limit: how many grasps are returned at most.
 
     Raises:
@@ -97,7 +97,7 @@ def grasps(
     groups = [group for group in groups if group]
     groups.sort(key=lambda group: -round(group[0].quality, 6))
     found: list[Grasp] = []
-    open_way = _open_way(parts, part, there, gripper, approach)
+    open_way = _open_way(parts, part, there, gripper)
     for turn in range(max((len(group) for group in groups), default=0)):
         for group in groups:
             if turn < len(group) and open_way(group[turn]):
@@ -142,7 +142,7 @@ def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array
         point = face.lift(at) + STANDOFF * face.normal
         lever = float(np.linalg.norm(at - middle)) / size
         quality = _quality(lever, 1.0 - margin, face.normal, ways)
-        tools = [_tool(point, -face.normal, face.frame[0], 2 * np.pi * k / YAWS) for k in range(YAWS)]
+        tools = [_tool(point, -face.normal, face.frame[0], 2 * np.pi * k / SUCTION_TURNS) for k in range(SUCTION_TURNS)]
         groups.append([Grasp(part, tool, -face.normal, quality) for tool in tools])
     return groups
 
@@ -153,7 +153,7 @@ def _spots(room: shapely.Geometry, middle: Array, cup: float) -> list[Array]:
     spots = [first]
     corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(room))
     for corner, following in itertools.pairwise(corners):
-        wanted = first + SPOT * ((corner + following) / 2 - first)
+        wanted = first + CUP_OFFSET_SHARE * ((corner + following) / 2 - first)
         at = shapely.get_coordinates(shapely.shortest_line(shapely.Point(wanted), room))[-1]
         if min(float(np.linalg.norm(at - spot)) for spot in spots) > cup:
             spots.append(at)
@@ -188,8 +188,8 @@ def _between_faces(
             ) / 2
             inside = at @ face.frame + level * face.normal
             group = []
-            for k in range(SPREAD):
-                angle = 2 * np.pi * k / SPREAD
+            for k in range(JAW_TURNS):
+                angle = 2 * np.pi * k / JAW_TURNS
                 way = np.cos(angle) * face.frame[0] + np.sin(angle) * face.frame[1]  # of the gripper, towards the part
                 nearest = float((vertices @ way).min())
                 shift = min(0.0, nearest + gripper.depth - inside @ way)  # the palm stays outside
@@ -227,7 +227,7 @@ def _cross(a: Array, b: Array) -> Array:
     return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
-def _open_way(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper, approach: float):
+def _open_way(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper):
     """A test whether the gripper alone keeps off all other parts at a grasp and on the way to it."""
     others = np.flatnonzero(there).tolist()
     obstacles, _ = make_obstacles([parts.pieces[other] for other in others if other != part])
@@ -241,13 +241,17 @@ def _open_way(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: G
     # The gripper slides along one axis: the way to the part.
     bodies = Bodies(np.ones(count, np.int64), start, np.concatenate(pieces), center, radius, np.ones((count, 1)))
     rules = Rules(
-        np.ones((count, len(obstacles.low)), bool), np.zeros((0, 2), np.int64), -1e9, np.zeros(count, bool), NEAR
+        np.ones((count, len(obstacles.low)), bool),
+        np.zeros((0, 2), np.int64),
+        -1e9,
+        np.zeros(count, bool),
+        GRIPPER_MARGIN,
     )
     back = np.linalg.inv(gripper.tool)
-    slides = np.linspace(0.0, -approach, STEPS)[:, None]
+    slides = np.linspace(0.0, -APPROACH_LENGTH, APPROACH_SAMPLES)[:, None]
     chain = Chain(np.eye(4)[:3].copy(), np.eye(4)[None, :3].copy(), np.ones(1, bool))
     work = make_work(chain, bodies, obstacles, rules)
-    hits = np.empty(STEPS, np.int64)
+    hits = np.empty(APPROACH_SAMPLES, np.int64)
 
     def test(grasp: Grasp) -> bool:
         pose = grasp.tool @ back

@@ -12,7 +12,7 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 
-FLAT = 12.0
+FLAT_DEGREES = 12.0
 """Largest angle between the triangles of one face, degrees: what the lip of a cup makes up for."""
 
 
@@ -48,7 +48,8 @@ class Face:
 def faces_of(mesh: TriangleMesh, smallest: float = 0.0) -> list[Face]:
     """Faces of a mesh, largest first.
 
-    The largest triangle that is left collects its neighbours, and theirs, whose normals are within `FLAT` of its own.
+    The largest triangle that is left collects its neighbours, and theirs, whose normals are within `FLAT_DEGREES` of
+    its own.
 
     Args:
         mesh: closed mesh that faces outwards.
@@ -60,7 +61,7 @@ def faces_of(mesh: TriangleMesh, smallest: float = 0.0) -> list[Face]:
     normals = cross / np.maximum(size, 1e-300)[:, None]
     beside = _neighbours(mesh)
     left = np.ones(len(size), bool)
-    limit = np.cos(np.radians(FLAT))
+    limit = np.cos(np.radians(FLAT_DEGREES))
     found = []
     for seed in np.argsort(-np.round(size, 12), kind="stable").tolist():
         if not left[seed] or size[seed] <= 0:

@@ -17,9 +17,9 @@ from falsework.robots.model.shapes import inverse_pose
 Array = NDArray[np.float64]
 Owner = NDArray[np.int64]
 
-GRID = 120
+WRIST_ANGLES = 120
 """Angles of the sixth joint at which the equation of an offset wrist is looked at."""
-NEARLY_ZERO = 0.15
+NEAR_ROOT = 0.15
 """A dip of the equation below this, without a change of sign, is worth a try."""
 
 
@@ -65,8 +65,8 @@ def solve_wrist(screws: Screws, targets: Array) -> tuple[Array, Owner]:
         q6 = np.zeros((len(targets), 1))
         first, turned, good = _arm(screws, turn, shift, q6)
         return _euler(screws, turn, first[:, 0], turned[:, 0], good[:, 0])
-    grid = np.linspace(-np.pi, np.pi, GRID + 1)
-    q6 = np.broadcast_to(grid, (len(targets), GRID + 1))
+    grid = np.linspace(-np.pi, np.pi, WRIST_ANGLES + 1)
+    q6 = np.broadcast_to(grid, (len(targets), WRIST_ANGLES + 1))
     first, turned, good = _arm(screws, turn, shift, q6)
     value = np.where(good, _offset_equation(screws, turn, turned, q6), np.nan)
     left, right = value[:, :-1], value[:, 1:]
@@ -74,7 +74,7 @@ def solve_wrist(screws: Screws, targets: Array) -> tuple[Array, Owner]:
         crossing = left * right <= 0
         size = np.abs(value)
         padded = np.pad(np.where(np.isnan(size), np.inf, size), ((0, 0), (1, 1), (0, 0)), constant_values=np.inf)
-        dip = (size <= padded[:, :-2]) & (size <= padded[:, 2:]) & (size < NEARLY_ZERO)
+        dip = (size <= padded[:, :-2]) & (size <= padded[:, 2:]) & (size < NEAR_ROOT)
         share = left / (left - right)
     rows, cells, branches = np.nonzero(crossing)
     step = grid[1] - grid[0]

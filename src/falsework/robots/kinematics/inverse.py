@@ -35,13 +35,13 @@ from falsework.robots.model.shapes import inverse_pose
 Array = NDArray[np.float64]
 Kind = Literal["spherical", "wrist", "parallel", "general"]
 
-STARTS = 80
+RANDOM_STARTS = 80
 """Random starts for arms without a closed form."""
-SAMPLES = 24
+REDUNDANT_SOLUTIONS = 24
 """Solutions that are kept of the curves of an arm with more than six joints."""
-SAME = 1e-4
+SAME_SOLUTION = 1e-4
 """Solutions of an arm with six joints closer than this, rad, are one."""
-APART = 0.25
+SOLUTION_SPACING = 0.25
 """Solutions of an arm with more joints are at least this far apart, rad."""
 
 
@@ -55,23 +55,22 @@ class Solver:
     """Axes at zero, for arms with a closed form."""
 
 
-def inverse(robot: CellRobot, tools: ArrayLike, *, seed: int = 0) -> list[Array]:
+def inverse(robot: CellRobot, tools: ArrayLike) -> list[Array]:
     """All configurations that bring the tool frame of a robot to poses in the world.
 
     Args:
         robot: robot of a cell.
         tools: poses of the tool frame in the world, shape (4, 4) or (batch, 4, 4).
-        seed: of the random starts of arms without a closed form.
 
     Returns:
         For every pose an array of shape (solutions, joints): all branches, with all full turns that the limits allow.
     """
     poses = np.asarray(tools, dtype=np.float64).reshape(-1, 4, 4)
     flange = inverse_pose(robot.base) @ poses @ inverse_pose(robot.gripper.tool)
-    return inverse_flange(robot.model, flange, seed=seed)
+    return inverse_flange(robot.model, flange)
 
 
-def inverse_flange(model: RobotModel, flanges: ArrayLike, *, seed: int = 0) -> list[Array]:
+def inverse_flange(model: RobotModel, flanges: ArrayLike) -> list[Array]:
     """As `inverse`, for poses of the flange in the frame of the base, shape (4, 4) or (batch, 4, 4).
 
     Raises:
@@ -82,7 +81,7 @@ def inverse_flange(model: RobotModel, flanges: ArrayLike, *, seed: int = 0) -> l
         raise InputError("a pose holds a value that is not finite")
     solver = solver_of(model)
     if solver.kind == "general" or solver.screws is None:
-        found, owner = _from_many_starts(model, targets, seed)
+        found, owner = _from_many_starts(model, targets)
     else:
         solve = solve_parallel if solver.kind == "parallel" else solve_wrist
         guesses, owner = solve(solver.screws, targets)
@@ -136,13 +135,13 @@ def _polish(
     return values[reached], owner[reached]
 
 
-def _from_many_starts(model: RobotModel, targets: Array, seed: int) -> tuple[Array, NDArray[np.int64]]:
+def _from_many_starts(model: RobotModel, targets: Array) -> tuple[Array, NDArray[np.int64]]:
     """Damped Newton steps from random configurations."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     low = np.where(model.prismatic, model.lower, np.maximum(model.lower, -np.pi))
     high = np.where(model.prismatic, model.upper, np.minimum(model.upper, np.pi))
-    starts = random.uniform(low, high, (len(targets), STARTS, model.joints)).reshape(-1, model.joints)
-    owner = np.repeat(np.arange(len(targets)), STARTS)
+    starts = random.uniform(low, high, (len(targets), RANDOM_STARTS, model.joints)).reshape(-1, model.joints)
+    owner = np.repeat(np.arange(len(targets)), RANDOM_STARTS)
     reached = np.zeros(len(starts), bool)
     chain = make_chain(model, np.eye(4))
     poses = np.array(targets[owner][:, :3], order="C")
@@ -153,7 +152,7 @@ def _from_many_starts(model: RobotModel, targets: Array, seed: int) -> tuple[Arr
 def _distinct(values: Array, owner: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
     """Solutions without repetitions, by pose and then in order."""
     keys = np.concatenate([owner[:, None], np.cos(values), np.sin(values)], axis=1)
-    _, first = np.unique(np.round(keys / SAME), axis=0, return_index=True)
+    _, first = np.unique(np.round(keys / SAME_SOLUTION), axis=0, return_index=True)
     first = first[np.lexsort((*np.round(values[first], 6).T[::-1], owner[first]))]
     return values[first], owner[first]
 
@@ -166,7 +165,7 @@ def _spread(values: Array, owner: NDArray[np.int64], turning: NDArray[np.bool_])
         for k in np.flatnonzero(owner == row).tolist():
             apart = np.abs(values[mine] - values[k])
             apart[:, turning] = np.minimum(apart[:, turning], 2 * np.pi - apart[:, turning])
-            if len(mine) < SAMPLES and (apart.max(axis=1, initial=0.0) >= APART).all():
+            if len(mine) < REDUNDANT_SOLUTIONS and (apart.max(axis=1, initial=0.0) >= SOLUTION_SPACING).all():
                 mine.append(k)
         kept += mine
     return values[kept], owner[kept]

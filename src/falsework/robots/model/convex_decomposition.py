@@ -15,11 +15,11 @@ from falsework.robots.model.shapes import Pieces, hull
 
 Array = NDArray[np.float64]
 
-PIECES = 32
+MAX_PIECES = 32
 """Most pieces of one part; when they are used up, the cover stays looser than asked for."""
-IDLE = 2
+IDLE_CUTS = 2
 """Cuts in a row that may take nothing off: a ring must be halved before a cut of the halves helps."""
-CANDIDATES = 16
+CUT_PLANES = 16
 """Planes that are tried for one cut."""
 
 
@@ -39,7 +39,7 @@ class _Cut:
     """Cuts in a row that took nothing off."""
 
 
-def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = PIECES) -> Pieces:
+def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = MAX_PIECES) -> Pieces:
     """Convex pieces whose union contains the solid that a mesh encloses.
 
     The solid is cut by planes, at each step where that takes most off the convex hulls, until the hulls together are
@@ -69,7 +69,7 @@ def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = PIE
                     break
                 done[id(parts[index])] = parts[index]
         else:
-            index = next((k for k in order if parts[k].idle < IDLE), -1)
+            index = next((k for k in order if parts[k].idle < IDLE_CUTS), -1)
             halves = _halve(parts[index], mesh) if index >= 0 else None
             if halves is None:
                 break
@@ -120,7 +120,7 @@ def _candidates(part: _Cut) -> list[Array]:
     flip = np.sign(key[np.arange(len(key)), np.argmax(np.abs(key) > 10, axis=1)])
     _, first, where = np.unique(key * flip[:, None], axis=0, return_index=True, return_inverse=True)
     weight = np.bincount(where.reshape(-1), area[good][front])
-    order = np.argsort(-np.round(weight, 12), kind="stable")[:CANDIDATES]
+    order = np.argsort(-np.round(weight, 12), kind="stable")[:CUT_PLANES]
     planes = [np.append(normals[front][first[k]], levels[front][first[k]]) for k in order.tolist()]
     middle = part.corners.mean(axis=0)
     axes = np.linalg.svd(part.corners - middle, full_matrices=False)[2]

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 Pieces = tuple[Array, ...]
 """Convex pieces that together cover one body."""
 
-SIDES = 12
+CYLINDER_SIDES = 12
 """Sides of the prism that stands for a cylinder."""
 
 
@@ -48,15 +48,15 @@ def block(low: ArrayLike, high: ArrayLike, **bevels: tuple[float, float, float, 
     return hull(np.unique(np.round(inner, 9), axis=0))
 
 
-def cylinder(radius: float, low: float, high: float, sides: int = SIDES) -> Array:
-    """A prism around a cylinder about the z axis from `low` to `high`, metres. Shape (2 sides, 3).
+def cylinder(radius: float, low: float, high: float) -> Array:
+    """A prism around a cylinder about the z axis from `low` to `high`, metres. Shape (2 * CYLINDER_SIDES, 3).
 
     The cylinder lies inside: the prism sticks out by at most 3.5 % of the radius with twelve sides.
     """
-    angle = 2 * np.pi * np.arange(sides) / sides
-    outer = radius / np.cos(np.pi / sides)
+    angle = 2 * np.pi * np.arange(CYLINDER_SIDES) / CYLINDER_SIDES
+    outer = radius / np.cos(np.pi / CYLINDER_SIDES)
     ring = np.stack([outer * np.cos(angle), outer * np.sin(angle)], axis=1)
-    points = np.concatenate([np.c_[ring, np.full(sides, low)], np.c_[ring, np.full(sides, high)]])
+    points = np.concatenate([np.c_[ring, np.full(CYLINDER_SIDES, low)], np.c_[ring, np.full(CYLINDER_SIDES, high)]])
     return _frozen(points)
 
 

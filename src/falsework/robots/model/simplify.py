@@ -10,11 +10,11 @@ from falsework.robots.model.shapes import hull
 
 Array = NDArray[np.float64]
 
-PLANES = 48
+MAX_PLANES = 48
 """Planes that a simplified hull has at most."""
 
 
-def outer_hull(points: ArrayLike, tolerance: float = 0.004, planes: int = PLANES) -> Array:
+def outer_hull(points: ArrayLike, tolerance: float = 0.004, planes: int = MAX_PLANES) -> Array:
     """Vertices of a polytope with few faces around the convex hull of points.
 
     Starts from the box and adds, where a corner sticks out farthest, the plane of the hull that it violates most.

@@ -12,7 +12,7 @@ from falsework.robots.motion.path_planner import Motion, MotionSettings, plan_fr
 
 Array = NDArray[np.float64]
 
-_VIEWS = 256
+_CACHED_VIEWS = 256
 """Views that are kept; the oldest goes first."""
 
 
@@ -67,7 +67,7 @@ class Kept:
         )
         if key not in self._views:
             self.views += 1
-            while len(self._views) > _VIEWS:
+            while len(self._views) > _CACHED_VIEWS:
                 del self._views[next(iter(self._views))]
             self._views[key] = self.world.view(scene, robot, contact=contact, margin=margin)
         return self._views[key]

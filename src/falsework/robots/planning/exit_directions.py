@@ -13,10 +13,10 @@ from falsework.utils.bits import pack, unpack
 
 Array = NDArray[np.float64]
 
-_TILTS = (20.0, 50.0, 85.0)
+_TILT_DEGREES = (20.0, 50.0, 85.0)
 """Angles to the vertical of the ways that are tried besides straight up, degrees."""
-_AROUND = 6
-_DOWN = -1e-6
+_HEADINGS = 6
+_LOWEST_SLOPE = -1e-6
 
 
 class Exits:
@@ -47,7 +47,7 @@ class Exits:
                 directions = np.concatenate([directions, fan])
                 blockers = np.concatenate([blockers, sweeper.blocked(part, fan)])
             world = directions @ turn.T
-            rises = world[:, 2] > _DOWN
+            rises = world[:, 2] > _LOWEST_SLOPE
             # Ways that lead down are missed only where something that never leaves does not block them anyway.
             missed = blockers[~rises & ~blockers[:, assembly.boundary].any(axis=1)]
             world, blockers = world[rises], blockers[rises]
@@ -77,7 +77,7 @@ class Exits:
 def _fan() -> Array:
     """Straight up, and rings of directions around it; unit vectors, shape (n, 3)."""
     found = [(0.0, 0.0, 1.0)]
-    for tilt in np.radians(_TILTS):
-        for turn in 2 * np.pi * np.arange(_AROUND) / _AROUND:
+    for tilt in np.radians(_TILT_DEGREES):
+        for turn in 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS:
             found.append((np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)))
     return np.array(found)

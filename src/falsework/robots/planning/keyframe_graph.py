@@ -29,6 +29,9 @@ from falsework.robots.planning.withdrawal import Withdrawal
 
 Array = NDArray[np.float64]
 
+_APPROACH_LENGTHS = (1.0, 0.4, 1.8)
+"""Lengths of the line on which a gripper approaches a part, in approach margins of the cell."""
+
 
 @dataclass(frozen=True)
 class KeyframeSettings:
@@ -40,10 +43,6 @@ class KeyframeSettings:
     """Configurations of one robot for one grasp or place that are looked at closely, nearest first."""
     directions: int = 4
     """Ways out that are tried for a part."""
-    approaches: tuple[float, ...] = (1.0, 0.4, 1.8)
-    """Lengths of the line on which a gripper comes, in lengths of an approach."""
-    withdrawals: tuple[float, ...] = (1.0, 2.0, 4.0)
-    """Lengths of the line on which a part leaves, in lengths of an approach, until it is clear of everything."""
     places: int = 4
     """Free motions to a drop-off that are tried."""
     nodes: int = 500
@@ -129,9 +128,7 @@ class KeyframeGraph:
         self.reasons = Reasons() if reasons is None else reasons
         self._kept = Kept(self.world, nodes=settings.nodes, seed=seed)
         self._grips = Grips(assembly, cell, self.parts, self._kept, self.reasons, limit=settings.grasps)
-        self._withdrawal = Withdrawal(
-            cell, self._kept, self.reasons, directions=settings.directions, lengths=settings.withdrawals
-        )
+        self._withdrawal = Withdrawal(cell, self._kept, self.reasons, directions=settings.directions)
         self.exits = Exits(assembly, self.parts.turn)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
@@ -257,7 +254,7 @@ class KeyframeGraph:
         robot, margins = grip.robot, self.cell.margins
         clear = self._kept.view(node.scene, robot, NO_CONTACT, margins.free)
         outside: Array | None = None
-        for share in self.settings.approaches:
+        for share in _APPROACH_LENGTHS:
             retreat = follow_line(view, grip.configuration, -grip.grasp.approach, share * margins.approach)
             if retreat.path is None:
                 self.reasons.add("hold", part, robot, f"approach: {retreat.reason}", retreat.pair, retreat.at)

@@ -25,19 +25,19 @@ from falsework.search.problem.result import Route, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import Stability
 
-_LEVELS = 8
+_JOIN_LEVELS = 8
 """Steps that the joining search looks ahead."""
-_WIDTH = 6
+_JOIN_WIDTH = 6
 """States that it keeps at each step."""
-_VERDICTS = 48
+_JOIN_VERDICTS = 48
 """Verdicts that it asks for before it gives up: what does not join soon rarely does."""
-_FIRST = 256
+_FIRST_BEAM_WIDTH = 256
 """Widest beam for the first plan."""
-_VARIED = 16
+_VARIED_BEAM_WIDTH = 16
 """Widest beam for another one."""
 _ROLLOUTS = 16
 """Rollouts with random actions at once."""
-_REPLAYS = 40
+_MAX_FALLEN_REPLAYS = 40
 """Plans of one search whose replay may fall before it is given up."""
 
 
@@ -83,7 +83,7 @@ class Proposals:
 
     def prepare(self, stop: Stop | None = None) -> SearchResult:
         """Find one abstract plan. Where parts are missing, the task then says how late they can come."""
-        settings = PlannerSettings(width=_FIRST, seed=self._seed)
+        settings = PlannerSettings(width=_FIRST_BEAM_WIDTH, seed=self._seed)
         planner = Planner(self.task, self.oracle, settings, guide=self._guide)
         route = self._roll_out(None, stop) or self._roll_out(np.random.default_rng(self._seed), stop)
         if route is not None:
@@ -110,7 +110,7 @@ class Proposals:
 
         direction = Direction.ASSEMBLY if seed % 2 else Direction.DISASSEMBLY
         beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(direction, seed=seed), guide=disturbed)
-        self._follow(self._search(beam, _VARIED))
+        self._follow(self._search(beam, _VARIED_BEAM_WIDTH))
 
     def falls(self, route: Route) -> int | None:
         """First state in the order of assembly in which the replay of a route falls; None if it stands.
@@ -156,7 +156,7 @@ class Proposals:
 
     def _search(self, beam: AdaptiveBeam, widest: int) -> Sequence[Route]:
         """Routes of a beam whose replays stand; none if it finds none."""
-        for _ in range(_REPLAYS):
+        for _ in range(_MAX_FALLEN_REPLAYS):
             if self._forbidden:
                 beam.search.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
             routes = beam.run(widest).routes
@@ -172,7 +172,7 @@ class Proposals:
         if self._taste is None or self.task.steps == 0:
             return None
         target, rows = {self.task.target.tobytes()}, 1 if rng is None else _ROLLOUTS
-        for _ in range(_REPLAYS):
+        for _ in range(_MAX_FALLEN_REPLAYS):
             route = roll_out(
                 self.task,
                 self.oracle,
@@ -209,7 +209,7 @@ class Proposals:
         self._not_found.clear()
         # What is known lies around the plan for the latest parts: add one for the new rules.
         beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(seed=self._seed), guide=self._guide)
-        self._follow(self._search(beam, _FIRST))
+        self._follow(self._search(beam, _FIRST_BEAM_WIDTH))
 
     def legal(self, state: States) -> list[int]:
         """Actions that the rules allow, stability aside."""
@@ -241,10 +241,10 @@ class Proposals:
 
     def _join(self, start: States) -> bool:
         """Search forwards from a stable state until one is met that is solvable; all on the way then are."""
-        self._left = _VERDICTS
+        self._left = _JOIN_VERDICTS
         levels: list[States] = [start[None]]
         parents: list[np.ndarray] = []
-        for _ in range(_LEVELS):
+        for _ in range(_JOIN_LEVELS):
             states = levels[-1]
             rows, actions = np.nonzero(self.task.moves(states, Direction.DISASSEMBLY))
             if not len(rows):
@@ -281,15 +281,15 @@ class Proposals:
                 if self._left == 0:
                     continue
                 self._left -= 1
-            elif holds < 2 * _WIDTH:
+            elif holds < 2 * _JOIN_WIDTH:
                 holds += 1
             else:
                 continue
             if not asked[k] or self.oracle.stable(after[k][None], parents=before[k][None])[0]:
                 kept.append(k)
-            if len(kept) >= 3 * _WIDTH:
+            if len(kept) >= 3 * _JOIN_WIDTH:
                 break
-        return np.array(kept[: 3 * _WIDTH], dtype=np.intp)
+        return np.array(kept[: 3 * _JOIN_WIDTH], dtype=np.intp)
 
     def _remember(self, levels: list[States], parents: list[np.ndarray], row: int) -> None:
         for level in range(len(levels) - 1, -1, -1):

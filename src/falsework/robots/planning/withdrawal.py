@@ -16,13 +16,14 @@ from falsework.robots.planning.failure_report import Reasons
 
 Array = NDArray[np.float64]
 
+_LENGTHS = (1.0, 2.0, 4.0)
+"""Lengths of the line on which a part leaves, in approach margins of the cell, tried in turn until it is clear."""
+
 
 class Withdrawal:
     """Straight ways out for parts that robots hold."""
 
-    def __init__(
-        self, cell: Cell, kept: Kept, reasons: Reasons, *, directions: int, lengths: tuple[float, ...]
-    ) -> None:
+    def __init__(self, cell: Cell, kept: Kept, reasons: Reasons, *, directions: int) -> None:
         """Nothing is computed yet.
 
         Args:
@@ -30,10 +31,9 @@ class Withdrawal:
             kept: views of its scenes.
             reasons: takes note of why a part cannot leave.
             directions: ways out that are tried for a part.
-            lengths: of the line on which a part leaves, in lengths of an approach, tried in turn until it is clear.
         """
         self.cell, self.kept, self.reasons = cell, kept, reasons
-        self.directions, self.lengths = directions, lengths
+        self.directions = directions
 
     def lines(
         self, scene: Scene, part: int, robot: int, here: Array, ways: Array, what: str
@@ -55,7 +55,7 @@ class Withdrawal:
         line = self.kept.view(scene, robot, contact, self.cell.margins.line)
         free: View | None = None
         for way in self._ordered(ways, tool):
-            for times in self.lengths:
+            for times in _LENGTHS:
                 out = follow_line(line, here, way, times * self.cell.margins.approach)
                 if not out:
                     self.reasons.add("remove", part, robot, f"{what}: {out.reason}", out.pair, out.at)

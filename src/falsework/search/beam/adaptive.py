@@ -13,15 +13,15 @@ from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Progress, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
 
-_WIDER = 4
+_WIDENING_FACTOR = 4
 """Each time in a row that the beam dies at one place, it comes back this many times wider ..."""
-_FARTHER = 4
+_RETREAT_FACTOR = 4
 """... from this many times farther back ..."""
-_BACK = 8
+_RETREAT_LEVELS = 8
 """... beginning with so many levels."""
-_AHEAD = 64
+_LOOKAHEAD_STATES = 64
 """States that need no verdict which the narrowest beam keeps, so that the next level has a choice."""
-_AHEAD_SHARE = 16
+_LOOKAHEAD_PER_WIDTH = 16
 """The same for wide beams, as a multiple of the width."""
 
 
@@ -38,12 +38,12 @@ class AdaptiveSettings:
 
     def beam(self, strikes: int) -> BeamSettings:
         """Settings of the beam after so many deaths in a row at one place."""
-        width = self.width * _WIDER**strikes
+        width = self.width * _WIDENING_FACTOR**strikes
         return BeamSettings(
             width=width,
             direction=self.direction,
             diversity="none",
-            ahead=max(_AHEAD, _AHEAD_SHARE * width),
+            ahead=max(_LOOKAHEAD_STATES, _LOOKAHEAD_PER_WIDTH * width),
             commit=width == 1,
             retries=0,
             seed=self.seed,
@@ -143,6 +143,6 @@ class AdaptiveBeam:
         if settings.width > widest:
             return False
         self._strikes, self._farthest = strikes, max(self._farthest, level)
-        self._easy_from = self._farthest + 2 * _BACK
-        self.search.rewind(max(level - _BACK * _FARTHER ** (strikes - 1), 0), settings)
+        self._easy_from = self._farthest + 2 * _RETREAT_LEVELS
+        self.search.rewind(max(level - _RETREAT_LEVELS * _RETREAT_FACTOR ** (strikes - 1), 0), settings)
         return True

@@ -35,11 +35,11 @@ FORMAT = "falsework.beam/1"
 
 Diversity = Literal["k-means", "none"]
 
-_BACK = 8
+_RETREAT_LEVELS = 8
 """Levels that a beam goes back when it is tried again ..."""
-_FARTHER = 4
+_RETREAT_FACTOR = 4
 """... and this many times more each further time."""
-_REPORTED = 64
+_REPORTED_STATES = 64
 """States handed back as deepest and as rejected, at most."""
 
 
@@ -196,8 +196,8 @@ class BeamSearch:
         self._dead = len(choice.kept) == 0
         if self._dead and len(self.levels) > self._farthest:
             self._farthest = len(self.levels)
-            self._deepest = level.states[:_REPORTED]
-            self._rejected = frontier.states(choice.rejected[:_REPORTED])
+            self._deepest = level.states[:_REPORTED_STATES]
+            self._rejected = frontier.states(choice.rejected[:_REPORTED_STATES])
         # A state refused because of the way to it may be reached by another, which was merged with this one.
         self._whole = [*self._whole[: len(self.levels) - 1], choice.exhaustive and not doubt]
         if self._dead:
@@ -306,7 +306,9 @@ class BeamSearch:
         if self.exhaustive or self.found or self._retried >= self.settings.retries:
             return
         self._retried += 1
-        self.rewind(max(len(self.levels) - 1 - _BACK * _FARTHER ** (self._retried - 1), 0), self.settings)
+        self.rewind(
+            max(len(self.levels) - 1 - _RETREAT_LEVELS * _RETREAT_FACTOR ** (self._retried - 1), 0), self.settings
+        )
 
     def route(self) -> Route:
         """The best scored way from start to target, in disassembly order; only once `found`."""
@@ -425,7 +427,7 @@ class BeamSearch:
             direction=self.settings.direction,
             steps=self.task.steps,
             reached=max(len(self.levels), self._farthest, 1) - 1,
-            deepest=self.levels[-1].states[:_REPORTED] if farther_now else self._deepest,
+            deepest=self.levels[-1].states[:_REPORTED_STATES] if farther_now else self._deepest,
             rejected=self._rejected[:0] if farther_now else self._rejected,
             counters=self.counters,
             seconds=self._seconds,

@@ -11,7 +11,7 @@ from falsework.assembly.state import HELD, Mask, States, held_count
 from falsework.search.problem.hashing import Hashes, StateHash, merge
 from falsework.search.problem.task import Direction, Task
 
-_CHUNK = 4096
+_CHUNK_STATES = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +83,8 @@ def expand(task: Task, direction: Direction, level: States, hashes: Hashes, stat
 def _without_dead_ends(frontier: Frontier) -> Frontier:
     count = len(frontier)
     dead = np.zeros(count, dtype=bool)
-    for begin in range(0, count, _CHUNK):
-        rows = slice(begin, begin + _CHUNK)
+    for begin in range(0, count, _CHUNK_STATES):
+        rows = slice(begin, begin + _CHUNK_STATES)
         dead[rows] = frontier.task.dead_ends(frontier.states(rows), frontier.direction)
     return replace(
         frontier,

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from falsework.search.beam.beam import Level
     from falsework.stability.contact.replay import History, Replayer
 
-_BYTES = 256 << 20
+_HISTORY_BYTES = 256 << 20
 """Memory for histories; those of the earliest levels are computed anew where they are needed again."""
 
 
@@ -96,7 +96,7 @@ class Histories:
         each = 8 * (6 * assembly.parts + 3 * assembly.points)
         count = sum(map(len, self._known))
         for known in self._known[1:-1]:
-            if count * each <= _BYTES:
+            if count * each <= _HISTORY_BYTES:
                 return
             count -= len(known)
             known.clear()

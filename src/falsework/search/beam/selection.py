@@ -16,7 +16,7 @@ from falsework.search.problem.oracle import Judge
 Rows = NDArray[np.int64]
 Confirmed = Callable[[Rows], Mask]
 
-_BATCH = 4
+_VERDICT_BATCH = 4
 """Candidates asked for at once at least, when verdicts are asked one after the other: enough to share two cores."""
 
 
@@ -108,7 +108,7 @@ class Selector:
         rejected: list[Rows] = [waiting[:0]]
         position = 0
         while wanted > 0 and position < len(waiting):
-            batch = waiting[position : position + max(wanted, _BATCH)]
+            batch = waiting[position : position + max(wanted, _VERDICT_BATCH)]
             stable = judge.stable(frontier.states(batch), frontier.parents(batch))
             if stable.any():
                 stable[stable] = confirmed(batch[stable])

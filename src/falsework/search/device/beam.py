@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     TensorGuide = Callable[[torch.Tensor, torch.Tensor, Direction], torch.Tensor]
     """As `Guide`, on tensors; must give the same scores in every process."""
 
-_REPORTED = 64
+_REPORTED_STATES = 64
 """States handed back as deepest and as rejected, at most."""
-_SAMPLE = 4
+_SAMPLES_PER_CLUSTER = 4
 """Candidates a cluster that the centres are found from; all are assigned to clusters afterwards."""
 _CHUNK_BYTES = 1 << 28
 """States written down at once where they are only looked at, in bytes."""
@@ -184,7 +184,7 @@ class DeviceBeam:
         self.exhaustive &= len(rows) <= width
         self._dead = len(rows) == 0
         if self._dead:
-            some = candidates.take(asked[:_REPORTED])
+            some = candidates.take(asked[:_REPORTED_STATES])
             self._rejected = self._written(level, some).cpu().numpy()
             return False
         kept = candidates.take(self._choose(level, candidates.take(rows), rows))
@@ -249,7 +249,7 @@ class DeviceBeam:
             direction=self.settings.direction,
             steps=self.task.steps,
             reached=max(len(self._levels) - 1, 0),
-            deepest=self.levels[-1].states[:_REPORTED] if self._levels else self._rejected[:0],
+            deepest=self.levels[-1].states[:_REPORTED_STATES] if self._levels else self._rejected[:0],
             rejected=self._rejected,
             counters=self.counters,
             seconds=self._seconds,
@@ -345,7 +345,7 @@ class DeviceBeam:
             room = max(self.settings.pool // self.task.part_count, 2 * width)
             # Candidates are in random order now, so the first ones are a fair sample.
             order = order[:room]
-            sample = order[: _SAMPLE * width]
+            sample = order[: _SAMPLES_PER_CLUSTER * width]
             centers = find_centers(self._written(level, stable.take(sample)), words[sample], width)
             mine, _ = self.shards.block(len(order))
             joined = torch.stack(centers.assign(self._written(level, stable.take(order[mine]))), dim=1)

@@ -12,7 +12,7 @@ from falsework.assembly.state import States
 
 Hashes = NDArray[np.uint64]
 
-_CHUNK = 4096
+_CHUNK_STATES = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,8 @@ class StateHash:
         """Hashes of states `(batch, parts)`, shape (batch,)."""
         hashes = np.empty(len(states), dtype=np.uint64)
         part = np.arange(len(self.words))
-        for begin in range(0, len(states), _CHUNK):
-            rows = slice(begin, begin + _CHUNK)
+        for begin in range(0, len(states), _CHUNK_STATES):
+            rows = slice(begin, begin + _CHUNK_STATES)
             hashes[rows] = np.bitwise_xor.reduce(self.words[part, states[rows]], axis=1)
         return hashes
 
@@ -63,8 +63,8 @@ def merge(hashes: Hashes, rows: Callable[[NDArray[np.intp]], States]) -> tuple[N
     _, first, inverse = np.unique(hashes, return_index=True, return_inverse=True)
     inverse = inverse.reshape(-1)
     repeated = np.flatnonzero(first[inverse] != np.arange(len(hashes)))
-    for begin in range(0, len(repeated), _CHUNK):
-        chunk = repeated[begin : begin + _CHUNK]
+    for begin in range(0, len(repeated), _CHUNK_STATES):
+        chunk = repeated[begin : begin + _CHUNK_STATES]
         if not np.array_equal(rows(chunk), rows(first[inverse[chunk]])):
             _, first, inverse = np.unique(rows(np.arange(len(hashes))), axis=0, return_index=True, return_inverse=True)
             inverse = inverse.reshape(-1)
@@ -108,8 +108,8 @@ class StateIndex:
             open_rows, slot = open_rows[inside], slot[inside]
             place = self._order[slot]
             same = np.zeros(len(open_rows), dtype=bool)
-            for begin in range(0, len(open_rows), _CHUNK):
-                part = slice(begin, begin + _CHUNK)
+            for begin in range(0, len(open_rows), _CHUNK_STATES):
+                part = slice(begin, begin + _CHUNK_STATES)
                 same[part] = (self._states[place[part]] == rows(open_rows[part])).all(axis=1)
             found[open_rows[same]] = place[same]
             # Same hash, another state: look at the next entry with this hash, if there is one.

@@ -23,7 +23,7 @@ FORMAT = "falsework.graph/1"
 
 _ARRAYS = frozenset({"states", "source", "action", "target", "boundary", "start_state", "target_state"})
 _KEYS = {"format", "name", "identity", "robots", "removable_only_if_clear", "fixed", "missing", "postponed"}
-_CHUNK = 1024
+_CHUNK_STATES = 1024
 
 
 def criterion_of(task: Task) -> Criterion:
@@ -85,8 +85,8 @@ class StateGraph:
         index = StateIndex(states, state_hash)
         hashes = state_hash(states)
         edges = []
-        for begin in range(0, len(states), _CHUNK):
-            chunk = states[begin : begin + _CHUNK]
+        for begin in range(0, len(states), _CHUNK_STATES):
+            chunk = states[begin : begin + _CHUNK_STATES]
             row, action = np.nonzero(task.moves(chunk, Direction.DISASSEMBLY))
             part = action % task.part_count
             new = task.moved_value(action, Direction.DISASSEMBLY)
@@ -257,8 +257,8 @@ class StateGraph:
         elif (self.level[self.target] != self.level[self.source] + 1).any():
             damage = "an edge is no legal action"
         else:
-            for begin in range(0, edges, 64 * _CHUNK):
-                rows = slice(begin, begin + 64 * _CHUNK)
+            for begin in range(0, edges, 64 * _CHUNK_STATES):
+                rows = slice(begin, begin + 64 * _CHUNK_STATES)
                 after = self.task.follow(states[self.source[rows]], self.action[rows], Direction.DISASSEMBLY)
                 if not np.array_equal(after, states[self.target[rows]]):
                     damage = "an edge does not lead where it says"

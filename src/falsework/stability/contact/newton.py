@@ -143,7 +143,7 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
     ta, tb, block = structure.transfer_a, structure.transfer_b, structure.elimination.pair_block
     pair, slot_a, slot_b = work.pair, work.slot_a, work.slot_b
     diagonal, lower, filled, upper = work.diagonal, work.lower, work.filled, contact.upper
-    local, scratch = np.empty((6, 6)), (np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)))
+    local, scratch = np.empty((1, 6, 6)), np.empty((3, 6, 6))
     for p in range(pairs):
         local[:] = 0.0
         closed, slides = False, False
@@ -168,7 +168,7 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
                 h1 = b1 * k11 + b2 * k21
                 h2 = b1 * k12 + b2 * k22
                 for k in range(6):
-                    local[i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
+                    local[0, i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
         if closed:
             q, a, b = pair[p], slot_a[p], slot_b[p]
             e = block[q]

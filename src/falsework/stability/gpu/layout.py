@@ -150,11 +150,10 @@ class Layout:
         n, blocks = self.sizes["positions"], self.sizes["blocks"]
         return self._index_bytes(1.0) + 2 * self.ancestors + 8 * (36 * (n + blocks) + 30 * n)
 
-    def contact_bytes(self, share: float = 1.0) -> int:
-        """Memory for the Newton iterations under `contact` on a state with this share of the structure."""
-        n, _, ancestors = self._counts(share)
-        blocks = -int(-(share**1.5) * self.sizes["blocks"] // 1)
-        return self._index_bytes(share) + 2 * ancestors + 8 * (36 * (n + 2 * blocks) + 36 * n)
+    def contact_bytes(self) -> int:
+        """Memory for the Newton iterations under `contact` on the largest state."""
+        n, blocks = self.sizes["positions"], self.sizes["blocks"]
+        return self._index_bytes(1.0) + 2 * self.ancestors + 8 * (36 * (n + 2 * blocks) + 36 * n)
 
     def contact_near_bytes(self) -> int:
         """Memory for the same without the matrices, on the largest state."""
@@ -198,19 +197,18 @@ def kernel_options(settings: StabilitySettings) -> KernelOptions:
     )
 
 
-def build_layout(problem: Problem, group_size: int | None = None) -> Layout:
+def build_layout(problem: Problem) -> Layout:
     """Lay a problem out for the kernel.
 
     Args:
         problem: the structure.
-        group_size: most contact points of a pair that one thread takes; by default what wastes least.
 
     Raises:
         InputError: the structure has more contacts or fill than the kernel can index.
     """
     pattern = _eliminate(problem)
-    if group_size is None:
-        group_size = min(_GROUP_SIZES, key=lambda size: (size + _GROUP_COST) * len(_groups(problem, size)[0]))
+    # Contact points of a pair that one thread takes: the size that wastes least.
+    group_size = min(_GROUP_SIZES, key=lambda size: (size + _GROUP_COST) * len(_groups(problem, size)[0]))
     first, count, pair = _groups(problem, group_size)
     groups, n = len(first), len(pattern["column"]) - 1
     if max(groups, len(pattern["block_row"]), n) >= _INDEX_LIMIT:

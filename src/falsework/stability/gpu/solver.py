@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
     from falsework.assembly.model import Assembly
 
+_ADMM_SHARES = (0.5, 1.0)
+"""Sizes of state, as shares of the structure, that ADMM has a launch for: small states leave room on a
+multiprocessor for more of them."""
 _STATIC_SHARED = 4 * 1024
 """Shared memory that the kernels have of their own, at most."""
 _CHUNK_BYTES = 2 << 30
@@ -300,7 +303,7 @@ class GpuSolver:
         driver, layout = self.driver, self.layout
         needed = -(-max(layout.groups, 1) // 32) * 32
         stages: list[_Stage] = []
-        for share in (1.0,) if few else self.settings.gpu.admm_shares:
+        for share in (1.0,) if few else _ADMM_SHARES:
             threads = min(driver.most_threads, -(-int(share * needed) // 32) * 32)
             shared = min(_aligned(layout.admm_bytes(share)), self._shared_limit)
             if shared >= layout.index_bytes():
