@@ -1,4 +1,4 @@
-"""The assembly: parts, contacts, boundary, density and friction, frozen."""
+"""Immutable assembly: parts, contacts, boundary, density and friction."""
 
 from __future__ import annotations
 

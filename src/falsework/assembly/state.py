@@ -1,4 +1,4 @@
-"""States, the actions that are legal in them, and what the actions do.
+"""States, legal actions and transitions.
 
 A state is a `uint8` vector over parts: 0 removed, 1 installed, 2 held; boundary parts are always 2 and
 use no robot. Every function takes a batch `(batch, parts)` and works on whole batches at once.

@@ -1,4 +1,4 @@
-"""Turns and reflections about the vertical under which a structure looks the same, as permutations of its parts.
+"""Rotations and reflections about the vertical that map a structure onto itself, as permutations of its parts.
 
 Gravity points down, so whatever holds for a state holds for its image under any of them: whether it stands, and which
 actions lead where. A dome of twelve equal sectors tells so the same story twenty-four times.

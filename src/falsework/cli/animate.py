@@ -1,4 +1,4 @@
-"""`falsework animate`: a plan as a film."""
+"""`falsework animate`: video of a plan."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Animate(Command):
-    """Play a plan as a film, MP4 or GIF, as the ending of the file says.
+    """Render a plan as a video, MP4 or GIF by the ending of the file.
 
     Needs no display and no graphics driver. With --verdicts every state is judged anew: parts that slide are marked,
     and states that do not stand are named.

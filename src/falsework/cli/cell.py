@@ -1,4 +1,4 @@
-"""`falsework cell check`: which robot of a cell reaches which part, and where robots would stand better."""
+"""`falsework cell check`: reachability of parts by the robots of a cell, and proposals for better bases."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`falsework check`: does every step of a plan hold, by what the caller asks for?"""
+"""`falsework check`: verification of every step of a plan under a chosen criterion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all subcommands share: their base, exit codes, and the options that name a structure."""
+"""Base of all subcommands: exit codes, and the options that name a structure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`falsework dataset`: states to train a policy on and states to test it on."""
+"""`falsework dataset`: training and test states for a policy."""
 
 from __future__ import annotations
 

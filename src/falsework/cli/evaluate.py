@@ -1,4 +1,4 @@
-"""`falsework evaluate`: how often a policy succeeds, on states that it has learned from and on others."""
+"""`falsework evaluate`: success rate of a policy on training states and on unseen states."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`falsework export`: a structure or a plan in the files of other programs."""
+"""`falsework export`: structures and plans in the formats of other programs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MOVING = ("glb", "gltf", "usd")
 
 @dataclass(frozen=True, kw_only=True)
 class Export(Command):
-    """Write a structure, or a plan in motion, for other programs.
+    """Write a structure or an animated plan in the format of another program.
 
     STRUCTURE may be a plan, too. A folder has one mesh a part and assembly.json. glTF (.glb, .gltf) opens in Blender
     and any viewer, USD (.usda) in robot simulators; both show a plan as an animation. COMPAS data (.json) are a list of

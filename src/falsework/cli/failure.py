@@ -1,4 +1,4 @@
-"""Why there is no plan, in plain words: proven or only not found, how far the search came, what would move there."""
+"""Reports on failed searches: proven or not, depth reached, and the motion at the failing states."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LOOKED_AT = 16
 
 @dataclass(frozen=True)
 class Failure:
-    """What can be said about a search without a plan."""
+    """Report on a search without a plan."""
 
     proven: bool
     """There is no plan, as opposed to none that was found."""

@@ -1,4 +1,4 @@
-"""Find the structure that a command means: built in, meshes, COMPAS data, or the one that a plan names."""
+"""Loader of the structure that a command names: built in, meshes, COMPAS data, or the structure of a plan."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Entry point of `falsework`: finds the subcommand, runs it, and turns errors into one line and an exit code."""
+"""Entry point of `falsework`: command dispatch, one-line error messages and exit codes."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _UsageError(Exception):
-    """The options do not make a command."""
+    """Options that do not make a command."""
 
 
 def _parse(arguments: list[str]) -> Command | None:

@@ -1,4 +1,4 @@
-"""`falsework picture`: a plan, a structure or a state graph as a picture, without a screen."""
+"""`falsework picture`: picture of a plan, a structure or a state graph without a display."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`falsework plan`: an order of hold and remove actions in which every state is proven stable."""
+"""`falsework plan`: sequence of hold and remove actions in which every state is proven stable."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MakePlan(Command):
-    """Plan how robots take a structure apart, and so, played backwards, how they build it.
+    """Plan the disassembly of a structure by robots and so, in reverse, its assembly.
 
     Narrow and quick searches come first, wider ones where they fail. Every state of the plan is proven stable, and the
     plan stands when it is replayed in the order of assembly with contact history. Exit code 1 if there is no plan or

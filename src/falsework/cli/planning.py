@@ -1,4 +1,4 @@
-"""What `plan` and `graph` share: the options that say what is planned and how, and the checks before a search."""
+"""Task and search options that `plan` and `graph` share, and the checks before a search."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class TaskOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class SearchOptions:
-    """How the search goes about it."""
+    """Options of the search."""
 
     width: int = 64
     """States kept at each step; a wider search finds more and takes longer."""

@@ -1,4 +1,4 @@
-"""`falsework replan`: another plan from where things stand now."""
+"""`falsework replan`: new plan from the current state."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SHOWN = 8
 
 @dataclass(frozen=True, kw_only=True)
 class MakeReplan(Command):
-    """Plan again from where things stand: a part is late, a robot is down, somebody was faster.
+    """Plan again from the current state, such as when a part is late or a robot is down.
 
     STRUCTURE may also be a run, the folder that `falsework train` wrote: its policy then proposes the steps. Searches
     step in where it fails, and every state of the answer is proven stable. With --direction assembly the plan goes on

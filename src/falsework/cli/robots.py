@@ -1,4 +1,4 @@
-"""`falsework robots`: motions of real arms for a plan, an independent check of them, and files for controllers."""
+"""`falsework robots`: arm motions for a plan, their independent verification, and export to controllers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanRobots(Command):
-    """Plan how the arms of a cell take a structure apart, and so, played backwards, how they build it.
+    """Plan arm motions that take a structure apart and so, in reverse, build it.
 
     Actions and motions are planned together: every state stands, and so does a replay of them in the order of assembly,
     every motion is free of collisions, one robot moves at a time. Exit code 1 if no plan was found; the report says
@@ -244,7 +244,7 @@ class CheckRobots(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class ExportRobots(Command):
-    """Write the motions of a robot plan for those who carry them out.
+    """Write the motions of a robot plan for robot controllers.
 
     ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file a step and one for the plan; ABB RAPID as
     one module a robot.

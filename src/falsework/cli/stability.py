@@ -1,4 +1,4 @@
-"""`falsework stability`: is a structure, or a state of it, stable?"""
+"""`falsework stability`: stability of a structure, or of states of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a picture, a film or the page shows: a plan, a run, a robot plan, a state graph or a structure, told apart."""
+"""Files that a picture, a video or the page can show: plan, run, robot plan, state graph or structure."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """What was opened."""
+    """Opened file: its timeline and whatever belongs to it."""
 
     kind: Literal["plan", "run", "robot plan", "graph", "structure"]
     assembly: Assembly
@@ -66,7 +66,7 @@ class Subject:
 
 @dataclass(frozen=True, kw_only=True)
 class SubjectOptions(LoadOptions):
-    """Options that say what to look at."""
+    """Options that name the file or structure to show."""
 
     spec: Annotated[Positional[str], arg(metavar="WHAT")]
     """Plan, run, robot plan, state graph, or a structure: built-in, folder or file of meshes."""

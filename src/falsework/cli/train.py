@@ -1,4 +1,4 @@
-"""`falsework train`: a policy for one structure, which knows what to do next in any state."""
+"""`falsework train`: policy that proposes the next action in any state of one structure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How parts of an unstable structure move, in plain words."""
+"""Text about the motion of parts in an unstable structure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STEEP = 0.9
 
 @dataclass(frozen=True)
 class Motion:
-    """How one part moves; lengths are relative, since a mechanism has a direction but no size."""
+    """Motion of one part; lengths are relative, since a mechanism has a direction but no size."""
 
     part: int
     speed: float

@@ -1,4 +1,4 @@
-"""`falsework view`: look at a plan in the browser, and steer it."""
+"""`falsework view`: interactive view of a plan in the browser."""
 
 from __future__ import annotations
 

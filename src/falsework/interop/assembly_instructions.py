@@ -1,4 +1,4 @@
-"""A plan for a crew: step by step which part to place, which to hold and which to let go.
+"""Assembly instructions for a crew: parts to place, to hold and to release in each step.
 
 What a plan calls a robot is a support here: a robot, a prop, or a pair of hands that keeps a part exactly where it is
 until the sheet says that it may be released. The table is always in the order of assembly.
@@ -52,7 +52,7 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 @dataclass(frozen=True, eq=False)
 class SiteStep:
-    """One line of the sheet."""
+    """One step of the assembly instructions."""
 
     number: int
     """From 1."""
@@ -78,7 +78,7 @@ class SiteStep:
 
 @dataclass(frozen=True, eq=False)
 class SiteSheet:
-    """A plan as a crew follows it."""
+    """Plan as instructions for a crew."""
 
     timeline: Timeline
     steps: tuple[SiteStep, ...]

@@ -1,4 +1,4 @@
-"""The sheet for the site as a PDF to print: a picture, what to do, and a box to tick for every step."""
+"""Printable PDF of assembly instructions: a picture, the action and a check box for every step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read COMPAS data: lists of meshes, assemblies of compas_assembly, models of compas_dem.
+"""Reader of COMPAS data: lists of meshes, assemblies of compas_assembly, models of compas_dem.
 
 COMPAS writes every object as JSON with the name of its class, `{"dtype": "compas.datastructures/Mesh", "data": ...}`.
 The classes that hold blocks are few and plain, so they are read here without COMPAS; `model.json` from an architect
@@ -33,7 +33,7 @@ _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """What the file says of one part."""
+    """Data of one part in a COMPAS file."""
 
     name: str
     vertices: NDArray[np.float64]
@@ -100,7 +100,7 @@ def load_compas(
 
 
 class _Reader:
-    """Finds the blocks in COMPAS data and complains about what is not as it must be."""
+    """Reader of the blocks in COMPAS data, with precise errors."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -1,4 +1,4 @@
-"""Write COMPAS data: a list of meshes, an assembly of compas_assembly, or a model of compas_dem."""
+"""Writer of COMPAS data: a list of meshes, an assembly of compas_assembly, or a model of compas_dem."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def write_compas(path: Path | str, assembly: Assembly, kind: CompasKind = "meshe
 
 
 class _guids:
-    """Guids of the things in one structure, by name."""
+    """Guids of the objects of one structure, by name."""
 
     def __init__(self, assembly: Assembly) -> None:
         self._identity = assembly.identity

@@ -1,4 +1,4 @@
-"""glTF 2.0: a structure, and a plan as an animation with one node a part.
+"""glTF 2.0 export: a structure, and a plan as an animation with one node per part.
 
 glTF has metres and y up, as the standard demands; whoever reads it turns it to his own axes. Each part is a node that
 sits at its centre of mass, so that positions keep their digits however far from the origin the structure is modelled.
@@ -78,7 +78,7 @@ def write_gltf(
 
 
 class _Document:
-    """A glTF document that grows: its JSON, and its buffer."""
+    """glTF document under construction: its JSON and its buffer."""
 
     def __init__(self, assembly: Assembly) -> None:
         self._assembly = assembly

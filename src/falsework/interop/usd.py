@@ -1,4 +1,4 @@
-"""USD with physics: bodies, masses, friction and supports for a robot simulator, and a plan as time samples.
+"""USD export with physics: bodies, masses, friction and supports, and a plan as time samples.
 
 Written as text (`.usda`), which needs no package and shows in a difference what changed; `usdcat` makes it binary. Why
 USD and not URDF: docs/decisions/0071.

@@ -1,4 +1,4 @@
-"""How a new plan differs from an old one: for people who have prepared the old one, and as JSON."""
+"""Difference between an old plan and a new one, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NAMED = 5
 
 @dataclass(frozen=True)
 class Move:
-    """A part whose place in the order has changed."""
+    """Part whose position in the order has changed."""
 
     part: int
     name: str
@@ -35,7 +35,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Difference:
-    """What changes for somebody who had prepared for the old plan."""
+    """Changes between an old plan and a new one."""
 
     direction: Direction
     """In which both plans are compared: that of the new one."""

@@ -1,4 +1,4 @@
-"""A policy as the guide of a search, and as the source of rollouts: probabilities on arrays, torch behind the door."""
+"""Policy as an action heuristic of a search and as a sampler of rollouts, on NumPy arrays."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BATCH = 4096
 
 
 class PolicyGuide:
-    """Scores actions by the logarithm of the probability that a policy gives them; a `falsework.search.Guide`.
+    """Action heuristic by the log-probabilities of a policy; a `falsework.search.Guide`.
 
     In disassembly that is the probability of the action in the state. In assembly an action is undone, and what counts
     is the probability with which the policy would take it from the state before: summed up along a way, both are the

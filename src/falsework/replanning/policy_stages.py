@@ -1,4 +1,4 @@
-"""The stages of a replanner in which the policy decides: its most probable actions, then samples."""
+"""Policy stages of a replanner: greedy rollouts, then sampled rollouts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Proves the states of a route by certificates, each state once in the life of a replanner."""
+"""Certificates for the states of a route; each state is proven once in the life of a replanner."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PIECE = 64
 
 
 class Prover:
-    """Turns routes into plans of which every state is proved stable by a certificate that the checker accepts."""
+    """Converter of routes into plans whose every state has a certificate that the checker accepts."""
 
     def __init__(self, assembly: Assembly, oracle: Stability) -> None:
         """Prove with `oracle`, which must be one of `assembly`."""

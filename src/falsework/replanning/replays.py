@@ -1,4 +1,4 @@
-"""Replays of the routes that a request may be answered with, as far as its deadline allows."""
+"""Contact replays of candidate routes within the deadline of a request."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PIECE = 8
 
 @dataclass(frozen=True)
 class Replayed:
-    """How a plan went when it was replayed in the order of assembly, with contact history."""
+    """Result of a replay of a plan in the order of assembly, with contact history."""
 
     stands: bool | None
     """True if every state comes to rest, False if one does not, None if the deadline came first."""
@@ -39,7 +39,7 @@ class Replayed:
 
 @dataclass(eq=False)
 class _Progress:
-    """A replay that can be gone on with."""
+    """Replay that can be continued."""
 
     result: np.ndarray
     moved: np.ndarray
@@ -60,7 +60,7 @@ class _Progress:
 
 
 class TimedReplayer:
-    """A replayer that looks at the clock between a few steps, and replays no sequence twice.
+    """Replayer that checks the deadline between steps and replays no sequence twice.
 
     Searches use it like a `Replayer`. They rule the state out in which a sequence falls, which makes no sense of the
     two ends, since every sequence has them: where an end falls, its neighbour is ruled out.

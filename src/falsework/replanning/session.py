@@ -1,4 +1,4 @@
-"""One request on its way to an answer: its task, its clock, and what was found for it so far."""
+"""Session of one replanning request: its task, its deadline, and the candidates found so far."""
 
 from __future__ import annotations
 

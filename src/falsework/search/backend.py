@@ -1,4 +1,4 @@
-"""Which beam search runs where: arrays on the processor, or tensors on a GPU and in several processes."""
+"""Choice of the beam search backend: arrays on the CPU, or tensors on a GPU and in several processes."""
 
 from __future__ import annotations
 

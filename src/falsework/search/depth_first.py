@@ -26,7 +26,7 @@ _REPORTED_STATES = 64
 
 @dataclass(frozen=True)
 class DepthFirstSettings:
-    """How a depth-first search walks."""
+    """Settings of a depth-first search."""
 
     direction: Direction = Direction.DISASSEMBLY
     """Which end to begin at."""
@@ -41,7 +41,7 @@ class DepthFirstSettings:
 
 
 class DepthFirstSearch:
-    """Goes on from the newest state, and back where no untried stable move is left.
+    """Depth-first search with backtracking that can be saved and resumed.
 
     A state is entered once: one that was left behind without success cannot succeed on another way. Moves that free a
     robot come first, since holding more is nearly always possible and rarely of use by itself.

@@ -1,4 +1,4 @@
-"""From an assembly and a task to plans: what the command line and the README call."""
+"""Plans of an assembly and a task: the entry point of the search."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SAVE_EVERY = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Planning:
-    """What came out of `find_plans`."""
+    """Result of `find_plans`."""
 
     result: SearchResult
     """How the search ended, and if it found nothing, how far it came."""

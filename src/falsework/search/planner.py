@@ -1,4 +1,4 @@
-"""Finds plans: beams that widen where they must, from both ends; then later missing parts; then other plans."""
+"""Planner: adaptive beams from both ends, postponement of missing parts, and alternative plans."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _NOVEL_WIDTH = 4
 
 @dataclass(frozen=True)
 class PlannerSettings:
-    """How hard to look for plans."""
+    """Settings of the planner."""
 
     width: int = 64
     """Widest beam that is tried before giving up."""
@@ -74,7 +74,7 @@ class PlannerSettings:
 
 
 class Planner:
-    """Looks for a plan, then postpones missing parts, then gathers states for alternative plans.
+    """Planner of first plans, of plans with postponed parts, and of alternatives.
 
     Where parts are missing, plans are compared by the steps of assembly before the first of them goes in, then before
     the second, and so on; each of these numbers in turn is driven up by bisection, with searches in which the parts

@@ -1,4 +1,4 @@
-"""What there is to ask, as a FastAPI application."""
+"""FastAPI application and routes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The OpenAPI description as a page that loads nothing from elsewhere: a building site may have no way out."""
+"""OpenAPI description as a self-contained HTML page without external resources."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shares requests among worker processes: batches, deadlines, and workers that are lost.
+"""Worker pool: batching, deadlines, and recovery of lost workers.
 
 Everything here runs in the event loop of the process that talks to clients; nothing in it takes long. A request that
 waits is answered at its deadline whatever the workers do. A worker that dies takes at most one try of its requests with
@@ -44,7 +44,7 @@ log = logging.getLogger("falsework.service")
 
 @dataclass(frozen=True)
 class Reply:
-    """An answer on its way to a client."""
+    """Answer to a client."""
 
     status: int
     body: bytes
@@ -53,7 +53,7 @@ class Reply:
 
 @dataclass(eq=False)
 class Ticket:
-    """A request that waits for its answer."""
+    """Request that waits for its answer."""
 
     kind: Kind
     payload: Any
@@ -71,7 +71,7 @@ class Ticket:
 
 @dataclass(eq=False)
 class _Worker:
-    """A process and what it is busy with."""
+    """Worker process and the requests that it works on."""
 
     kind: Kind
     process: Any
@@ -83,7 +83,7 @@ class _Worker:
 
 
 class Pool:
-    """Workers, and the requests that wait for them."""
+    """Worker processes and their request queues."""
 
     def __init__(
         self, assembly: Assembly, settings: ServiceSettings, metrics: Metrics, *, run: Path | None = None

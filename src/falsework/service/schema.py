@@ -1,4 +1,4 @@
-"""What requests and answers look like: checked on the way in, written down for the OpenAPI page."""
+"""Request validation and the OpenAPI schema."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def whole(least: int, most: int) -> Any:
 
 
 class Strict(BaseModel):
-    """Takes nothing that its description does not say."""
+    """Base of request models that forbid unknown fields."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
 @dataclass(frozen=True)
 class Models:
-    """Requests about one structure."""
+    """Request models for one structure."""
 
     replan: type[BaseModel]
     stability: type[BaseModel]

@@ -1,4 +1,4 @@
-"""Listens, and hangs up on those who take too long."""
+"""HTTP server with limits on slow connections."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def _protocol(settings: ServiceSettings) -> type[H11Protocol]:
     longest = settings.longest_deadline + settings.body_seconds + settings.stuck_seconds
 
     class PatientNoLonger(H11Protocol):
-        """One connection."""
+        """Connection with time limits."""
 
         _hang_up: asyncio.TimerHandle | None = None
 

@@ -1,4 +1,4 @@
-"""What a service listens to, and the bounds on everything that comes in."""
+"""Service settings: addresses, and bounds on requests and time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks a proof in float64 from the assembly alone; it trusts no solver and shares no code with them.
+"""Certificate checker: verifies a proof in float64 from the assembly alone, without code of the solvers.
 
 A displacement proves that a state is stable under the criterion `contact`: the check evaluates the contact law, which
 keeps forces inside the friction cones, and asks what they leave. It also proves equilibrium.
@@ -33,7 +33,7 @@ _CHUNK = 256
 
 @dataclass(frozen=True)
 class Claim:
-    """What is claimed of every verdict."""
+    """Criterion, cone, gravity, tolerance and bounds that a verdict refers to."""
 
     cone: str = "octagon"
     """Friction cone, `octagon` or `quadratic`."""

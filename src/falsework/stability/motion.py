@@ -1,4 +1,4 @@
-"""Motion of the parts of a state that does not stand, as its certificate shows it."""
+"""Motion of the parts in an unstable state, from its certificate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The oracle that everything calls: batches, cache, warm starts, and the exact solver for what is left."""
+"""Stability oracle: batches, cache, warm starts, and the exact solver for undecided states."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _WORTH_A_GPU = 8
 
 @dataclass
 class Counters:
-    """What the oracle was asked, and who answered."""
+    """Numbers of queries to the oracle, by the solver that answered."""
 
     asked: int = 0
     """States asked about, repetitions included."""
@@ -61,7 +61,7 @@ class Counters:
 
 
 class Stability:
-    """Says of partial structures whether they stand, with proofs.
+    """Stability oracle of one structure, with proofs.
 
     One object serves one structure under one set of settings. It keeps what it learns: ask the same object
     again rather than making a new one.

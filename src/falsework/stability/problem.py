@@ -1,4 +1,4 @@
-"""What all solvers share: wrench maps, masses, scalings, and the masks that a state implies."""
+"""Equilibrium problem of a structure: wrench maps, masses, scalings, and the masks that a state implies."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TOLERANCE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The equilibrium problem of one structure, computed once and read by every solver.
+    """Equilibrium problem of one structure, computed once and shared by all solvers.
 
     Contact point `c` acts between part `a` and part `b` with a force in the frame `(n, t1, t2)`; the force
     acts on `b`, its opposite on `a`. Wrenches are `(force, moment about the centre of mass)`.

@@ -1,4 +1,4 @@
-"""Contact stiffness of a structure, and how far a standing structure may move under it.
+"""Contact stiffness of a structure, and the limit on displacements of a stable structure.
 
 Both are part of the criterion, as friction is: solvers, certificate checker and judges read them from here.
 """

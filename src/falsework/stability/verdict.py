@@ -1,4 +1,4 @@
-"""What a stability check answers: verdicts, and the proofs that they rest on."""
+"""Stability verdicts and their proofs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ prestress bring such forces about."""
 
 
 class Verdict(IntEnum):
-    """Does a partial structure stand?"""
+    """Stability of a partial structure."""
 
     SLIDES = -2
     """Forces in equilibrium exist, but no displacement was found that brings them about: the iterations follow parts
@@ -26,7 +26,7 @@ class Verdict(IntEnum):
 
 
 class Proof(IntEnum):
-    """What proves a verdict."""
+    """Kind of proof behind a verdict."""
 
     NONE = 0
     FORCES = 1
@@ -38,7 +38,7 @@ class Proof(IntEnum):
 
 
 class Solver(IntEnum):
-    """Who found the proof."""
+    """Solver that found a proof."""
 
     NONE = 0
     CPU = 1

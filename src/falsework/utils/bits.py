@@ -1,4 +1,4 @@
-"""Sets as words of 64 bits."""
+"""Bit sets in 64-bit words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several processes at one search: who does which share, and how the shares come together."""
+"""Process groups for a search in several processes: shares of work, and reductions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Shards:
-    """One process among the processes of one search.
+    """Process group of one search, seen from one of its processes.
 
     Whatever is combined is combined exactly, as integers or unchanged, so that the number of processes does not show
     in the result.

@@ -1,4 +1,4 @@
-"""Torch at the boundary, and exact arithmetic on tensors that gives the same bits on every device."""
+"""Torch imports on demand, and integer arithmetic on tensors that gives the same bits on every device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading values out of a TOML file so that every error names the file and the key."""
+"""TOML table reader whose errors name the file and the key."""
 
 from __future__ import annotations
 

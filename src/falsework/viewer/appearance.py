@@ -1,4 +1,4 @@
-"""What is seen at a place of a timeline: colour, opacity and position of every part."""
+"""Appearance of a timeline position: colour, opacity and displacement of every part."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TRAVEL = 0.45
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """All parts as they are to be drawn."""
+    """Appearance of all parts."""
 
     state: States
     """State that is shown, shape (parts,)."""

@@ -1,4 +1,4 @@
-"""Arms, grippers and the part that they carry at any moment of a robot plan, in the frame of the structure.
+"""Poses of arms, grippers and carried parts at any time of a robot plan, in the frame of the structure.
 
 A cell may build a structure at another size and place; here everything is taken back to the structure as it is, so
 that arms can be drawn beside parts that never move.
@@ -51,7 +51,7 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """Where all arms are."""
+    """Poses of all arms at one time."""
 
     poses: Array
     """Of every link in the frame of the structure, rotation and translation, shape (links, 4, 4)."""

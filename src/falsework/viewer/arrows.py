@@ -1,4 +1,4 @@
-"""Arrows that show a proof: contact forces, friction and weight of a stable state, motion of one that is not."""
+"""Arrows that show a proof: contact forces, friction and weight of a stable state, motion of an unstable one."""
 
 from __future__ import annotations
 

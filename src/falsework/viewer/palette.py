@@ -1,4 +1,4 @@
-"""One colour scheme for page and pictures, told apart by colour-blind people too.
+"""Colour scheme of page and pictures, safe for colour-blind viewers.
 
 The robots' colours are those of Okabe and Ito (2008). `difference` measures how far two colours stay apart for eyes
 without the medium-wave or the long-wave cones, by the matrices of Machado, Oliveira and Fernandes (2009).

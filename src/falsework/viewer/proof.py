@@ -1,4 +1,4 @@
-"""The verdict on states with their proofs, in words, as arrows and as marks."""
+"""Verdicts on states with their proofs, as text, arrows and marks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _AT_ONCE = 64
 
 @dataclass(frozen=True, eq=False)
 class StateProof:
-    """Whether a state stands, and why."""
+    """Stability of a state, with its proof."""
 
     stable: bool
     decided: bool

@@ -1,4 +1,4 @@
-"""A plan as something to look at: states, who holds what, and where each part travels."""
+"""Timeline of a plan: states, holders, and the displacement of each part."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ UPWARDS = 0.35
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """States one action apart with all that a picture of them needs.
+    """States one action apart, with the data that a picture of them needs.
 
     Everything is kept in the order of disassembly; `at` turns a place in the order shown into one here.
     """

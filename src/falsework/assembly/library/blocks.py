@@ -1,4 +1,4 @@
-"""What generators return, and the solids that they put together."""
+"""Convex blocks and assemblies of them, as the generators of built-in structures return them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """One block before it has its number: a closed polyhedron with flat faces that look outwards."""
+    """Closed polyhedron with flat faces that look outwards, not yet numbered."""
 
     kind: str
     """What the block is, such as `voussoir`; parts are named `voussoir-0`, `voussoir-1`, ..."""

@@ -1,4 +1,4 @@
-"""A shell of flat-faced blocks from the tangent planes of a concave surface."""
+"""Shell of flat-faced blocks from the tangent planes of a concave surface."""
 
 from __future__ import annotations
 

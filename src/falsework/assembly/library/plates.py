@@ -1,4 +1,4 @@
-"""House of slotted plates, which comes apart along clear ways, and a shelf that locks itself."""
+"""House of slotted plates that can be taken apart, and a shelf that interlocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the words of the command line to a built-in structure."""
+"""Parser of built-in structure specifications such as `arch:blocks=15`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Solids made of unit cubes: cutting a region at random into connected pieces, and their surfaces."""
+"""Random connected pieces of a region of unit cubes, and their surface meshes."""
 
 from __future__ import annotations
 

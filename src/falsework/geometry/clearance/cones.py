@@ -1,4 +1,4 @@
-"""Cones of directions in which one part runs into another: what proves that there is no way out between them.
+"""Cones of blocked directions between parts, which prove that no exit direction lies between those found.
 
 A convex piece of a part, moved along a direction without end, meets a convex piece of another part if and only if
 the direction lies in the cone over the Minkowski difference of the two. That cone is convex and has flat
@@ -30,7 +30,7 @@ _CROSSES = 1_000
 
 @dataclass(frozen=True, eq=False)
 class Cones:
-    """Convex cones of directions; in each, one part is in the way.
+    """Convex cones of directions in which one part blocks another.
 
     A direction `d` of unit length lies in cone `k` if `facets @ d > offset` for all its facets
     `start[k]:start[k + 1]`. All offsets are zero or positive, so a cone holds with some directions all

@@ -1,4 +1,4 @@
-"""Proof that no direction does better than known ways out: triangles that cover the sphere of directions."""
+"""Proof by a triangulation of the sphere that no exit direction beats those found."""
 
 from __future__ import annotations
 

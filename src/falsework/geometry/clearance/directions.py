@@ -1,4 +1,4 @@
-"""Directions along which a part may leave: those that its contacts suggest, then all over the sphere."""
+"""Candidate exit directions of a part: those that its contacts suggest, then a sphere covering."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a part hits when it is moved along a straight line without end."""
+"""Sweep test: parts hit by a part that moves along a straight line to infinity."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _BATCH = 125
 
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """Ways out of one part, with what is in the way."""
+    """Exit directions of one part, with the parts that block them."""
 
     directions: Array
     """Unit vectors, shape (ways, 3)."""
@@ -42,7 +42,7 @@ class Ways:
 
 
 class Sweeper:
-    """Straight moves of single parts through all the others."""
+    """Straight sweeps of single parts through all others."""
 
     def __init__(self, meshes: Sequence[TriangleMesh], contacts: Contacts, tolerance: float) -> None:
         """Shrink the parts, and find planes that keep pairs of them apart.
@@ -225,7 +225,7 @@ def includes_one(row: NDArray[np.bool_], rows: Mask) -> bool:
 
 
 class _Shape:
-    """A shrunken part, ready to be hit and to be swept."""
+    """Shrunken part, as obstacle and as swept body."""
 
     def __init__(self, mesh: TriangleMesh, distance: float, edges: _Edges) -> None:
         self.vertices = shrink(mesh, distance)

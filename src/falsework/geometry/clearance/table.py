@@ -1,4 +1,4 @@
-"""Which part can leave along which direction: a lookup table, computed once per structure."""
+"""Clearance table: exit directions of every part and the parts that block them, computed once per structure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ClearanceTable:
-    """For every part the ways out, each with the set of parts that block it.
+    """Exit directions of every part, each with the set of parts that block it.
 
     A way whose blockers include all blockers of another way of the same part is never needed and is left
     out: whenever it is free the other is free too. So the few that remain answer whether a part can leave

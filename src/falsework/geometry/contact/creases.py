@@ -1,4 +1,4 @@
-"""Convex edges and corners of parts: what can touch another part along a line or at a point."""
+"""Convex edges and corners of parts, which can touch another part along a line or at a point."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _STRAIGHT = np.cos(np.radians(0.5))
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Faces and vertices of all parts in one row; faces without area are left out."""
+    """Faces and vertices of all parts, concatenated; faces without area are left out."""
 
     points: Array
     """Shape (vertices, 3), metres."""

@@ -1,4 +1,4 @@
-"""Put patches together that one contact can stand for: those of one plane, and of a curved interface in steps."""
+"""Grouping of contact patches by plane, and of curved interfaces by direction."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ class Contacts:
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """When two parts touch, and what counts as one plane."""
+    """Tolerances of contact detection and of the grouping into planes."""
 
     gap: float | None = None
     """Largest gap between faces that still touch, metres. None: 1/2000 of the median diagonal of the parts, or

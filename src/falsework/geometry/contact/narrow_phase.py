@@ -1,4 +1,4 @@
-"""Where parts touch along a line or at a point: edges and corners on faces, and edges across edges.
+"""Line and point contacts: edges and corners on faces, and edges across edges.
 
 The rules are the counterpart of those for faces. A face that is nearer to parallel with the other than the largest
 angle between faces that touch makes a patch; so an edge counts only where both of its faces rise more steeply from
@@ -28,7 +28,7 @@ _BESIDE = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Narrow:
-    """Places of one or two points where two parts touch, a row each."""
+    """Line and point contacts between two parts, one row each."""
 
     parts: NDArray[np.int32]
     """Part `a` and part `b`, `a < b`, shape (places, 2)."""
@@ -52,7 +52,7 @@ class Narrow:
 
 @dataclass(frozen=True)
 class Reach:
-    """What is near enough to touch, metres and degrees; as `face_patches`."""
+    """Tolerances of contact, metres and degrees; as `face_patches`."""
 
     gap: float
     overlap: float

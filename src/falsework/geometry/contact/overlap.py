@@ -1,4 +1,4 @@
-"""Parts that pass through each other: found by collision, measured by depth."""
+"""Overlap between parts: detection by collision queries, and penetration depth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a face of one part lies against a face of another: the raw material of contacts."""
+"""Overlap polygons of opposed faces of two parts, from which contacts are made."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Patches:
 
 @dataclass(frozen=True, eq=False)
 class _Faces:
-    """All faces of a structure in one row."""
+    """All faces of a structure, concatenated."""
 
     corners: Array
     part: NDArray[np.int32]

@@ -1,4 +1,4 @@
-"""Which bounding boxes overlap: the broad phase of everything that compares parts with parts."""
+"""Overlap of axis-aligned bounding boxes: the broad phase of all part-to-part tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Collision queries on closed meshes, by the Flexible Collision Library, and the shrinking that makes them robust."""
+"""Collision queries on closed meshes, slightly shrunken for robustness, with the Flexible Collision Library."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def shrink(mesh: TriangleMesh, distance: float) -> Array:
 
 
 class Body:
-    """A surface of triangles that can be asked for collisions and distances."""
+    """Triangle surface for collision and distance queries."""
 
     def __init__(self, vertices: Array, faces: NDArray[np.integer]) -> None:
         model = fcl.BVHModel()

@@ -72,7 +72,7 @@ class TriangleMesh:
 
 @dataclass(frozen=True, eq=False)
 class MassProperties:
-    """Mass and where it sits, for all parts of a structure."""
+    """Masses, centres and inertias of all parts of a structure."""
 
     mass: NDArray[np.float64]
     """Shape (parts,), kg."""

@@ -1,4 +1,4 @@
-"""Wavefront OBJ, read and written without losing a digit."""
+"""Reader and writer of Wavefront OBJ that keep every digit."""
 
 from __future__ import annotations
 

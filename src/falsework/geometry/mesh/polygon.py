@@ -1,4 +1,4 @@
-"""Cut planar polygons into triangles without adding corners."""
+"""Triangulation of planar polygons without new vertices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read the meshes of parts from files: a folder with one file a part, or one file with all parts."""
+"""Reader of part meshes: a folder with one file per part, or one file with all parts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.304
 
 @dataclass(frozen=True, eq=False)
 class _Solid:
-    """What a file calls one object."""
+    """Named object of a mesh file."""
 
     name: str
     vertices: NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Make sure that a mesh bounds a solid, and mend it where that is safe."""
+"""Check that a mesh bounds a solid, with repair where that is safe."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _FLAT = 1e-3
 
 
 class RepairWarning(UserWarning):
-    """A mesh was mended before use."""
+    """Repair of a mesh before use."""
 
 
 def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:

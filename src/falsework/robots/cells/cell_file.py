@@ -1,4 +1,4 @@
-"""Cells from TOML files, built in or your own. Lengths in metres, angles in degrees, masses in kilograms."""
+"""Cell files in TOML, built in or user defined. Lengths in metres, angles in degrees, masses in kilograms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read an arm from a URDF file: the chain from base to tip, with the convex hulls of its collision shapes."""
+"""URDF reader: the joint chain from base to tip, with the convex hulls of the collision shapes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a cell can work at all: bases, homes, tools and payloads, before any plan."""
+"""Validation of a cell before any planning: bases, home configurations, tools and payloads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a gripper can take hold of a part, best first, and along which directions a part can be drawn out."""
+"""Grasp candidates of a part, ranked by quality, and the directions in which a part can be withdrawn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nearly flat faces of a part, on which a gripper can take hold."""
+"""Nearly planar faces of a part, as grasp surfaces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which robot of a cell can take hold of which part, and where robots would stand better."""
+"""Reachability of parts by the robots of a cell, and proposals for better robot bases."""
 
 from __future__ import annotations
 

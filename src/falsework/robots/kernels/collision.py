@@ -1,4 +1,4 @@
-"""The compiled check: is an arm, with what it carries, clear of everything at given joint values?
+"""Compiled collision check of an arm with its load at given joint values.
 
 Forward kinematics, broad phase (spheres against boxes, of groups and of single pieces) and narrow phase (`gjk.gap`) run
 in one function on flat arrays. An answer of "clear" is a proof for every pair; see `docs/decisions/0040`.
@@ -47,7 +47,7 @@ class Bodies(NamedTuple):
 
 
 class Obstacles(NamedTuple):
-    """Convex pieces that stand still, in groups that are near each other."""
+    """Static convex pieces, in groups of neighbours."""
 
     start: NDArray[np.int64]
     vertices: Array
@@ -61,7 +61,7 @@ class Obstacles(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Which pairs count, and how far apart they must be."""
+    """Pairs to check, and the margins to keep."""
 
     pair: NDArray[np.bool_]
     """Whether a body and an obstacle are checked, shape (bodies, obstacles)."""
@@ -76,7 +76,7 @@ class Rules(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Scratch of one caller: not to be shared between threads."""
+    """Scratch memory of one caller: not to be shared between threads."""
 
     frames: Array
     vertices: Array

@@ -1,4 +1,4 @@
-"""Distance between two convex pieces, compiled: Gilbert, Johnson and Keerthi's algorithm with proofs of separation.
+"""Compiled distance between two convex pieces: Gilbert, Johnson and Keerthi's algorithm with proofs of separation.
 
 The algorithm walks over the Minkowski difference A - B towards the origin. Its current point v gives an upper bound
 |v| on the distance; the plane through the support point w of -v gives a lower bound v.w / |v|, which is a proof:

@@ -1,4 +1,4 @@
-"""From robots, parts and obstacles to the flat arrays that the compiled check reads."""
+"""Flat arrays of robots, parts and obstacles for the compiled collision check."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GROUP = 6
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """What a robot carries: pieces in the frame of its flange."""
+    """Load of a robot: pieces in the frame of its flange."""
 
     part: int
     pieces: Pieces

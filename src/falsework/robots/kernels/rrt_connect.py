@@ -1,4 +1,4 @@
-"""Compiled motion planning: proof that an edge is free, two trees that grow towards each other, shortcuts.
+"""Compiled motion planning: proof of free edges, RRT-Connect, and shortcutting.
 
 An edge is proven free by intervals. Halfway through an interval every body must keep its distance plus the farthest
 that any of its points moves in half the interval; then all of the interval is free, and nothing can slip between two

@@ -1,4 +1,4 @@
-"""Closed forms of inverse kinematics for six revolute joints, on batches of poses.
+"""Closed-form inverse kinematics of arms with six revolute joints, on batches of poses.
 
 All of it is written in the axes at zero, so it does not matter how a description places its frames or turns its signs.
 Points move by `x -> e1 e2 ... e6 x`, with `ei` the rotation of joint i about its axis at zero; target T and flange

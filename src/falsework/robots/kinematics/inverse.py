@@ -1,4 +1,4 @@
-"""Inverse kinematics: all joint values that bring a tool to a pose.
+"""Inverse kinematics: all configurations that bring a tool to a pose.
 
 Arms with six revolute joints whose second and third axes are parallel, at right angles to the first, have closed forms
 (products of exponentials and Paden-Kahan subproblems, Murray, Li and Sastry 1994, chapter 3):
@@ -47,7 +47,7 @@ SOLUTION_SPACING = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Solver:
-    """What inverse kinematics needs to know of an arm; made once by `solver_of`."""
+    """Inverse kinematics of one arm, prepared once by `solver_of`."""
 
     model: RobotModel
     kind: Kind

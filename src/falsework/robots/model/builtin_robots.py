@@ -1,4 +1,4 @@
-"""Arms described here, so that examples need no files: joints and limits as published, links as simple convex pieces.
+"""Built-in arms: published joints and limits, with links as simple convex pieces.
 
 Each link is one bevelled block, its sizes taken from the outer extents of public collision models and rounded. It
 covers the convex hull of such a model to a few millimetres and sticks out of it by up to 11 cm at corners. Cables and

@@ -1,4 +1,4 @@
-"""Convex pieces that cover a mesh: exact for boxes put together, tight for most, and never less than the solid."""
+"""Convex cover of a mesh: exact for unions of boxes, tight for most meshes, never smaller than the solid."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CUT_PLANES = 16
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """What is left of a solid on one side of some planes: its surface there, open where it was cut."""
+    """Remainder of a solid on one side of some planes: its surface there, open where it was cut."""
 
     triangles: Array
     """Shape (triangles, 3, 3)."""

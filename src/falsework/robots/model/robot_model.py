@@ -1,4 +1,4 @@
-"""A robot arm: joints, limits, and the convex pieces of its links. Frozen; knows nothing of where it stands."""
+"""Immutable model of a robot arm: joints, limits, and the convex pieces of its links."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Convex pieces: what every link, gripper, obstacle and part is made of in collision queries.
+"""Convex pieces, of which links, grippers, obstacles and parts consist in collision queries.
 
 A piece is the convex hull of its vertices, an array of shape (vertices, 3) in metres.
 """

@@ -1,4 +1,4 @@
-"""Fewer planes around a convex hull, all of them outside: collision queries cost what the vertices cost."""
+"""Outer approximation of a convex hull with fewer planes, for cheaper collision queries."""
 
 from __future__ import annotations
 

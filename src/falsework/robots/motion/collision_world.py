@@ -1,4 +1,4 @@
-"""What stands in a cell at one moment, and questions about one robot that moves in it."""
+"""Collision world of a cell: scenes at one instant, and collision queries for one moving robot."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NO_FLOOR = -1e9
 
 @dataclass(frozen=True, eq=False)
 class Attached:
-    """A part in a gripper."""
+    """Part in a gripper."""
 
     part: int
     tool_from_part: Array
@@ -34,7 +34,7 @@ class Attached:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Where everything is at one moment. A value: make others with the methods, or with `dataclasses.replace`."""
+    """Configurations, present parts and loads at one instant; immutable."""
 
     configurations: tuple[Array, ...]
     """Joint values of every robot."""
@@ -91,7 +91,7 @@ NO_CONTACT = Contact()
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One robot moves, everything else in a scene stands still. Made by `CollisionWorld.view`.
+    """Collision queries for one moving robot in a static scene; made by `CollisionWorld.view`.
 
     Not to be shared between threads, since queries reuse scratch arrays; make one view a thread.
     """
@@ -150,7 +150,7 @@ class View:
 
 
 class CollisionWorld:
-    """A cell and the parts of a structure in it. What depends on them alone is computed once."""
+    """Cell with the parts of a structure; data that depends on them alone is computed once."""
 
     def __init__(self, cell: Cell, parts: PartShapes) -> None:
         self.cell = cell

@@ -1,4 +1,4 @@
-"""Views of scenes and free motions in a cell: each is computed once, and kept for when it is asked for again."""
+"""Cache of collision queries and free motions of one collision world."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CACHED_VIEWS = 256
 
 
 class Kept:
-    """What was computed about the scenes of one collision world."""
+    """Cache of the views and free motions of one collision world."""
 
     def __init__(self, world: CollisionWorld, *, nodes: int, seed: int) -> None:
         """Nothing is computed yet.

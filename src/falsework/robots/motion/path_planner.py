@@ -1,4 +1,4 @@
-"""Motions of one robot while everything else stands still: free paths and straight lines of the tool."""
+"""Motion planning of one robot among static obstacles: free paths and straight lines of the tool."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class MotionSettings:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A path of one robot, or why there is none."""
+    """Path of one robot, or the reason why there is none."""
 
     reason: Reason
     path: Array | None = None

@@ -1,4 +1,4 @@
-"""When a robot is where on a path: as fast as its limits allow, sampled finely enough to be checked and replayed."""
+"""Time-optimal path parameterization (TOPP-RA) and resampling for checks and replay."""
 
 from __future__ import annotations
 

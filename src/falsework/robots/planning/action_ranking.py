@@ -1,4 +1,4 @@
-"""Which action to try first: what motions make easy, and what a guide says."""
+"""Order in which the planner tries actions: ease of execution plus an action heuristic."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class Ease:
-    """Scores the actions that lead out of a state by how easy they are for arms, plus what a guide says of them.
+    """Score of the actions of a state: ease of execution by arms, plus an action heuristic.
 
     Removals first: they set a robot free. Then parts that nothing blocks, and high up. A guide knows what stands, not
     what an arm can do: a policy followed alone leads to states where no part can be drawn out.
@@ -52,7 +52,7 @@ class Ease:
 
 
 class Ranking:
-    """Orders the legal actions of keyframes."""
+    """Order of the legal actions of keyframes."""
 
     def __init__(self, graph: KeyframeGraph, ease: Ease, proposals: Proposals) -> None:
         """Rank actions.

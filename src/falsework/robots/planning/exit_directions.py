@@ -1,4 +1,4 @@
-"""Ways out for robots: several a part, steep ones among them, where the clearance table keeps one that is free."""
+"""Exit directions for robots: several per part, steep ones included, that the clearance table leaves free."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LOWEST_SLOPE = -1e-6
 
 
 class Exits:
-    """For every part a fan of directions, none downwards, and which parts block each.
+    """Fan of exit directions for every part, none downwards, with the parts that block each.
 
     The clearance table answers whether a part can leave, for which one free way is as good as another. A robot has
     preferences: it cannot drag a part along the floor for long, nor pull where its arm does not reach.

@@ -1,4 +1,4 @@
-"""Where a robot can stand: the grips in which it can hold a part, which of them to try first, and its drop-offs."""
+"""Grasp and drop-off configurations of the robots of a cell, ranked for trial."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Grip:
-    """A way for one robot to hold a part."""
+    """Grasp of a part by one robot, with its configuration."""
 
     robot: int
     grasp: Grasp
@@ -33,7 +33,7 @@ class Grip:
 
 
 class Grips:
-    """Standing configurations of the robots of a cell, found when they are asked for."""
+    """Grasp configurations of the robots of a cell, computed on demand."""
 
     def __init__(
         self, assembly: Assembly, cell: Cell, parts: PartShapes, kept: Kept, reasons: Reasons, *, limit: int

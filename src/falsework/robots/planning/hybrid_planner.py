@@ -1,4 +1,4 @@
-"""The hybrid planner: abstract actions and motions together (paper, section 6, algorithm 1).
+"""Hybrid planner: abstract actions and motions together (paper, section 6, algorithm 1).
 
 A search in depth with backtracking. At every keyframe it takes the actions after which the structure can still come
 apart, the most promising first, and asks the keyframe graph for a motion; where there is none, the action is rejected
@@ -44,7 +44,7 @@ _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 
 @dataclass(frozen=True)
 class HybridSettings:
-    """How hard to look for a robot plan."""
+    """Limits of the search for a robot plan."""
 
     seed: int = 0
     """Same seed, same machine, same result, unless the deadline strikes."""

@@ -1,4 +1,4 @@
-"""Where a plan with motions begins: the task as it is in a cell, and the keyframe in which the robots stand."""
+"""Initial keyframe: the task of a cell, and the configurations in which the robots begin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The keyframe graph: where robots can stand in each state, and how one of them moves on to the next state.
+"""Keyframe graph: robot configurations in each state, and the motions of one robot between states.
 
 Section 6 of the paper, figures 9 and 10. A node is a state with joint values of all robots and which of them holds
 which part. An edge carries out one action: one robot moves, all others stand. The graph is never built: what a search
@@ -35,7 +35,7 @@ _APPROACH_LENGTHS = (1.0, 0.4, 1.8)
 
 @dataclass(frozen=True)
 class KeyframeSettings:
-    """How many possibilities are tried before a step counts as impossible."""
+    """Limits on the candidates tried for one step."""
 
     grasps: int = 128
     """Grasps of a part, best first."""
@@ -51,7 +51,7 @@ class KeyframeSettings:
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A keyframe: a state and where the robots are."""
+    """Keyframe: a state and the configurations of the robots."""
 
     state: States
     """Shape (parts,)."""
@@ -78,7 +78,7 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A path of one robot, not yet timed."""
+    """Path of one robot without timing."""
 
     kind: str
     """`free` or `line`."""
@@ -90,7 +90,7 @@ class Leg:
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """One action carried out."""
+    """Executed action."""
 
     action: int
     robot: int

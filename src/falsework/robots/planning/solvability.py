@@ -1,4 +1,4 @@
-"""Which actions keep the way to the target open: states that are known to be solvable, and a search that joins them.
+"""Solvability check: states from which the target is known to be reachable, and a search that joins others to them.
 
 One abstract plan is found first: by a rollout where there is a taste to follow, else by a search. Its states are
 solvable, and so is every state from which a short search, forwards and narrow, meets one that is. The set grows with
@@ -42,7 +42,7 @@ _MAX_FALLEN_REPLAYS = 40
 
 
 class Proposals:
-    """Abstract actions for the hybrid planner, with the certainty that the structure can still come apart."""
+    """Abstract actions for the hybrid planner that provably keep the target reachable."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""From paths to timed motions: the robot plan along a chain of edges of the keyframe graph."""
+"""Timed robot plan from the paths along a chain of keyframe edges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compile the motion code ahead of its first use, with a word to whoever waits."""
+"""Warm-up of the numba cache of the motion kernels, with a progress message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lines on which a robot draws a part out of the structure, until it is clear of everything."""
+"""Straight withdrawal lines of held parts until they are clear of all bodies."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LENGTHS = (1.0, 2.0, 4.0)
 
 
 class Withdrawal:
-    """Straight ways out for parts that robots hold."""
+    """Straight withdrawal lines for parts that robots hold."""
 
     def __init__(self, cell: Cell, kept: Kept, reasons: Reasons, *, directions: int) -> None:
         """Nothing is computed yet.

@@ -1,4 +1,4 @@
-"""A beam as narrow as it can be and as wide as it must: it goes back where it dies, and comes again wider."""
+"""Beam search that backtracks and widens on failure."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LOOKAHEAD_PER_WIDTH = 16
 
 @dataclass(frozen=True)
 class AdaptiveSettings:
-    """Where an adaptive beam begins."""
+    """Direction, initial width and seed of an adaptive beam."""
 
     direction: Direction = Direction.ASSEMBLY
     """Which end to begin at."""
@@ -51,7 +51,7 @@ class AdaptiveSettings:
 
 
 class AdaptiveBeam:
-    """A beam search in which hard places get the width that they need, and the rest stays cheap.
+    """Beam search that widens where it dies and narrows again afterwards.
 
     Where the beam dies, it is taken back some levels and widened; if it dies there again, back farther and wider
     still. Once it is well past the place, it becomes narrow again. Verdicts asked before are in the oracle's memory,

@@ -45,7 +45,7 @@ _REPORTED_STATES = 64
 
 @dataclass(frozen=True)
 class BeamSettings:
-    """How a beam search walks."""
+    """Settings of a beam search."""
 
     width: int = 64
     """States kept at a level."""

@@ -1,4 +1,4 @@
-"""All states one move away from a level, merged, and not written down before they are needed."""
+"""Distinct successor states of a beam level, expanded lazily."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contact histories of the states of a beam that builds in the order of assembly."""
+"""Contact histories of the states of a beam in the order of assembly."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _HISTORY_BYTES = 256 << 20
 
 
 class Histories:
-    """What the structure remembers in each state of a beam, given the way to it; computed when first asked for."""
+    """Contact histories of the states of a beam, computed on demand."""
 
     def __init__(self, replayer: Replayer, levels: list[Level]) -> None:
         """Begin with nothing.

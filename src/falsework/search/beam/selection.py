@@ -1,4 +1,4 @@
-"""Which of the candidates a beam keeps, and for which of them it asks a verdict."""
+"""Selection of the candidates that a beam keeps and of those that need a verdict."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Selector:
-    """Orders the candidates of one level."""
+    """Selection among the candidates of one level."""
 
     frontier: Frontier
     score: NDArray[np.float64]

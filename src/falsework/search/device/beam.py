@@ -1,4 +1,4 @@
-"""Beam search as tensors on one device, by one process or several (paper, section 5.1)."""
+"""Beam search on tensors, on one device, in one process or several (paper, section 5.1)."""
 
 from __future__ import annotations
 

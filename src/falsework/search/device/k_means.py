@@ -1,4 +1,4 @@
-"""k-means on tensors in whole numbers: the same to the last bit on every device and in every process."""
+"""k-means on tensors in integer arithmetic: bit-identical on every device and in every process."""
 
 from __future__ import annotations
 

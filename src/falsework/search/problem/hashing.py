@@ -1,4 +1,4 @@
-"""Hashes of states that follow a single move at once, and exact merging of equal states."""
+"""Zobrist hashes of states, updated in one step per move, and exact merging of equal states."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def merge(hashes: Hashes, rows: Callable[[NDArray[np.intp]], States]) -> tuple[N
 
 
 class StateIndex:
-    """Looks states up in a fixed collection."""
+    """Index of a fixed collection of states."""
 
     def __init__(self, states: States, state_hash: StateHash | None = None) -> None:
         """Index distinct `states`, shape (count, parts)."""

@@ -1,4 +1,4 @@
-"""What a search hands back: a route or none, how far it came, and what stopped it."""
+"""Search result: outcome, routes, depth reached, and the limit that stopped the search."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from falsework.search.problem.task import Direction
 
 
 class Outcome(StrEnum):
-    """How a search ended."""
+    """Outcome of a search."""
 
     FOUND = "found"
     """There is at least one plan, and it is in the result."""
@@ -26,7 +26,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """Way from the start to the target of a task, in disassembly order."""
+    """Sequence of states from the start to the target of a task, in disassembly order."""
 
     states: States
     """Shape (steps + 1, parts)."""
@@ -74,7 +74,7 @@ def beam_failure(
 
 @dataclass(frozen=True)
 class SearchCounters:
-    """Work that a search has done."""
+    """Work counters of a search."""
 
     states: int = 0
     """Stable states kept."""
@@ -119,7 +119,7 @@ Stop = Callable[[], bool]
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """End of a search, successful or not."""
+    """Result of a search, successful or not."""
 
     outcome: Outcome
     routes: tuple[Route, ...]

@@ -1,4 +1,4 @@
-"""The state graph: states that a search found, with every valid action between them (paper, section 5.1)."""
+"""State graph: the states that a search found, with every valid action between them (paper, section 5.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is to be planned: from which state to which, with how many robots, under which extra rules."""
+"""Planning task: start and target states, number of robots, and extra rules."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STAGE = np.array([2, 0, 1], dtype=np.int64)
 
 
 class Direction(StrEnum):
-    """Which way a search walks through the states between start and target."""
+    """Order in which a search visits the states between start and target."""
 
     DISASSEMBLY = "disassembly"
     """From the start state, by holding and removing; a removal needs a verdict."""
@@ -42,7 +42,7 @@ class Direction(StrEnum):
 
 
 class Clearance(Protocol):
-    """Says which parts have a free way out."""
+    """Clearance of parts: which of them have a free exit direction."""
 
     def can_leave(self, states: States) -> Mask:
         """Shape (batch, parts): part `i` has an exit that no other present part blocks."""

@@ -1,4 +1,4 @@
-"""The compiled verdict of one state from rest, and of a run of states without the interpreter's lock."""
+"""Compiled verdict under `contact` of one state at rest, and of a run of states without the GIL."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_sti
 
 
 class ContactOptions(NamedTuple):
-    """Numbers that steer the kernel."""
+    """Numerical options of the kernel."""
 
     tolerance: float
     """Largest residual of a state at rest."""

@@ -1,4 +1,4 @@
-"""Tangent stiffness of a state, its sparse block factor `L U`, and solves with it.
+"""Sparse block `L U` factors of the tangent stiffness of a state, and solves with them.
 
 The matrix has the pattern of `elimination.py`. Where contact points slide it is not symmetric, so blocks above the
 diagonal are kept too, transposed, in the places of their mirror images.

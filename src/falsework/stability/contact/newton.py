@@ -1,4 +1,4 @@
-"""Displacement at which contact forces balance the load, by pseudo-transient Newton iterations.
+"""Pseudo-transient Newton iteration for the displacement at which contact forces balance the load.
 
 The method is that of Kelley and Keyes (1998). Each iteration is a linearly implicit Euler step of `du/dt = r(u)`, the
 motion of the structure in a viscous medium, with `r` the wrenches that contacts and load leave. The time step grows as
@@ -35,7 +35,7 @@ _FAR = 10.0
 
 
 class ContactStructure(NamedTuple):
-    """What the criterion adds to a `Structure`: stiffness in scaled variables, and units of displacement."""
+    """Arrays that the criterion adds to a `Structure`: scaled stiffness, and units of displacement."""
 
     normal: NDArray[np.float64]
     """Normal stiffness of each contact point in scaled variables, median 1, shape (points,)."""

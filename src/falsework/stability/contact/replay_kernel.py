@@ -1,4 +1,4 @@
-"""One step of a replay: contacts with history, and robots that let go slowly.
+"""Compiled step of a replay: contacts with history, and gradual release by robots.
 
 Between two steps the structure remembers where its parts are and the spring forces of its contact points. A part comes
 in unstressed. When a robot lets go, or a part is taken away, the wrenches that are missing then are taken up by the

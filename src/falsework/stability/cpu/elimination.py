@@ -1,4 +1,4 @@
-"""Sparse block elimination of `S`: the order is found once a structure, the numbers once a state.
+"""Sparse block elimination of `S`: symbolic once per structure, numeric once per state.
 
 `S` has one 6 x 6 block row a part that can move, and a block wherever two such parts touch. Removing or
 holding parts only takes rows away, and the fill of a subgraph lies inside the fill of the whole graph

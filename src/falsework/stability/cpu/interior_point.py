@@ -1,4 +1,4 @@
-"""A primal-dual interior point method on one state, for what ADMM leaves open.
+"""Primal-dual interior point method on one state, for states that ADMM leaves undecided.
 
 It solves `min 1/2 |r|^2 - g.r` over velocities `r` with `G^T r` in the dual cone (the least residual's own
 dual; its multipliers are the contact forces) and converges in some ten steps however degenerate the

@@ -1,4 +1,4 @@
-"""Compiled building blocks: a structure laid out for the processor, and sparse products with its wrench map."""
+"""Kernel arrays of a structure on the CPU, and sparse products with its wrench map."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def build_structure(problem: Problem) -> Structure:
 
 
 class Work(NamedTuple):
-    """Scratch of one thread; pairs and points stand in the compact order of the state at hand."""
+    """Scratch memory of one thread; pairs and points are in the compact order of the current state."""
 
     free: NDArray[np.bool_]
     """Which positions can move, shape (n,)."""

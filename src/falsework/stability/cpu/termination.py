@@ -1,4 +1,4 @@
-"""The two tests that end a solver's iterations, in float64: forces that hold, a velocity that cannot be held.
+"""Termination tests of the solvers in float64: admissible forces in balance, or a velocity that proves instability.
 
 `certificate.py` repeats both from the meshes' contacts alone; these run inside the compiled loop.
 """
@@ -19,7 +19,7 @@ MARGIN = 1e-3
 
 
 class Options(NamedTuple):
-    """Numbers that steer the kernel; see `CpuSettings` for their meaning."""
+    """Numerical options of the kernel; see `CpuSettings` for their meaning."""
 
     rho: float
     relaxation: float

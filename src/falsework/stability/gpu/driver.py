@@ -1,4 +1,4 @@
-"""The GPU: compiles the kernel for the device at hand, keeps arrays on it, launches on torch's current stream."""
+"""CUDA driver: compilation for the present device, device arrays, and launches on torch's current stream."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ KERNELS = (
 
 
 class Driver(Protocol):
-    """What the solver needs of a device; the tests run the same kernel on the processor behind it."""
+    """Device interface of the solver; the tests run the same kernel on the CPU behind it."""
 
     multiprocessors: int
     shared_limit: int

@@ -1,4 +1,4 @@
-"""A structure laid out for the GPU kernel: elimination by levels, contact points in groups, arrays by columns."""
+"""GPU layout of a structure: elimination by levels, contact points in groups, arrays by columns."""
 
 from __future__ import annotations
 

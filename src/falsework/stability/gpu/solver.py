@@ -1,4 +1,4 @@
-"""The solver on a GPU: batches of states, one state a thread block, on chip until it is proven."""
+"""GPU solver: batches of states, one state per thread block, on chip until proven."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ _CHUNK_BYTES = 2 << 30
 
 
 class MemoryWarning(UserWarning):
-    """A batch did not fit into the memory of the GPU and was halved."""
+    """Batch that did not fit into the memory of the GPU and was halved."""
 
 
 @dataclass(frozen=True)
 class _Stage:
-    """One launch of a chain: the states that do not fit on chip go on to the next."""
+    """One launch of a chain: states that do not fit on chip go on to the next."""
 
     kernel: str
     threads: int
@@ -53,7 +53,7 @@ class _Stage:
 
 
 class GpuSolver:
-    """Judges batches of states of one structure on a GPU.
+    """Solver of batches of states of one structure on a GPU.
 
     The same methods as on the processor, with the same certificates. Of the equilibrium problem (`CpuSolver`), ADMM
     iterates in float32, both proofs are found in float64, and an interior point method in float64 takes what ADMM

@@ -1,4 +1,4 @@
-"""LMGC90 as a judge: non-smooth contact dynamics of rigid polyhedra with an own contact detection (Dubois et al. 2018).
+"""LMGC90 as an independent test: non-smooth contact dynamics of rigid polyhedra (Dubois et al. 2018).
 
 It sees meshes, densities and the coefficient of friction, and finds the contacts itself; of the assembly's contacts
 only the question is asked whether it found them all. Every state is computed in a process of its own, since the Fortran
@@ -58,7 +58,7 @@ _PATIENCE = 600.0
 
 @dataclass(frozen=True)
 class Lmgc90Answer:
-    """What LMGC90 says about one state."""
+    """Result of LMGC90 for one state."""
 
     answer: Literal["stands", "falls", "not judged"]
     moved: float

@@ -1,4 +1,4 @@
-"""The compiled loop of the discrete elements: explicit steps of unit length until a state rests or has fallen."""
+"""Compiled loop of the discrete elements: explicit steps of unit length until a state rests or has fallen."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The textbook programs of equilibrium, in a form that any conic solver takes.
+"""Textbook conic programs of equilibrium, in a form that any conic solver takes.
 
 They use nothing but the wrench maps of `Problem`: no scaling, factoring or projection of the fast solvers.
 """

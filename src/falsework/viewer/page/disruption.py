@@ -1,4 +1,4 @@
-"""What has gone wrong on site, marked by clicking, and the question to the planner that it makes."""
+"""Disruptions on site, marked by clicks, and the replanning request that they make."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Tool(StrEnum):
-    """What a click on a part does."""
+    """Effect of a click on a part."""
 
     LOOK = "look at it"
     MISSING = "mark as missing"
@@ -28,7 +28,7 @@ class Tool(StrEnum):
 
 @dataclass(frozen=True)
 class Disruption:
-    """How things on site differ from the plan."""
+    """Deviations on site from the plan."""
 
     missing: frozenset[int] = frozenset()
     """Parts that have not been delivered."""

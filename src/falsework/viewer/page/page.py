@@ -1,4 +1,4 @@
-"""The page in the browser: what viser draws and the controls beside it; all decisions are the model's."""
+"""Interactive page: the viser scene and its controls; all decisions are in the viewer state."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def import_viser() -> Any:
 
 
 class Page:
-    """One page with one model; every browser that opens it sees the same."""
+    """Browser page of one model, shared by all clients."""
 
     def __init__(self, model: Model, *, host: str = "127.0.0.1", port: int = 8080, title: str = "") -> None:
         """Start to serve.

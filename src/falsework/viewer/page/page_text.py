@@ -1,4 +1,4 @@
-"""What the page says in words: where the plan is, what is marked, what is known of a part, what colours mean."""
+"""Texts of the page: plan position, marks, facts about a part, and the colour legend."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parts, arrows and arms as nodes of a viser scene: few merged meshes, and only what changed is sent.
+"""Parts, arrows and arms as nodes of a viser scene: few merged meshes with incremental updates.
 
 A node a part would be thousands of draw calls. Instead the parts that stand by themselves are merged by the order in
 which they leave, some dozens to a mesh, so that a step changes one or two meshes and a jump mostly shows and hides
@@ -36,7 +36,7 @@ _SHARP = np.cos(np.radians(25.0))
 
 
 class Scene:
-    """What the browser draws; `show` brings it up to date."""
+    """Browser scene; `show` updates it."""
 
     def __init__(self, scene: Any, timeline: Timeline) -> None:
         """Fill a scene.

@@ -1,4 +1,4 @@
-"""What the page shows and what a click does, without any browser: place, selection, marks, proofs, new plans."""
+"""State of the page independent of the browser: position, selection, marks, proofs and new plans."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _PROOFS = 64
 
 @dataclass(frozen=True, eq=False)
 class NewPlan:
-    """What became of a question to the planner."""
+    """Result of a replanning request."""
 
     found: bool
     words: str
@@ -47,7 +47,7 @@ class NewPlan:
 
 
 class Model:
-    """State of one page. Its methods may be called from several threads; each takes the lock for itself."""
+    """State of one page. Its methods are thread-safe: each takes the lock."""
 
     def __init__(
         self,

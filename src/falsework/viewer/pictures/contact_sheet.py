@@ -1,4 +1,4 @@
-"""Pictures of a timeline without a screen: one state, or a contact sheet of some of them."""
+"""Pictures of a timeline without a display: one state, or a contact sheet."""
 
 from __future__ import annotations
 

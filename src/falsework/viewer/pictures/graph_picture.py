@@ -1,4 +1,4 @@
-"""The state graph as a picture: one column a step, one row a state, and what a policy covers of it."""
+"""Picture of a state graph: one column per step, one row per state, with the states that a policy visits."""
 
 from __future__ import annotations
 

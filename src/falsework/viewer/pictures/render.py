@@ -1,4 +1,4 @@
-"""A small renderer for pictures of blocks: orthographic, with depth buffer, shadows and edges, in software.
+"""Software renderer for pictures of blocks: orthographic, with depth buffer, shadows and edges.
 
 Plotting libraries sort whole polygons by depth, which is wrong for interlocking blocks; a depth buffer is right for
 every pixel. Pictures need no display and no graphics driver.
@@ -61,7 +61,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Solid:
-    """One mesh and its colour."""
+    """Mesh with one colour."""
 
     vertices: Array
     """Shape (vertices, 3), metres."""
@@ -121,7 +121,7 @@ class _Surface:
 
 
 class _Eye:
-    """Draws surfaces for one camera; light and shadows included."""
+    """Renderer of surfaces for one camera, with light and shadows."""
 
     def __init__(self, camera: Camera, bounds: Array, samples: int) -> None:
         self._view = camera.axes

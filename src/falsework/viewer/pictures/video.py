@@ -1,4 +1,4 @@
-"""A timeline as a film: MP4 through the ffmpeg that imageio-ffmpeg brings, or GIF."""
+"""Video of a timeline: MP4 through the ffmpeg of imageio-ffmpeg, or GIF."""
 
 from __future__ import annotations
 
