@@ -105,7 +105,7 @@ class CheckCell(Command):
         output.say(f"{cell.name}: of {len(table.parts)} parts within reach: {counts}")
 
     def _propose(self, output: Output, cell: Cell, proposal: BaseProposal | None) -> None:
-        """Where robots would stand better."""
+        """Propose better robot bases."""
         import numpy as np
 
         if proposal is None:

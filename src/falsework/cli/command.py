@@ -67,7 +67,7 @@ class LoadOptions:
     """Put a fixed ground under the lowest point."""
 
     def given(self) -> dict[str, Any]:
-        """Those that were given, as `load_structure` takes them.
+        """Return those that were given, as `load_structure` takes them.
 
         Raises:
             InputError: boundary is no list of parts.

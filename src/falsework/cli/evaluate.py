@@ -122,7 +122,7 @@ class Evaluate(Command):
         return Exit.DONE
 
     def _subject(self, trained: Run) -> tuple[Assembly, Policy]:
-        """Structure and policy: those of the run, or the policy carried over to another structure."""
+        """Return the structure and policy: those of the run, or the policy carried over to another structure."""
         from falsework.assembly import load_structure
         from falsework.learn.networks.policy import transfer
 
@@ -134,7 +134,7 @@ class Evaluate(Command):
         return assembly, policy.eval()
 
     def _pairs(self, trained: Run, assembly: Assembly, oracle: TensorOracle, device: torch.device) -> Sets:
-        """Pairs of states and targets, the same for all runs of a structure."""
+        """Return pairs of states and targets, the same for all runs of a structure."""
         from dataclasses import replace
 
         from falsework.learn.training.training_data import find_pairs

@@ -78,7 +78,7 @@ class Export(Command):
         return Exit.DONE
 
     def _load(self) -> tuple[Assembly, Plan | None]:
-        """The structure, and the plan if one was named."""
+        """Return the structure, and the plan if one was named."""
         from falsework.cli.loading import structure_of
         from falsework.search.plans.plan import Plan
 
@@ -90,7 +90,7 @@ class Export(Command):
 
 
 def _is_plan(path: Path) -> bool:
-    """Whether a file says that it is a plan, of whatever version."""
+    """Return whether a file says that it is a plan, of whatever version."""
     if path.suffix.lower() != ".json" or not path.is_file():
         return False
     try:

@@ -42,7 +42,7 @@ class Failure:
     """All of it in one line."""
 
     def record(self, assembly: Assembly) -> dict[str, Any]:
-        """As JSON."""
+        """Return the report as a JSON object."""
         return {
             "plan": None,
             "outcome": "no plan exists" if self.proven else "no plan was found",
@@ -85,7 +85,7 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
 
 
 def common_motions(assembly: Assembly, oracle: Stability, states: States) -> list[Motion]:
-    """What moves in some states that do not stand: each part once, those that move in most states first."""
+    """Return the motions of parts in unstable states, one per part, the most frequent first."""
     if not len(states):
         return []
     from falsework.stability.motion import motion_of

@@ -107,7 +107,7 @@ class MakePlan(Command):
         return PlannerSettings(width=self.width, directions=directions, alternatives=self.alternatives, seed=self.seed)
 
     def _checkpoint(self) -> Path:
-        """Where the search is kept; an old one is in the way unless it is to be resumed."""
+        """Return the path of the search checkpoint; an old one is refused unless the search resumes."""
         path = self.out.with_name(f"{self.out.name}.search")
         if not self.resume:
             path.unlink(missing_ok=True)

@@ -70,7 +70,7 @@ class SearchOptions:
     """Same seed, same machine, same result."""
 
     def settings(self) -> BeamSettings:
-        """As the search takes them.
+        """Return the settings of the search.
 
         Raises:
             InputError: a width below one.

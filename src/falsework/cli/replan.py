@@ -211,7 +211,7 @@ class MakeReplan(Command):
 
 
 def _first_steps(plan: Plan) -> str:
-    """What to do next, in words."""
+    """Describe the first steps of a plan."""
     if len(plan) == 0:
         return "nothing is left to do"
     words = [plan.describe(step) for step in range(min(len(plan), SHOWN))]
@@ -220,7 +220,7 @@ def _first_steps(plan: Plan) -> str:
 
 
 def _probabilities(row: Any, assembly: Assembly) -> dict[str, float]:
-    """Actions that a policy may take in a state, with their probabilities."""
+    """Return actions that a policy may take in a state, with their probabilities."""
     parts = assembly.part_count
     words = ("hold", "remove")
     return {

@@ -72,7 +72,7 @@ class Serve(Command):
         return settings if self.workers is None else replace(settings, workers=self.workers)
 
     def _load(self) -> tuple[Assembly, Path | None]:
-        """The structure, and the run if there is one."""
+        """Return the structure, and the run if there is one."""
         from falsework.utils.optional_packages import check_torch
 
         folder = Path(self.structure.spec)

@@ -38,7 +38,7 @@ class Subject:
     """The robots of a robot plan."""
 
     def with_policy(self, run: str | None) -> Subject:
-        """The same with the policy of a run, or as it is without one.
+        """Return the same with the policy of a run, or as it is without one.
 
         Raises:
             InputError: no such run, or one for another structure.
@@ -54,7 +54,7 @@ class Subject:
         return replace(self, policy=load_run(run, assembly=self.assembly).policy)
 
     def proofs(self, places: Iterable[int], criterion: Criterion) -> dict[int, StateProof]:
-        """Verdicts on some states of the timeline, by place."""
+        """Return verdicts on some states of the timeline, by place."""
         from falsework.stability import Stability, StabilitySettings
         from falsework.viewer.proof import proofs_of_states
 
@@ -188,7 +188,7 @@ class SubjectOptions(LoadOptions):
 
 
 def _format_of(path: Path) -> str:
-    """What a JSON file says that it is; empty if it does not say.
+    """Return the format that a JSON file declares; empty if it declares none.
 
     Raises:
         PlanError: it is no JSON.

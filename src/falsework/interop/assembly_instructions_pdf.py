@@ -41,7 +41,7 @@ _GREY = "#77797d"
 
 
 def sheet_pdf(sheet: SiteSheet, *, camera: Camera = CAMERA, progress: Progress | None = None) -> bytes:
-    """A PDF of A4 pages.
+    """Return a PDF of A4 pages.
 
     Args:
         sheet: what is to be done.
@@ -79,7 +79,7 @@ def sheet_pdf(sheet: SiteSheet, *, camera: Camera = CAMERA, progress: Progress |
 
 
 def _pages(sheet: SiteSheet) -> Iterator[tuple[SiteStep, ...]]:
-    """Steps of each page; the first has room for fewer."""
+    """Yield steps of each page; the first has room for fewer."""
     room = _PAGE[1] - _MARGIN
     first, rest = int((room - _FIRST_TOP) // _ROW), int((room - _TOP) // _ROW)
     yield sheet.steps[:first]
@@ -181,7 +181,7 @@ def _foot(canvas: Canvas, sheet: SiteSheet, number: int, pages: int) -> None:
 
 
 def _picture(sheet: SiteSheet, step: SiteStep, camera: Camera) -> Any:
-    """The state after a step, as an image for the page."""
+    """Return the state after a step, as an image for the page."""
     from PIL import Image
     from reportlab.lib.utils import ImageReader
 

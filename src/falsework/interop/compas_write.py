@@ -25,7 +25,7 @@ _XYZ = {"x": 0.0, "y": 0.0, "z": 0.0}
 
 
 def compas_of(assembly: Assembly, kind: CompasKind = "meshes") -> Any:
-    """A structure as JSON values that `compas.json_load` reads.
+    """Return a structure as JSON values that `compas.json_load` reads.
 
     Args:
         assembly: the structure.
@@ -65,7 +65,7 @@ class _guids:
 
 
 def _data(dtype: str, content: Mapping[str, Any], guid: str, name: str = "", parents: tuple[str, ...] = ()) -> dict:
-    """An object as COMPAS writes it."""
+    """Return an object as COMPAS writes it."""
     return {
         "dtype": dtype,
         "data": dict(content),
@@ -102,7 +102,7 @@ def _mesh(assembly: Assembly, part: int, guid: _guids, dtype: str = _MESH, role:
 
 
 def _assembly(assembly: Assembly, guid: _guids) -> dict[str, Any]:
-    """A compas_assembly `Assembly`: blocks at the nodes of a graph, interfaces at its edges."""
+    """Return a compas_assembly `Assembly`: blocks at the nodes of a graph, interfaces at its edges."""
     centers = assembly.mass.center.tolist()
     nodes = {
         str(part): {
@@ -149,7 +149,7 @@ def _assembly(assembly: Assembly, guid: _guids) -> dict[str, Any]:
 
 
 def _model(assembly: Assembly, guid: _guids) -> dict[str, Any]:
-    """A compas_dem `BlockModel`; it finds its contacts itself."""
+    """Return a compas_dem `BlockModel`; it finds its contacts itself."""
     elements, children, nodes = {}, [], {}
     for part, name in enumerate(assembly.names):
         block = {

@@ -115,7 +115,7 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
 
 
 def _clean(keys: list[tuple[float, Value]]) -> tuple[tuple[float, Value], ...]:
-    """Keys without those that change nothing; of two at one time the later one counts."""
+    """Return keys without those that change nothing; of two at one time the later one counts."""
     last = dict(keys)
     kept: list[tuple[float, Value]] = []
     for time, value in last.items():

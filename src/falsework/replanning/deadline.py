@@ -103,7 +103,7 @@ class TimedOracle:
         self._between = between or (lambda: None)
 
     def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """As `falsework.search.problem.oracle.Oracle`.
+        """Judge states as `falsework.search.problem.oracle.Oracle`.
 
         Raises:
             TimeUp: the clock has run out.
@@ -125,7 +125,7 @@ class TimedOracle:
         return verdicts
 
     def rules_out(self, states: States) -> Mask:
-        """Which states replays have ruled out, shape (batch,)."""
+        """Return whether replays have ruled out each state, shape (batch,)."""
         known = () if self.replayer is None else self.replayer.ruled_out
         return np.array([bool(known) and state.tobytes() in known for state in states], dtype=bool)
 

@@ -143,7 +143,7 @@ class _Round:
         return [self._answers[number] for number in range(len(self._jobs))]
 
     def _open(self) -> list[Job]:
-        """Jobs on which work goes on; the others get their answers."""
+        """Return jobs on which work goes on; the others get their answers."""
         for number, job in enumerate(self._jobs):
             if job.settled:
                 self._answer(number)

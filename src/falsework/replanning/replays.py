@@ -33,7 +33,7 @@ class Replayed:
     """Largest movement of a part in these steps since it was placed, m."""
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """Return the replay as a JSON object."""
         return {"stands": self.stands, "steps": self.steps, "of": self.of, "largest_movement": self.moved}
 
 
@@ -87,7 +87,7 @@ class TimedReplayer:
         return self._replayer.problem
 
     def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
-        """As `Replayer.replay`, without histories unless a single state is replayed.
+        """Replay as `Replayer.replay`, without histories unless a single state is replayed.
 
         Raises:
             TimeUp: the clock ran out; `unfinished` then is this sequence.
@@ -108,7 +108,7 @@ class TimedReplayer:
         return Replay(result, progress.moved, progress.part, progress.residual, 0.0)
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """As `Replayer.step`.
+        """Replay a step as `Replayer.step`.
 
         Raises:
             TimeUp: the clock ran out.

@@ -51,7 +51,7 @@ class Request:
     """Hand back what the policy thinks of every action in every state of the plan."""
 
     def way(self, assembly: Assembly) -> Direction:
-        """Whether parts are added or taken away.
+        """Return whether parts are added or taken away.
 
         Raises:
             StateError: malformed states, or a target that neither leads to.

@@ -85,7 +85,7 @@ class Replan:
         return self.plans[0] if self.plans else None
 
     def record(self) -> dict[str, Any]:
-        """As JSON, without the plans themselves."""
+        """Return the result as a JSON object, without the plans themselves."""
         record: dict[str, Any] = {
             "outcome": self.outcome.value,
             "decided_by": self.decided_by.value,

@@ -35,7 +35,7 @@ _TURN_LEVELS = 8
 
 class _Search(Protocol):
     def run(self, *, stop: Stop | None = None) -> SearchResult:
-        """As of `BeamSearch`."""
+        """Run as `BeamSearch.run`."""
         ...
 
 
@@ -106,7 +106,7 @@ def _first_plan(job: Job, guide: Guide) -> Iterator[None]:
 
 
 def _affordable(job: Job, policy: PolicyGuide) -> bool:
-    """Whether there is time for a beam that the policy guides beside the plain search."""
+    """Return whether there is time for a beam that the policy guides beside the plain search."""
     widths = job.kit.settings.widths
     if not widths:
         return False

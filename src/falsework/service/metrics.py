@@ -53,7 +53,7 @@ class Metrics:
         self._restarts.labels(kind).inc()
 
     def text(self, queue: int, workers: int) -> bytes:
-        """All of it, as Prometheus reads it."""
+        """Return all of it, as Prometheus reads it."""
         self._queue.set(queue)
         self._workers.set(workers)
         return generate_latest(self._registry)

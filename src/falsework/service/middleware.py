@@ -154,5 +154,5 @@ async def _respond(send: Send, status: int, text: str, headers: tuple[tuple[byte
 
 
 def _digest(token: bytes) -> bytes:
-    """Of one length whatever the token's, so that comparing takes the same time."""
+    """Hash a token to a fixed length, so that a comparison takes the same time for every token."""
     return hashlib.sha256(token).digest()

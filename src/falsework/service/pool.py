@@ -204,7 +204,7 @@ class Pool:
             self._send(worker, batch)
 
     def _take(self, kind: Kind, limit: int, share: int) -> list[Ticket]:
-        """The most urgent requests for one of `share` idle workers; one that was tried before goes by itself."""
+        """Return the most urgent requests for one of `share` idle workers; one that was tried before goes by itself."""
         queue = self._queues[kind]
         limit = min(limit, -(-len(queue) // share))
         batch: list[Ticket] = []
@@ -342,7 +342,7 @@ class Pool:
 
 
 def not_yet(seconds: float, criterion: Criterion) -> bytes:
-    """The answer to a request for a plan whose time is up: neither a plan nor a no."""
+    """Return the answer to a request for a plan whose time is up: neither a plan nor a no."""
     record = {
         "criterion": criterion,
         "outcome": NOT_YET,

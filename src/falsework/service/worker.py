@@ -114,12 +114,12 @@ def work(pipe: Connection, recipe: Recipe) -> None:
 
 
 def refusal(text: str) -> bytes:
-    """An error as JSON, one line."""
+    """Return an error as JSON, one line."""
     return json.dumps({"error": " ".join(text.split())}, ensure_ascii=True).encode()
 
 
 def one_thread(criterion: Criterion) -> StabilitySettings:
-    """Settings of an oracle in a worker: the processes share the cores already."""
+    """Return settings of an oracle in a worker: the processes share the cores already."""
     return StabilitySettings(criterion=criterion, cpu=CpuSettings(threads=1))
 
 
@@ -222,7 +222,7 @@ class _Planner:
 
 
 def replan_record(answer: Replan, criterion: Criterion) -> dict[str, Any]:
-    """An answer as JSON values, its plans as in plan files; `criterion` says what stable means in it."""
+    """Return an answer as JSON values, its plans as in plan files; `criterion` says what stable means in it."""
     cut = answer.outcome is Outcome.NOT_FOUND and answer.deadline_passed
     return {
         "criterion": criterion,
@@ -241,7 +241,7 @@ def replan_record(answer: Replan, criterion: Criterion) -> dict[str, Any]:
 
 
 def _load_policy(recipe: Recipe) -> tuple[Any, str]:
-    """The policy of a run and what it is in words."""
+    """Return the policy of a run and what it is in words."""
     if recipe.run is None:
         return None, ""
     from falsework.utils.optional_packages import check_torch

@@ -36,7 +36,7 @@ class VerdictCache:
         return self._size
 
     def look_up(self, states: States) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.bool_]]:
-        """Verdicts and residuals of the states that are known or follow, 0 and NaN elsewhere.
+        """Return verdicts and residuals of the states that are known or follow, 0 and NaN elsewhere.
 
         Returns:
             Verdict, residual, and whether it followed by a rule; each of shape (batch,).

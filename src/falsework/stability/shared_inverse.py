@@ -233,7 +233,7 @@ class SharedInverse:
         return x, z, y, z_row, y_row
 
     def _solve(self, right: Any) -> Any:
-        """The constant inverse times a batch of right-hand sides, shape (variables, batch)."""
+        """Return the constant inverse times a batch of right-hand sides, shape (variables, batch)."""
         torch = self._torch
         if self.method.inverse == "dense":
             return self._inverse @ right

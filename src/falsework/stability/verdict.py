@@ -81,7 +81,7 @@ class Verdicts:
     def blank(
         cls, batch: int, *, points: int | None = None, parts: int | None = None, displaced: bool = False
     ) -> Verdicts:
-        """Undecided verdicts to be filled in.
+        """Return undecided verdicts to be filled in.
 
         Args:
             batch: number of states.
@@ -145,7 +145,7 @@ class Verdicts:
                 mine[rows] = theirs
 
     def without_certificates(self) -> Verdicts:
-        """The same verdicts without forces, velocity and displacement."""
+        """Return the same verdicts without forces, velocity and displacement."""
         return replace(self, forces=None, velocity=None, displacement=None)
 
     def _fields(self) -> tuple[NDArray | None, ...]:
@@ -162,7 +162,7 @@ class Verdicts:
 
 
 def proof_of(verdict: NDArray[np.int8], criterion: Criterion = "equilibrium") -> NDArray[np.int8]:
-    """The kind of proof that belongs to each verdict; for `SLIDES` the forces that prove equilibrium."""
+    """Return the kind of proof that belongs to each verdict; for `SLIDES` the forces that prove equilibrium."""
     stable = Proof.DISPLACEMENT if criterion == "contact" else Proof.FORCES
     return np.select(
         [verdict == Verdict.STABLE, verdict == Verdict.UNSTABLE, verdict == Verdict.SLIDES],

@@ -48,7 +48,7 @@ class Reader:
 
     @classmethod
     def load(cls, path: Path | str) -> Any:
-        """The JSON values in a file.
+        """Return the JSON values in a file.
 
         Raises:
             PlanError: no such file, or no JSON.

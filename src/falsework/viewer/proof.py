@@ -67,7 +67,7 @@ def proof_of_state(oracle: Stability, state: States) -> StateProof:
 
 
 def proofs_of_states(oracle: Stability, states: States) -> list[StateProof]:
-    """As `proof_of_state` for several states.
+    """Prove several states as `proof_of_state`.
 
     Args:
         oracle: decides stability.
@@ -110,6 +110,6 @@ def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int) -> S
 
 
 def _named(assembly: Assembly, parts: Sequence[int]) -> str:
-    """The first parts by name, and how many more there are."""
+    """Return the first parts by name, and how many more there are."""
     more = f" and {len(parts) - _NAMED} more" if len(parts) > _NAMED else ""
     return ", ".join(assembly.names[part] for part in parts[:_NAMED]) + more

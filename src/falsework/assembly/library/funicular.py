@@ -33,7 +33,7 @@ class Funicular:
     """dz/dr, shape (samples,)."""
 
     def tangent_planes(self, sites: Array) -> Array:
-        """Planes that touch the surface over given points in plan.
+        """Return planes that touch the surface over given points in plan.
 
         Args:
             sites: shape (planes, 2), metres.
@@ -56,7 +56,7 @@ def find_form(rim: float, rise: float) -> Funicular:
     radius = np.linspace(0.0, rim, _SAMPLES)
 
     def solve(ratio: float) -> Array:
-        """Depth below the crown and slope at all samples for a ratio weight / thrust (1/m)."""
+        """Return depth below the crown and slope at all samples for a ratio weight / thrust (1/m)."""
 
         def change(r: float, state: Array) -> list[float]:
             depth_slope = state[1]

@@ -66,13 +66,13 @@ def check_overlap(meshes: Sequence[TriangleMesh], tolerance: float, *, corner: f
 
 
 def _have_layer(a: TriangleMesh, b: TriangleMesh, tolerance: float, limit: float) -> bool:
-    """Whether faces of two parts that should touch overlap by more than the tolerance."""
+    """Return whether faces of two parts that should touch overlap by more than the tolerance."""
     patches = face_patches((a, b), gap=-tolerance, overlap=limit, angle=_OPPOSED)
     return float(patches.areas.sum()) > limit**2
 
 
 def _collide(a: TriangleMesh, b: TriangleMesh, allowed: float) -> bool:
-    """Whether two parts that are shrunk by half of what is allowed still share space.
+    """Return whether two parts that are shrunk by half of what is allowed still share space.
 
     They are not shrunk by the same amount: parts that coincide would leave surfaces that coincide, and
     none that cross.
@@ -82,7 +82,7 @@ def _collide(a: TriangleMesh, b: TriangleMesh, allowed: float) -> bool:
 
 
 def _suspects(meshes: Sequence[TriangleMesh], tolerance: float) -> list[tuple[int, int]]:
-    """Pairs of parts that still collide after shrinking, in order."""
+    """Return pairs of parts that still collide after shrinking, in order."""
     bounds = np.array([mesh.bounds for mesh in meshes])
     low, high = bounds[:, 0] + tolerance / 2, bounds[:, 1] - tolerance / 2
     i, j = box_pairs(low, np.maximum(low, high))
@@ -103,7 +103,7 @@ def _suspects(meshes: Sequence[TriangleMesh], tolerance: float) -> list[tuple[in
 
 
 def _nested(a: TriangleMesh, a_points: Array, b: TriangleMesh, b_points: Array) -> bool:
-    """Whether one of two surfaces that do not cross lies inside the other."""
+    """Return whether one of two surfaces that do not cross lies inside the other."""
     a_low, a_high, b_low, b_high = a_points.min(0), a_points.max(0), b_points.min(0), b_points.max(0)
     if (a_low >= b_low).all() and (a_high <= b_high).all() and inside(a_points[:1], b_points[b.faces])[0]:
         return True
@@ -111,7 +111,7 @@ def _nested(a: TriangleMesh, a_points: Array, b: TriangleMesh, b_points: Array) 
 
 
 def depth(a: TriangleMesh, b: TriangleMesh) -> float:
-    """How deep two parts pass into each other, metres; zero if they only touch or are apart.
+    """Return the penetration depth of two parts, metres; zero if they only touch or are apart.
 
     It is the largest distance to the surface of one part from a point of the other inside it: the thickness
     of the common region where that is a layer, and how far a corner sticks in where it is a tip. Points are
@@ -140,7 +140,7 @@ def depth(a: TriangleMesh, b: TriangleMesh) -> float:
 
 
 def _surface_points(mesh: TriangleMesh, low: Array, high: Array, spacing: float) -> Array:
-    """Points of a surface in a box, corners of faces among them, about `spacing` apart. Shape (points, 3)."""
+    """Return points of a surface in a box, corners of faces among them, about `spacing` apart. Shape (points, 3)."""
     corners = mesh.triangles
     near = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= low).all(axis=1)
     found = []

@@ -90,7 +90,7 @@ class MassProperties:
 
 
 def mass_properties(meshes: Sequence[TriangleMesh], density: NDArray[np.float64]) -> MassProperties:
-    """Mass, centre of mass and inertia of homogeneous parts, exact for their meshes.
+    """Return mass, centre of mass and inertia of homogeneous parts, exact for their meshes.
 
     Every face spans a tetrahedron with the centre of the part's bounding box; moments of signed
     tetrahedra add up to those of the solid (divergence theorem).

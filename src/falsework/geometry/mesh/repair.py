@@ -91,7 +91,7 @@ def _directed_edges(corners: Faces) -> tuple[Faces, Faces]:
 
 
 def _is_closed(corners: Faces) -> bool:
-    """Whether every edge is passed as often one way as the other, which makes the surface a closed one."""
+    """Return whether every edge is passed as often one way as the other, which makes the surface a closed one."""
     tail, head = _directed_edges(corners)
     count = int(corners.max()) + 1
     return bool((tail != head).all() and (np.sort(tail * count + head) == np.sort(head * count + tail)).all())
@@ -129,7 +129,7 @@ def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Ar
 
 
 def _weld(points: Array, corners: Faces) -> NDArray[np.int64]:
-    """For every vertex the one that stands for all within the welding distance of each other."""
+    """Return for every vertex the representative of all vertices within the welding distance."""
     reach = _WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
     pairs = KDTree(points).query_pairs(reach, output_type="ndarray")
     graph = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
@@ -170,7 +170,7 @@ def _wind(corners: Faces) -> Faces | None:
 
 
 def _edge_mates(corners: Faces) -> tuple[Faces, Faces, bool]:
-    """Pairs of directed edges between the same vertices, and whether any edge has more than two faces."""
+    """Return pairs of directed edges between the same vertices, and whether any edge has more than two faces."""
     tail, head = _directed_edges(corners)
     low, high = np.minimum(tail, head), np.maximum(tail, head)
     order = np.lexsort((high, low))

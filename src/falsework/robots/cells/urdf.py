@@ -97,7 +97,7 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
 
 
 def always_touching(model: RobotModel) -> set[tuple[int, int]]:
-    """Pairs of links that touch in nearly all random configurations, so that a check of them says nothing."""
+    """Return pairs of links that touch in nearly all random configurations, so that a check of them says nothing."""
     configurations = np.random.default_rng(0).uniform(model.lower, model.upper, (COLLISION_SAMPLES, model.joints))
     bare = Gripper("none", "suction", (), np.eye(4), 0.0)
     robot = CellRobot("arm", model, np.eye(4), bare, model.home, np.zeros((0, 4, 4)))
@@ -149,7 +149,7 @@ def _tip(links: dict[str, Any], below: dict[str, Any], root: str) -> str:
 
 
 def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:
-    """Joints from the root to the end."""
+    """Return joints from the root to the end."""
     found, name = [], end
     while name != root:
         if name not in below:
@@ -160,7 +160,7 @@ def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:
 
 
 def _carrier(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> tuple[int, Array] | None:
-    """Frame that carries a link and the pose of the link in it; joints off the chain stay at zero."""
+    """Return the frame that carries a link and the pose of the link in it; joints off the chain stay at zero."""
     pose = np.eye(4)
     while name not in frame_of:
         if name not in below:
@@ -197,7 +197,7 @@ def _limits(file: Path, joint: Any) -> tuple[float, float, float]:
 
 
 def _shapes(file: Path, link: Any) -> Iterable[Array]:
-    """Points of every collision shape of a link, in the frame of the link."""
+    """Yield points of every collision shape of a link, in the frame of the link."""
     for collision in link.collisions:
         pose = np.eye(4) if collision.origin is None else np.asarray(collision.origin, float)
         shape = collision.geometry
@@ -216,7 +216,7 @@ def _shapes(file: Path, link: Any) -> Iterable[Array]:
 
 
 def _ball(radius: float) -> Array:
-    """Corners of a polytope around a ball: an icosahedron, grown by what its faces cut off."""
+    """Return corners of a polytope around a ball: an icosahedron, grown by what its faces cut off."""
     golden = (1 + 5**0.5) / 2
     corners = [(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)]
     points = np.array([np.roll(corner, k) for corner in corners for k in range(3)], float)
@@ -243,7 +243,7 @@ def _mesh_points(file: Path, mesh: Any) -> Array:
 
 
 def _named_pairs(srdf: Path, owner: dict[str, int]) -> set[tuple[int, int]]:
-    """Pairs of links that an SRDF says need no check."""
+    """Return pairs of links that an SRDF says need no check."""
     try:
         tree = ElementTree.parse(srdf)
     except ElementTree.ParseError as error:

@@ -84,12 +84,12 @@ def _check_payload(cell: Cell, parts: PartShapes) -> None:
 
 
 def no_parts() -> PartShapes:
-    """A structure without parts."""
+    """Return a structure without parts."""
     return PartShapes((), np.zeros(0, bool), (), (), np.zeros(0), np.zeros((0, 3)), np.eye(3))
 
 
 def overlap(a: Array, b: Array) -> bool:
-    """Whether two convex pieces share space: whether no plane has one on each side."""
+    """Return whether two convex pieces share space: whether no plane has one on each side."""
     if (a.min(axis=0) > b.max(axis=0)).any() or (b.min(axis=0) > a.max(axis=0)).any():
         return False
     middle = b.mean(axis=0)

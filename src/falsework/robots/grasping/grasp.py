@@ -62,7 +62,7 @@ def grasps(
     *,
     limit: int = 64,
 ) -> list[Grasp]:
-    """Grasps of a part among the parts that are there, best first; the arm is not considered.
+    """Return grasps of a part among the parts that are there, best first; the arm is not considered.
 
     The gripper, on the last stretch of its way and at the part, keeps off all other parts. The list is the same
     every time: the best faces first, each at one turn about its normal, then at the next.
@@ -108,7 +108,7 @@ def grasps(
 
 
 def withdrawals(assembly: Assembly, parts: PartShapes, part: int, state: ArrayLike) -> Array:
-    """Directions in the world along which a part leaves in a straight line, shape (ways, 3); steepest first.
+    """Return directions in the world along which a part leaves in a straight line, shape (ways, 3); steepest first.
 
     From the clearance table, for the parts that are present; ways that lead down are left out, since the floor is not
     in the table.
@@ -128,7 +128,7 @@ def withdrawals(assembly: Assembly, parts: PartShapes, part: int, state: ArrayLi
 
 
 def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array, size: float) -> list[list[Grasp]]:
-    """Suction grasps on one face: where the cup fits, as near to the centre of mass as that allows, then off it.
+    """Return suction grasps on one face: where the cup fits, as near to the centre of mass as that allows, then off it.
 
     Off the middle, two arms can hold stones that lie side by side.
     """
@@ -148,7 +148,7 @@ def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array
 
 
 def _spots(room: shapely.Geometry, middle: Array, cup: float) -> list[Array]:
-    """Points of a flat region: the one nearest to the middle, then those far out, no two nearer than a cup's radius."""
+    """Return points of a flat region: the nearest to the middle, then outer ones, at least a cup's radius apart."""
     first = shapely.get_coordinates(shapely.shortest_line(shapely.Point(middle), room))[-1]
     spots = [first]
     corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(room))
@@ -163,7 +163,7 @@ def _spots(room: shapely.Geometry, middle: Array, cup: float) -> list[Array]:
 def _between_faces(
     gripper: Gripper, faces: Sequence[Face], part: int, parts: PartShapes, ways: Array, size: float
 ) -> list[list[Grasp]]:
-    """Jaw grasps between opposite faces, from directions around the axis of the jaws."""
+    """Return jaw grasps between opposite faces, from directions around the axis of the jaws."""
     center, vertices = parts.center[part], parts.meshes[part].vertices
     groups = []
     for first, face in enumerate(faces):
@@ -203,13 +203,13 @@ def _between_faces(
 
 
 def _quality(lever: float, room: float, pull: Array, ways: Array) -> float:
-    """From 0 to 1: half for a short lever, a third for pulling along a way out, the rest for room."""
+    """Rate a grasp from 0 to 1: half for a short lever, a third for pulling along an exit, the rest for room."""
     along = max(0.0, float((ways @ pull).max(initial=0.0)))
     return 0.5 * max(0.0, 1.0 - 2 * lever) + 0.35 * along + 0.15 * room
 
 
 def _tool(point: Array, z: Array, x: Array, turn: float) -> Array:
-    """A tool frame at a point with a given z, and x turned about z from a given direction."""
+    """Return a tool frame at a point with a given z, and x turned about z from a given direction."""
     x = x - (x @ z) * z
     x /= np.linalg.norm(x)
     y = _cross(z, x)
@@ -222,13 +222,13 @@ def _tool(point: Array, z: Array, x: Array, turn: float) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Vector product of two vectors; numpy's own is made for many and slow for two."""
+    """Return the vector product of two vectors; numpy's own is made for many and slow for two."""
     (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
     return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 def _open_way(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper):
-    """A test whether the gripper alone keeps off all other parts at a grasp and on the way to it."""
+    """Return a test whether the gripper alone keeps off all other parts at a grasp and on the way to it."""
     others = np.flatnonzero(there).tolist()
     obstacles, _ = make_obstacles([parts.pieces[other] for other in others if other != part])
     pieces = gripper.pieces

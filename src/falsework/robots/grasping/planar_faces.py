@@ -31,11 +31,11 @@ class Face:
     area: float
 
     def flat(self, point: Array) -> Array:
-        """A point in the coordinates of the frame, shape (3,) to (2,)."""
+        """Return a point in the coordinates of the frame, shape (3,) to (2,)."""
         return self.frame @ point
 
     def lift(self, at: Array) -> Array:
-        """The point of the surface over coordinates of the frame, shape (2,) to (3,)."""
+        """Return the point of the surface over coordinates of the frame, shape (2,) to (3,)."""
         flat = self.triangles @ self.frame.T
         a, b, c = flat[:, 0], flat[:, 1], flat[:, 2]
         whole = _cross(b - a, c - a)
@@ -46,7 +46,7 @@ class Face:
 
 
 def faces_of(mesh: TriangleMesh, smallest: float = 0.0) -> list[Face]:
-    """Faces of a mesh, largest first.
+    """Return faces of a mesh, largest first.
 
     The largest triangle that is left collects its neighbours, and theirs, whose normals are within `FLAT_DEGREES` of
     its own.
@@ -93,7 +93,7 @@ def _face(triangles: Array, normal: Array, area: float) -> Face:
 
 
 def _neighbours(mesh: TriangleMesh) -> list[list[int]]:
-    """Triangles that share an edge, by position, since some meshes repeat their vertices."""
+    """Return triangles that share an edge, by position, since some meshes repeat their vertices."""
     scale = max(float(np.ptp(mesh.vertices, axis=0).max()), 1e-12)
     _, same = np.unique(np.round(mesh.vertices / scale * 1e7).astype(np.int64), axis=0, return_inverse=True)
     faces = same.reshape(-1)[mesh.faces]

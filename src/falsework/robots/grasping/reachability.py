@@ -163,25 +163,25 @@ def propose_bases(
 
 
 def _few(assembly: Assembly, parts: PartShapes, part: int, robot) -> list[Grasp]:
-    """A few grasps of a part, of different faces and turns."""
+    """Return a few grasps of a part, of different faces and turns."""
     alone = parts.boundary.copy()
     alone[part] = True
     return grasps(assembly, parts, part, alone, robot, limit=4)
 
 
 def _score(reached: list[NDArray[np.bool_]]) -> tuple[int, int]:
-    """Parts within reach of any robot, then pairs."""
+    """Return parts within reach of any robot, then pairs."""
     return int(np.any(reached, axis=0).sum()), int(np.sum(reached))
 
 
 def _on_ring(base: Array, middle: Array, distance: float, turn: float) -> Array:
-    """A base at a distance from the middle, looking at it, at the height it has now."""
+    """Return a base at a distance from the middle, looking at it, at the height it has now."""
     x, y = middle[0] + distance * np.cos(turn), middle[1] + distance * np.sin(turn)
     return pose((x, y, base[2, 3]), turn + np.pi)
 
 
 def _stands_free(cell: Cell, robot: int, base: Array, others: list[Array], stands: list[Array]) -> bool:
-    """Whether a base is clear of parts and obstacles, and far enough from other bases for two arms to work."""
+    """Return whether a base is clear of parts and obstacles, and far enough from other bases for two arms to work."""
     apart = BASE_SPACING * cell.robots[robot].model.reach
     if any(np.linalg.norm(other[:2, 3] - base[:2, 3]) < apart for other in others):
         return False
@@ -190,5 +190,5 @@ def _stands_free(cell: Cell, robot: int, base: Array, others: list[Array], stand
 
 
 def _moved(robot, base: Array) -> Array:
-    """Places keep where they are as seen from the robot."""
+    """Return places keep where they are as seen from the robot."""
     return base @ np.linalg.inv(robot.base) @ robot.places if len(robot.places) else robot.places

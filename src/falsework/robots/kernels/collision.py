@@ -94,7 +94,7 @@ class Work(NamedTuple):
 
 
 def make_work(chain: Chain, bodies: Bodies, obstacles: Obstacles, rules: Rules) -> Work:
-    """Scratch for a query."""
+    """Return scratch for a query."""
     joints, count = len(chain.origin), len(bodies.frame)
     return Work(
         frames=np.empty((joints + 1, 3, 4)),
@@ -162,7 +162,7 @@ def _outside(x, y, z, low, high, k):
 
 @nb.njit(**INNER)
 def first_hit(values, share, chain, bodies, obstacles, rules, work):
-    """The first pair that is not proven to keep its distance, or CLEAR.
+    """Return the first pair that is not proven to keep its distance, or CLEAR.
 
     Args:
         values: joint values, shape (joints,).
@@ -255,5 +255,5 @@ def first_hit(values, share, chain, bodies, obstacles, rules, work):
 
 @nb.njit(**OUTER)
 def distance_between(a, b):
-    """A proven lower bound on the distance of two convex pieces, exact to 1e-6 of itself; 0 where they touch."""
+    """Return a proven lower bound on the distance of two convex pieces, exact to 1e-6 of itself; 0 where they touch."""
     return gap(a, 0, len(a), b, 0, len(b), 1e300, 0.0, np.zeros(3), np.empty((6, 3)))

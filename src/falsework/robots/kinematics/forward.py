@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def link_poses(model: RobotModel, configurations: ArrayLike, base: Array | None = None) -> Array:
-    """Poses of all links, shape (joints,) to (joints + 1, 4, 4), or (batch, joints) to (batch, joints + 1, 4, 4).
+    """Return the poses of all links, shape (joints + 1, 4, 4), or (batch, joints + 1, 4, 4).
 
     Args:
         model: the arm.
@@ -36,12 +36,12 @@ def link_poses(model: RobotModel, configurations: ArrayLike, base: Array | None 
 
 
 def flange_pose(model: RobotModel, configurations: ArrayLike, base: Array | None = None) -> Array:
-    """Pose of the flange, shape (joints,) to (4, 4), or batched."""
+    """Return the pose of the flange, shape (joints,) to (4, 4), or batched."""
     return link_poses(model, configurations, base)[..., -1, :, :] @ model.flange
 
 
 def tool_pose(robot: CellRobot, configurations: ArrayLike) -> Array:
-    """Pose of the tool frame of a robot of a cell in the world, shape (joints,) to (4, 4), or batched."""
+    """Return the pose of the tool frame of a robot of a cell in the world, shape (joints,) to (4, 4), or batched."""
     return flange_pose(robot.model, configurations, robot.base) @ robot.gripper.tool
 
 

@@ -56,7 +56,7 @@ class Solver:
 
 
 def inverse(robot: CellRobot, tools: ArrayLike) -> list[Array]:
-    """All configurations that bring the tool frame of a robot to poses in the world.
+    """Return all configurations that bring the tool frame of a robot to poses in the world.
 
     Args:
         robot: robot of a cell.
@@ -71,7 +71,7 @@ def inverse(robot: CellRobot, tools: ArrayLike) -> list[Array]:
 
 
 def inverse_flange(model: RobotModel, flanges: ArrayLike) -> list[Array]:
-    """As `inverse`, for poses of the flange in the frame of the base, shape (4, 4) or (batch, 4, 4).
+    """Solve as `inverse` for flange poses in the base frame, shape (4, 4) or (batch, 4, 4).
 
     Raises:
         InputError: no poses.
@@ -118,7 +118,7 @@ def solver_of(model: RobotModel) -> Solver:
 
 
 def tail_of(model: RobotModel, tool: Array | None = None) -> Array:
-    """Pose of a frame at the flange in the last turned frame of the compiled chain, shape (3, 4)."""
+    """Return the pose of a frame at the flange in the last turned frame of the compiled chain, shape (3, 4)."""
     end = model.flange if tool is None else model.flange @ tool
     return np.array((inverse_pose(turns(model)[-1]) @ end)[:3], order="C")
 
@@ -150,7 +150,7 @@ def _from_many_starts(model: RobotModel, targets: Array) -> tuple[Array, NDArray
 
 
 def _distinct(values: Array, owner: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Solutions without repetitions, by pose and then in order."""
+    """Return solutions without repetitions, by pose and then in order."""
     keys = np.concatenate([owner[:, None], np.cos(values), np.sin(values)], axis=1)
     _, first = np.unique(np.round(keys / SAME_SOLUTION), axis=0, return_index=True)
     first = first[np.lexsort((*np.round(values[first], 6).T[::-1], owner[first]))]
@@ -158,7 +158,7 @@ def _distinct(values: Array, owner: NDArray[np.int64]) -> tuple[Array, NDArray[n
 
 
 def _spread(values: Array, owner: NDArray[np.int64], turning: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int64]]:
-    """Of the solutions of every pose some that are well apart, in the order in which they were found."""
+    """Select well separated solutions of every pose, in the order in which they were found."""
     kept: list[int] = []
     for row in np.unique(owner).tolist():
         mine: list[int] = []
@@ -172,7 +172,7 @@ def _spread(values: Array, owner: NDArray[np.int64], turning: NDArray[np.bool_])
 
 
 def _windings(model: RobotModel, values: Array, owner: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Every solution with all full turns that the limits allow, those without a turn first."""
+    """Return every solution with all full turns that the limits allow, those without a turn first."""
     room = (model.lower < -np.pi) | (model.upper > np.pi)
     options = [
         (0.0, -2 * np.pi, 2 * np.pi) if wide and not slide else (0.0,)

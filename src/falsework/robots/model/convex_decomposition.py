@@ -40,7 +40,7 @@ class _Cut:
 
 
 def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = MAX_PIECES) -> Pieces:
-    """Convex pieces whose union contains the solid that a mesh encloses.
+    """Return convex pieces whose union contains the solid that a mesh encloses.
 
     The solid is cut by planes, at each step where that takes most off the convex hulls, until the hulls together are
     at most `tolerance` larger than the solid. Every piece is the hull of what it covers, so nothing of the solid is
@@ -89,7 +89,7 @@ def _halve(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
 
 
 def _best_cut(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
-    """The cut that leaves least hull on its two sides together, or None if none takes off a thousandth."""
+    """Return the cut that leaves least hull on its two sides together, or None if none takes off a thousandth."""
     most = part.volume * (1 - 1e-3)
     best, chosen = most, None
     for plane in _candidates(part):
@@ -106,7 +106,7 @@ def _best_cut(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
 
 
 def _candidates(part: _Cut) -> list[Array]:
-    """Planes of faces that lie inside the hull, and planes across its middle; shape (4,) each."""
+    """Return planes of faces that lie inside the hull, and planes across its middle; shape (4,) each."""
     corners = part.triangles
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
@@ -131,7 +131,7 @@ def _candidates(part: _Cut) -> list[Array]:
 
 
 def _clip(part: _Cut, plane: Array, mesh: TriangleMesh | None) -> _Cut | None:
-    """The part behind a plane, or None if there is nothing to speak of; an estimate where no mesh is given."""
+    """Return the part behind a plane, or None if there is nothing to speak of; an estimate where no mesh is given."""
     normal, level = plane[:3], plane[3]
     size = float(np.ptp(part.corners, axis=0).max())
     height = part.triangles @ normal - level
@@ -159,7 +159,7 @@ def _clip(part: _Cut, plane: Array, mesh: TriangleMesh | None) -> _Cut | None:
 
 
 def _split(triangles: Array, height: Array) -> Array:
-    """The parts of triangles behind a plane, as triangles."""
+    """Return the parts of triangles behind a plane, as triangles."""
     found = []
     for corners, level in zip(triangles, height, strict=True):
         polygon = []
@@ -174,7 +174,7 @@ def _split(triangles: Array, height: Array) -> Array:
 
 
 def _inner_corners(planes: tuple[Array, ...], mesh: TriangleMesh, size: float) -> Array:
-    """Where three cuts meet inside the solid: corners of a piece that are on no surface. Shape (corners, 3)."""
+    """Return the points where three cuts meet inside the solid. Shape (corners, 3)."""
     found = []
     for three in combinations(planes, 3):
         matrix = np.array([plane[:3] for plane in three])

@@ -68,12 +68,12 @@ class RobotModel:
         return float(steps + slides)
 
     def within_limits(self, configurations: Array, tolerance: float = 1e-9) -> NDArray[np.bool_]:
-        """Which configurations keep the position limits. Shape (..., joints) to (...)."""
+        """Return whether configurations keep the position limits. Shape (..., joints) to (...)."""
         inside = (configurations >= self.lower - tolerance) & (configurations <= self.upper + tolerance)
         return np.asarray(inside.all(axis=-1))
 
     def check_configuration(self, values: object, what: str = "configuration") -> Array:
-        """One configuration from outside as an array of shape (joints,).
+        """Return one configuration from outside as an array of shape (joints,).
 
         Raises:
             InputError: wrong length, no numbers, or outside the limits; the message names the joint.

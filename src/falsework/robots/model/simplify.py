@@ -15,7 +15,7 @@ MAX_PLANES = 48
 
 
 def outer_hull(points: ArrayLike, tolerance: float = 0.004, planes: int = MAX_PLANES) -> Array:
-    """Vertices of a polytope with few faces around the convex hull of points.
+    """Return vertices of a polytope with few faces around the convex hull of points.
 
     Starts from the box and adds, where a corner sticks out farthest, the plane of the hull that it violates most.
 

@@ -34,7 +34,7 @@ class Kept:
         self._views: dict[bytes, View] = {}
 
     def motion(self, scene: Scene, robot: int, start: Array, goal: Array) -> Motion:
-        """A free motion of one robot; its seed depends on what is asked alone.
+        """Return a free motion of one robot; its seed depends on what is asked alone.
 
         Args:
             scene: where everything else is.
@@ -53,7 +53,7 @@ class Kept:
         return self._motions[key]
 
     def view(self, scene: Scene, robot: int, contact: Contact, margin: float) -> View:
-        """What one robot can run into.
+        """Return the collision queries of one robot in a scene.
 
         Args:
             scene: where everything else is.
@@ -74,7 +74,7 @@ class Kept:
 
 
 def _digest(scene: Scene, robot: int) -> bytes:
-    """Everything that a motion of one robot depends on in a scene."""
+    """Return a key of all data that a motion of one robot depends on in a scene."""
     others = [np.round(values, 6) + 0.0 for other, values in enumerate(scene.configurations) if other != robot]
     pieces = [bytes([robot]), np.packbits(scene.present).tobytes(), *(values.tobytes() for values in others)]
     for owner, carried in enumerate(scene.attached):

@@ -93,7 +93,7 @@ def plan_free(
     deadline: float | None = None,
     settings: MotionSettings = MotionSettings(),
 ) -> Motion:
-    """A path from one configuration to another that keeps the margin of the view everywhere.
+    """Return a path from one configuration to another that keeps the margin of the view everywhere.
 
     The straight edge is tried first, then two trees grow (RRT-Connect), then shortcuts follow. Every edge is
     proven free between its ends too (`rrt_connect.edge_free`). The same seed gives the same path, unless the
@@ -150,7 +150,7 @@ def plan_free(
 
 
 def resolution_of(view: View) -> float:
-    """Motion of the farthest point within half an interval at which halving ends, metres."""
+    """Return the motion of the farthest point within half an interval at which halving ends, metres."""
     return max(BLOCKED_MARGIN_SHARE * view.margin, BLOCKED_LENGTH)
 
 
@@ -218,7 +218,7 @@ def follow_line(view: View, start: ArrayLike, direction: ArrayLike, distance: fl
 
 
 def _branch(tree: Array, parents: NDArray[np.int64], leaf: int) -> list[Array]:
-    """Configurations from a node to the root."""
+    """Return configurations from a node to the root."""
     found = []
     while leaf >= 0:
         found.append(tree[leaf])

@@ -101,7 +101,7 @@ class _Curve:
         self.path_interval = np.array([0.0, self.along[-1]])
 
     def breaks(self) -> Array:
-        """Where straight stretches and rounded corners meet."""
+        """Return the positions where straight stretches and rounded corners meet."""
         inner = self.along[1:-1]
         return np.unique(np.concatenate([[0.0], inner - self.half, inner, inner + self.half, [self.along[-1]]]))
 
@@ -132,7 +132,7 @@ class _Curve:
 
 
 def _optimal(curve: _Curve, velocity: Array, acceleration: Array) -> Any:
-    """The fastest trajectory along a curve, from rest to rest."""
+    """Return the fastest trajectory along a curve, from rest to rest."""
     try:
         import toppra
     except ImportError as error:
@@ -171,7 +171,7 @@ def _optimal(curve: _Curve, velocity: Array, acceleration: Array) -> Any:
 
 
 def _sample(trajectory: Any, duration: float, stretch: float, velocity: Array) -> Timed:
-    """Samples of a trajectory slowed down by a factor."""
+    """Return samples of a trajectory slowed down by a factor."""
     coarse = np.linspace(0.0, duration, max(3, int(np.ceil(duration / 0.01))))
     fastest = float(np.abs(trajectory(coarse, 1)).max()) * 1.1
     step = min(TIME_STEP, JOINT_STEP / max(fastest, 1e-9))
@@ -188,7 +188,7 @@ def _sample(trajectory: Any, duration: float, stretch: float, velocity: Array) -
 
 
 def _distinct(model: RobotModel, path: ArrayLike) -> Array:
-    """A path from outside, checked, without points that repeat the one before."""
+    """Return a path from outside, checked, without points that repeat the one before."""
     points = np.array(path, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != model.joints or not len(points):
         raise InputError(f"path has shape {points.shape}; {model.name} needs (points, {model.joints})")

@@ -38,13 +38,13 @@ class Ease:
         return scores
 
     def guided(self, states: States, actions: Mask) -> Array:
-        """What the guide says; zeros without one. Shapes as those of a call."""
+        """Return the scores of the action heuristic; zeros without one. Shapes as those of a call."""
         if self.guide is None:
             return np.zeros(actions.shape)
         return np.array(self.guide(states, actions, Direction.DISASSEMBLY), dtype=np.float64)
 
     def of(self, state: States, action: int) -> float:
-        """How easy one action is, wherever the robots are, by rules of thumb."""
+        """Estimate how easy one action is, independent of the robots' configurations."""
         if action >= len(state):
             return 100.0
         height = float(self.graph.parts.center[action, 2] - self.graph.lowest) / self.graph.height
@@ -65,7 +65,7 @@ class Ranking:
         self.graph, self.ease, self.proposals = graph, ease, proposals
 
     def actions(self, node: Node, attempt: int, rng: np.random.Generator) -> list[int]:
-        """Legal actions in the order in which to try them: easy ones near a free robot and far from the busy ones.
+        """Return the legal actions in order of trial: easy ones near a free robot and far from busy ones.
 
         Args:
             node: where to go on.

@@ -65,7 +65,7 @@ class Exits:
         """The same as a clearance table, for the rules of a task: a part that could only fall out cannot leave."""
 
     def blockers(self, part: int) -> NDArray[np.bool_]:
-        """Parts that block each way of a part, shape (ways, parts)."""
+        """Return parts that block each way of a part, shape (ways, parts)."""
         return self._ways[part][1]
 
     def free(self, part: int, state: States) -> Array:
@@ -75,7 +75,7 @@ class Exits:
 
 
 def _fan() -> Array:
-    """Straight up, and rings of directions around it; unit vectors, shape (n, 3)."""
+    """Return straight up, and rings of directions around it; unit vectors, shape (n, 3)."""
     found = [(0.0, 0.0, 1.0)]
     for tilt in np.radians(_TILT_DEGREES):
         for turn in 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS:

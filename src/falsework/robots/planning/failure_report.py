@@ -49,7 +49,7 @@ class Reasons:
             self.examples.setdefault(reason, np.asarray(at))
 
     def of(self, part: int) -> list[tuple[Reason, int]]:
-        """Failures with one part, most frequent first."""
+        """Return failures with one part, most frequent first."""
         return [(reason, count) for reason, count in self.counts.most_common() if reason.part == part]
 
 
@@ -73,7 +73,7 @@ class Explanation:
     """All of it in one line."""
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """Return the failure as a JSON object."""
         return {
             "outcome": self.outcome,
             "reached": self.reached,

@@ -210,7 +210,7 @@ class _Search:
         return self.failed(root, "not_found", limit)
 
     def standing(self, root: Node) -> list[Edge] | None:
-        """The edges of a plan whose replay stands, or None after too many dead ends or plans that fall."""
+        """Return the edges of a plan whose replay stands, or None after too many dead ends or plans that fall."""
         while self.counts["replays_fallen"] < _MAX_FALLEN_REPLAYS:
             chain = self.dive(root, np.random.default_rng([self.settings.seed, self.attempt]))
             self.attempt += 1
@@ -233,7 +233,7 @@ class _Search:
         return None
 
     def _place(self, route: Route, row: int) -> str:
-        """A state in the order of assembly, in words."""
+        """Return a state in the order of assembly, in words."""
         if row == 0:
             return "at the beginning"
         action, parts = int(route.actions[::-1][row - 1]), self.assembly.part_count
@@ -241,7 +241,7 @@ class _Search:
         return f"at step {row} of assembly, {doing} {self.assembly.names[action % parts]}"
 
     def dive(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
-        """One search in depth; the edges of a plan, or None after too many dead ends."""
+        """Return one search in depth; the edges of a plan, or None after too many dead ends."""
         nodes, chain = [root], []
         options = [self._options(root, rng)]
         dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
@@ -274,7 +274,7 @@ class _Search:
         return None
 
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
-        """Edges out of a keyframe in the order in which to try them."""
+        """Yield edges out of a keyframe in the order in which to try them."""
         tried, probes, worked = 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         for action in self.ranking.actions(node, self.attempt, rng):
             if (node.key, action) in self.impossible or self.late():
@@ -313,14 +313,14 @@ class _Search:
                 self.tried["hold" if action < parts else "remove", action % parts] += 1
 
     def _hopeless(self) -> bool:
-        """Whether a part must leave that no robot can hold even where it stands alone."""
+        """Return whether a part must leave that no robot can hold even where it stands alone."""
         if self.unreachable is None:
             leaving = np.flatnonzero((self.task.target == REMOVED) & (self.task.start != REMOVED))
             self.unreachable = [part for part in leaving.tolist() if not self.graph.reachable(part)]
         return bool(self.unreachable)
 
     def late(self) -> bool:
-        """Whether the deadline has passed."""
+        """Return whether the deadline has passed."""
         limit = self.settings.deadline
         return limit is not None and time.perf_counter() - self.began > limit
 

@@ -132,7 +132,7 @@ class KeyframeGraph:
         self.exits = Exits(assembly, self.parts.turn)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
-        """A node to begin with."""
+        """Return a node to begin with."""
         return Node(np.asarray(state, np.uint8), tuple(np.array(c, float) for c in configurations), held)
 
     def edges(self, node: Node, action: int) -> Iterator[Edge]:
@@ -141,7 +141,7 @@ class KeyframeGraph:
         return self._remove(node, action - parts) if action >= parts else self._hold(node, action)
 
     def keyframes(self, state: States) -> Iterator[Node]:
-        """Every keyframe of a state: every assignment of robots to held parts, every grasp and joint branch.
+        """Yield every keyframe of a state: every assignment of robots to held parts, every grasp and joint branch.
 
         Robots that hold nothing are at home. Yields only those in which nothing collides.
         """
@@ -160,11 +160,11 @@ class KeyframeGraph:
                     yield node
 
     def grips(self, robot: int, part: int, state: States) -> list[Grip]:
-        """All ways in which a robot can hold a part among the parts of a state; other robots do not count."""
+        """Return all ways in which a robot can hold a part among the parts of a state; other robots do not count."""
         return self._grips.of(robot, part, state)
 
     def way_out(self, part: int, state: States) -> tuple[States, Array]:
-        """The state in which a part can leave once what blocks its easiest way has gone, and its ways there, (n, 3)."""
+        """Return the state in which the least blocked exit of a part is free, and the exit directions there, (n, 3)."""
         blockers = self.exits.blockers(part) & (state != REMOVED)
         count = blockers.sum(axis=1) + 1000 * (blockers & self.assembly.boundary).any(axis=1)
         later = state.copy()
@@ -172,11 +172,11 @@ class KeyframeGraph:
         return later, self.exits.free(part, later)
 
     def blocked_by(self, part: int, state: States) -> int:
-        """How many parts stand in the easiest way out of a part."""
+        """Count the parts that block the least blocked exit direction of a part."""
         return int((self.exits.blockers(part) & (state != REMOVED)).sum(axis=1).min())
 
     def reachable(self, part: int) -> bool:
-        """Whether any robot can hold a part where it stands alone on what is boundary."""
+        """Return whether any robot can hold a part where it stands alone on what is boundary."""
         alone = np.where(self.assembly.boundary, HELD, REMOVED).astype(np.uint8)
         alone[part] = HELD
         return any(self.grips(robot, part, alone) for robot in range(self.cell.robot_count))
@@ -212,7 +212,7 @@ class KeyframeGraph:
         return float(np.ptp(self.parts.center[:, 2])) + 1e-9
 
     def collision(self, node: Node, robot: int) -> tuple[str, str] | None:
-        """Two bodies that meet where a robot stands, by name, or None."""
+        """Return two bodies that meet where a robot stands, by name, or None."""
         part = node.held[robot]
         contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
         # At the start of a plan robots stand as they stand: what does not touch is good enough.

@@ -113,7 +113,7 @@ class Proposals:
         self._follow(self._search(beam, _VARIED_BEAM_WIDTH))
 
     def falls(self, route: Route) -> int | None:
-        """First state in the order of assembly in which the replay of a route falls; None if it stands.
+        """Return the first state in the order of assembly in which the replay of a route falls; None if it stands.
 
         Always None under the criterion `equilibrium`, which knows no history.
         """
@@ -155,7 +155,7 @@ class Proposals:
         self._preferred &= left
 
     def _search(self, beam: AdaptiveBeam, widest: int) -> Sequence[Route]:
-        """Routes of a beam whose replays stand; none if it finds none."""
+        """Return routes of a beam whose replays stand; none if it finds none."""
         for _ in range(_MAX_FALLEN_REPLAYS):
             if self._forbidden:
                 beam.search.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
@@ -168,7 +168,7 @@ class Proposals:
         return ()
 
     def _roll_out(self, rng: np.random.Generator | None, stop: Stop | None = None) -> Route | None:
-        """A whole way by taste: the best actions, or some drawn at random; None if there is no taste, or no luck."""
+        """Roll out the action score to the target, greedily or sampled; None without a score or a complete rollout."""
         if self._taste is None or self.task.steps == 0:
             return None
         target, rows = {self.task.target.tobytes()}, 1 if rng is None else _ROLLOUTS
@@ -192,7 +192,7 @@ class Proposals:
         return None
 
     def preferred(self, state: States, action: int) -> bool:
-        """Whether an action follows the plan found last."""
+        """Return whether an action follows the plan found last."""
         return self._after(state, action).tobytes() in self._preferred
 
     def _follow(self, routes: Sequence[Route]) -> None:
@@ -212,18 +212,18 @@ class Proposals:
         self._follow(self._search(beam, _FIRST_BEAM_WIDTH))
 
     def legal(self, state: States) -> list[int]:
-        """Actions that the rules allow, stability aside."""
+        """Return actions that the rules allow, stability aside."""
         key = state.tobytes()
         if key not in self._moves:
             self._moves[key] = np.flatnonzero(self.task.moves(state[None], Direction.DISASSEMBLY)[0]).tolist()
         return self._moves[key]
 
     def known(self, state: States, action: int) -> bool:
-        """Whether the state after an action is known to be solvable."""
+        """Return whether the state after an action is known to be solvable."""
         return self._after(state, action).tobytes() in self._solvable
 
     def solvable(self, state: States, action: int) -> bool:
-        """Whether the state after an action stands and a way from there to the target is found; asked once."""
+        """Return whether the state after an action stands and a way from there to the target is found; asked once."""
         after = self._after(state, action)
         key = after.tobytes()
         if key in self._solvable:
@@ -264,7 +264,7 @@ class Proposals:
         return False
 
     def _stable_few(self, before: States, after: States, actions: np.ndarray) -> np.ndarray:
-        """The most promising successors that stand: few held, then the guide's taste."""
+        """Return the most promising successors that stand: few held, then the guide's taste."""
         removal = actions >= self.task.part_count
         asked = self.task.needs_verdict(actions, Direction.DISASSEMBLY)
         mask = np.zeros((len(before), 2 * self.task.part_count), dtype=bool)

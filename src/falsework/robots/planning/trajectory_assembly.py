@@ -72,7 +72,7 @@ def make_robot_plan(
 
 
 def timed_leg(model: RobotModel, leg: Leg, speed: float) -> Trajectory | None:
-    """A path as fast as the limits of the arm allow, at a share of them; None if it leads nowhere."""
+    """Return a path as fast as the limits of the arm allow, at a share of them; None if it leads nowhere."""
     if np.abs(np.diff(leg.path, axis=0)).sum() < _STANDSTILL:
         return None
     timed = time_path(model, leg.path, speed)

@@ -15,7 +15,7 @@ MESSAGE = "compiling the motion code; this happens once and takes up to 15 secon
 
 
 def is_compiled() -> bool:
-    """Whether numba finds compiled code of all entry points that fits their sources."""
+    """Return whether numba finds compiled code of all entry points that fits their sources."""
     functions = (rrt_connect._run, forward.place_many, numeric_ik.reach_poses)
     for function in functions:
         if function.signatures:

@@ -38,7 +38,7 @@ class Withdrawal:
     def lines(
         self, scene: Scene, part: int, robot: int, here: Array, ways: Array, what: str
     ) -> Iterator[tuple[tuple[Array, ...], Scene]]:
-        """Paths on which a part leaves, each with the scene in which it is carried; computed when asked for.
+        """Yield paths on which a part leaves, each with the scene in which it is carried; computed when asked for.
 
         Args:
             scene: where everything is.
@@ -74,7 +74,7 @@ class Withdrawal:
                 self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), path[-1])
 
     def _lift(self, scene: Scene, robot: int, here: Array, free: View) -> Array | None:
-        """A part that has been drawn out over the floor is lifted off it before it is carried away."""
+        """Return a part that has been drawn out over the floor is lifted off it before it is carried away."""
         view = self.kept.view(scene, robot, Contact(carried_floor=True), self.cell.margins.line)
         up = follow_line(view, here, (0.0, 0.0, 1.0), 0.3 * self.cell.margins.approach)
         if up.path is None or free.collides(up.path[-1])[0]:

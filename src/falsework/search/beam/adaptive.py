@@ -37,7 +37,7 @@ class AdaptiveSettings:
     """Same seed, same machine, same result."""
 
     def beam(self, strikes: int) -> BeamSettings:
-        """Settings of the beam after so many deaths in a row at one place."""
+        """Return settings of the beam after so many deaths in a row at one place."""
         width = self.width * _WIDENING_FACTOR**strikes
         return BeamSettings(
             width=width,
@@ -103,7 +103,7 @@ class AdaptiveBeam:
                 return result
 
     def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """The search as it stands: plain values, and arrays."""
+        """Return the search as it stands: plain values, and arrays."""
         header, arrays = self.search.pack()
         own = {"strikes": self._strikes, "farthest": self._farthest, "easy_from": self._easy_from}
         return header | {"adaptive": own, "base": self.settings.width, "base_seed": self.settings.seed}, arrays
@@ -118,7 +118,7 @@ class AdaptiveBeam:
         *,
         guide: Guide | None = None,
     ) -> AdaptiveBeam:
-        """The search that `pack` described.
+        """Return the search that `pack` described.
 
         Raises:
             KeyError, TypeError, ValueError: not what `pack` returned for this task.
@@ -132,7 +132,7 @@ class AdaptiveBeam:
         return beam
 
     def _eased(self) -> bool:
-        """Whether the beam is wide and well past the place where it died."""
+        """Return whether the beam is wide and well past the place where it died."""
         return self._strikes > 0 and len(self.search.levels) - 1 > self._easy_from and not self.search.done
 
     def _widen(self, widest: int) -> bool:

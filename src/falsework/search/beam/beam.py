@@ -156,7 +156,7 @@ class BeamSearch:
         return self._before + now + SearchCounters(states=sum(len(level.states) for level in self.levels))
 
     def states(self) -> States:
-        """All states kept so far, level by level from the origin. Shape (count, parts)."""
+        """Return all states kept so far, level by level from the origin. Shape (count, parts)."""
         empty = np.empty((0, self.task.part_count), dtype=np.uint8)
         return np.concatenate([empty, *(level.states for level in self.levels)])
 
@@ -215,7 +215,7 @@ class BeamSearch:
         return True
 
     def _confirmed(self, frontier: Frontier, rows: NDArray[np.int64]) -> Mask:
-        """Which candidates with a stable verdict also have a way to them on which every state stands. Shape (rows,)."""
+        """Return whether each stable candidate is reached through stable states only. Shape (rows,)."""
         good = self._ground(frontier.parent[rows])
         if self._histories is not None and good.any():
             rows = rows[good]
@@ -311,7 +311,7 @@ class BeamSearch:
         )
 
     def route(self) -> Route:
-        """The best scored way from start to target, in disassembly order; only once `found`."""
+        """Return the best scored way from start to target, in disassembly order; only once `found`."""
         if not self.found:
             raise InputError("the beam search has not reached its goal; there is no route yet")
         row, states, actions = 0, [], []
@@ -344,7 +344,7 @@ class BeamSearch:
             raise InputError(f"{path} is damaged ({error}); begin a new search") from None
 
     def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """The search as it stands: plain values, and arrays."""
+        """Return the search as it stands: plain values, and arrays."""
         header: dict[str, Any] = {
             "task": self.task.describe(),
             "settings": asdict(self.settings),
@@ -377,7 +377,7 @@ class BeamSearch:
         *,
         guide: Guide | None = None,
     ) -> BeamSearch:
-        """The search that `pack` described.
+        """Return the search that `pack` described.
 
         Raises:
             KeyError, TypeError, ValueError: not what `pack` returned for this task.
@@ -413,7 +413,7 @@ class BeamSearch:
         )
 
     def result(self, *, interrupted: bool = False) -> SearchResult:
-        """What the search found so far; `interrupted` if somebody stopped it."""
+        """Return the result so far; `interrupted` if the search was stopped from outside."""
         undecided, limit = self._judge.undecided + self._undecided, ""
         sliding = self._judge.sliding + self._sliding
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND

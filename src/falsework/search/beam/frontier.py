@@ -40,22 +40,22 @@ class Frontier:
         return self.fixing & self.task.holds_keep_stable
 
     def states(self, rows: NDArray[np.integer] | slice = slice(None)) -> States:
-        """Candidates written down, shape (rows, parts)."""
+        """Return candidates written down, shape (rows, parts)."""
         return self.task.follow(self.level[self.parent[rows]], self.action[rows], self.direction)
 
     def parents(self, rows: NDArray[np.integer] | slice = slice(None)) -> States:
-        """States of the level that the candidates come from, shape (rows, parts)."""
+        """Return states of the level that the candidates come from, shape (rows, parts)."""
         return self.level[self.parent[rows]]
 
     def held(self) -> NDArray[np.int64]:
-        """Parts that robots hold in each candidate, shape (candidates,)."""
+        """Return parts that robots hold in each candidate, shape (candidates,)."""
         before = held_count(self.level, self.task.boundary)[self.parent]
         holds = self.task.moved_value(self.action, self.direction) == HELD
         return before + np.where(holds, 1, -1)
 
 
 def expand(task: Task, direction: Direction, level: States, hashes: Hashes, state_hash: StateHash) -> Frontier:
-    """Every legal move from every state of a level; states reached twice are kept once, dead ends not at all.
+    """Return every legal move from every state of a level; states reached twice are kept once, dead ends not at all.
 
     Args:
         task: rules of the search.

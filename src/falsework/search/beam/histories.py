@@ -33,7 +33,7 @@ class Histories:
         self._next: dict[int, History] = {}
 
     def standing(self, rows: NDArray[np.int64], parent: NDArray[np.int64], states: States) -> Mask:
-        """Which candidates come to rest when they are reached from their parents in the last level.
+        """Return whether each candidate comes to rest when reached from its parent in the last level.
 
         Args:
             rows: numbers of the candidates, by which `keep` names them, shape (rows,).
@@ -66,7 +66,7 @@ class Histories:
         self._next = {}
 
     def _history(self, level: int, row: int) -> History | None:
-        """History of a state of a level; None where the way to it does not stand."""
+        """Return the history of a state of a level; None where the way to it does not stand."""
         self._fit(len(self._levels))
         way = [row]
         while way[-1] not in self._known[level + 1 - len(way)] and len(way) <= level:

@@ -47,7 +47,7 @@ class Selector:
     """Breaks ties and seeds the clusters."""
 
     def order(self, rows: Rows, score: NDArray[np.float64], count: int) -> Rows:
-        """Rows in the order in which they are to be taken, where about `count` are wanted.
+        """Return rows in the order in which they are to be taken, where about `count` are wanted.
 
         Args:
             rows: some candidates, shape (rows,).

@@ -38,11 +38,14 @@ class Centers:
     """What a unit is."""
 
     def nearest(self, points: torch.Tensor) -> torch.Tensor:
-        """Nearest centre of each point, the first of several. Shapes (count, dimensions) float32, (count,)."""
+        """Return the nearest centre of each point, the first of several.
+
+        Shapes (count, dimensions) float32, (count,).
+        """
         return _join([gaps.argmin(dim=1) for gaps in _products(points, self)], points.new_empty(0).long())
 
     def assign(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Cluster of each point, and squared distance from its centre.
+        """Return the cluster of each point, and squared distance from its centre.
 
         Args:
             points: `uint8`, values 0, 1 and 2, shape (count, dimensions).
@@ -88,7 +91,7 @@ def find_centers(points: torch.Tensor, words: torch.Tensor, clusters: int) -> Ce
 
 
 def _seeds(x: torch.Tensor, words: torch.Tensor, clusters: int) -> torch.Tensor:
-    """Points to begin with, drawn in rounds, shape (clusters, dimensions)."""
+    """Return points to begin with, drawn in rounds, shape (clusters, dimensions)."""
     torch = import_torch()
     rounds = min(_SEEDING_ROUNDS, clusters)
     # All rounds' random numbers at once, by keys that differ from round to round: small kernels cost their launch.
@@ -107,7 +110,7 @@ def _seeds(x: torch.Tensor, words: torch.Tensor, clusters: int) -> torch.Tensor:
 
 
 def _products(x: torch.Tensor, centers: Centers) -> Iterator[torch.Tensor]:
-    """Squared distances from centres less the points' own squares, in chunks of shape (rows, centers)."""
+    """Yield squared distances from centres less the points' own squares, in chunks of shape (rows, centers)."""
     torch = import_torch()
     scaled = centers.scaled
     norm = (scaled * scaled).sum(dim=1)
@@ -117,5 +120,5 @@ def _products(x: torch.Tensor, centers: Centers) -> Iterator[torch.Tensor]:
 
 
 def _join(chunks: list[torch.Tensor], empty: torch.Tensor) -> torch.Tensor:
-    """The chunks one after the other; without a copy if there is only one."""
+    """Return the chunks one after the other; without a copy if there is only one."""
     return chunks[0] if len(chunks) == 1 else import_torch().cat([*chunks, empty])

@@ -85,14 +85,14 @@ class DeviceOracle:
         return verdict
 
     def without_exact(self) -> DeviceOracle:
-        """The same solver alone: nothing waits, and the few states that it leaves open stay so."""
+        """Return the same solver alone: nothing waits, and the few states that it leaves open stay so."""
         alone = copy(self)
         alone._settle = None
         return alone
 
 
 def without_exact(oracle: TensorOracle) -> TensorOracle:
-    """An oracle for states that may be given up, such as those of rollouts that are learned from.
+    """Return an oracle for states that may be given up, such as those of rollouts that are learned from.
 
     On a GPU, states that stand by a hair are left open. They are some in ten thousand of dome-72, and the exact solver
     needs a sixth of a second for each, while thousands of others wait.
@@ -101,7 +101,7 @@ def without_exact(oracle: TensorOracle) -> TensorOracle:
 
 
 def oracle_on(oracle: Stability, device: torch.device) -> TensorOracle:
-    """The oracle's verdicts for states on a device: by the solver there, or by the oracle itself on the processor."""
+    """Return the oracle for states on a device: the GPU solver, or the CPU oracle behind copies."""
     return DeviceOracle(oracle, device) if device.type == "cuda" else HostOracle(oracle)
 
 
@@ -116,7 +116,7 @@ class TensorJudge:
         self._batch = batch
 
     def verdicts(self, states: torch.Tensor, parents: torch.Tensor, count: int) -> torch.Tensor:
-        """Verdicts of all states from the share of each process.
+        """Return verdicts of all states from the share of each process.
 
         Args:
             states: this process's share, `Shards.interleaved`, shape (share, parts).

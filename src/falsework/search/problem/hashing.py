@@ -28,7 +28,7 @@ class StateHash:
 
     @classmethod
     def for_parts(cls, parts: int) -> StateHash:
-        """The words for a structure of `parts` parts; the same in every run."""
+        """Return the words for a structure of `parts` parts; the same in every run."""
         words = np.random.default_rng(0x5EED).integers(0, 2**64, size=(parts, 3), dtype=np.uint64)
         words.setflags(write=False)
         return cls(words)
@@ -45,7 +45,7 @@ class StateHash:
     def after(
         self, hashes: Hashes, part: NDArray[np.integer], old: NDArray[np.integer], new: NDArray[np.integer]
     ) -> Hashes:
-        """Hashes once `part` went from value `old` to `new`; all of shape (batch,)."""
+        """Return hashes once `part` went from value `old` to `new`; all of shape (batch,)."""
         return hashes ^ self.words[part, old] ^ self.words[part, new]
 
 
@@ -87,11 +87,11 @@ class StateIndex:
         self._sorted = hashes[self._order]
 
     def find(self, states: States) -> NDArray[np.int64]:
-        """Position of each state in the collection, or -1. Shape (batch,)."""
+        """Return the position of each state in the collection, or -1. Shape (batch,)."""
         return self.find_hashed(self._hash(states), lambda rows: states[rows])
 
     def find_hashed(self, hashes: Hashes, rows: Callable[[NDArray[np.intp]], States]) -> NDArray[np.int64]:
-        """Position of each state in the collection, or -1, for states that are not written down.
+        """Return the position of each state in the collection, or -1, for states that are not written down.
 
         Args:
             hashes: shape (batch,).

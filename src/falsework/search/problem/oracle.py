@@ -40,7 +40,7 @@ class Judge:
         self._batch = batch
 
     def stable(self, states: States, parents: States) -> Mask:
-        """Which states are stable; sliding and undecided count as not stable.
+        """Return whether each state is stable; sliding and undecided states count as not stable.
 
         Args:
             states: shape (batch, parts).

@@ -35,13 +35,13 @@ class Route:
 
     @classmethod
     def through(cls, states: States) -> Route:
-        """Route through consecutive states, each one move from the next, in disassembly order."""
+        """Return the route through consecutive states, each one move from the next, in disassembly order."""
         part = (states[1:] != states[:-1]).argmax(axis=1)
         holds = states[np.arange(1, len(states)), part] == HELD
         return cls(states, np.where(holds, part, part + states.shape[1]).astype(np.int64))
 
     def removal_rank(self) -> NDArray[np.int64]:
-        """For each part how many were removed before it, or -1 if it stays. Shape (parts,)."""
+        """Return for each part the number removed before it, or -1 if it stays. Shape (parts,)."""
         parts = self.states.shape[1]
         removed = self.actions[self.actions >= parts] - parts
         rank = np.full(parts, -1, dtype=np.int64)
@@ -52,7 +52,7 @@ class Route:
 def beam_failure(
     width: int, exhaustive: bool, undecided: int, sliding: int = 0, doubt: str = ""
 ) -> tuple[Outcome, str]:
-    """What it means that a beam came to no end, and which limit it met, if any.
+    """Return the outcome of a beam that died, and the limit that it met, if any.
 
     Args:
         width: states that it keeps a level.

@@ -27,7 +27,7 @@ _CHUNK_STATES = 1024
 
 
 def criterion_of(task: Task) -> Criterion:
-    """What stable means for states of a task that was `judged_by` the oracle which found them."""
+    """Return the stability criterion of a task that was `judged_by` an oracle."""
     return "equilibrium" if task.holds_keep_stable else "contact"
 
 
@@ -131,11 +131,14 @@ class StateGraph:
         return self._spread(self.task.start, self.source, self.target, downwards=False)
 
     def unseen(self, states: States) -> Mask:
-        """States of this graph that are not among `states`, such as those to test a policy on. Shape (states,)."""
+        """Return states of this graph that are not among `states`, such as those to test a policy on.
+
+        Shape (states,).
+        """
         return StateIndex(np.unique(states, axis=0)).find(self.states) < 0
 
     def valid_actions(self) -> Mask:
-        """Actions that stay inside the graph, shape (states, 2 parts)."""
+        """Return actions that stay inside the graph, shape (states, 2 parts)."""
         mask = np.zeros((len(self.states), 2 * self.task.part_count), dtype=bool)
         mask[self.source, self.action] = True
         return mask
@@ -145,7 +148,7 @@ class StateGraph:
         return int(self.routes_to_target()[self._position(self.task.start)]) if self._has(self.task.start) else 0
 
     def routes_to_target(self) -> NDArray[np.object_]:
-        """Number of action sequences from each state to the target, Python integers, shape (states,)."""
+        """Return the number of action sequences from each state to the target, Python integers, shape (states,)."""
         count = np.zeros(len(self.states), dtype=object)
         if self._has(self.task.target):
             count[self._position(self.task.target)] = 1
@@ -156,13 +159,13 @@ class StateGraph:
         return count
 
     def edges_by_level(self) -> list[slice]:
-        """Edges that leave each level, from the start on; edges are sorted, so each is a slice."""
+        """Return edges that leave each level, from the start on; edges are sorted, so each is a slice."""
         leaving = self.level[self.source]
         bounds = np.searchsorted(leaving, np.arange(self.task.steps + 1))
         return [slice(int(a), int(b)) for a, b in pairwise(bounds)]
 
     def sample_route(self, rng: np.random.Generator) -> Route | None:
-        """A way from start to target, each action drawn evenly from those that can still reach the target."""
+        """Return a way from start to target, each action drawn evenly from those that can still reach the target."""
         if not self._has(self.task.start) or not self.solvable[self._position(self.task.start)]:
             return None
         useful = self.solvable[self.target]

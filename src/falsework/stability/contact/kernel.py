@@ -117,7 +117,7 @@ def write_forces(structure, work, contact, pairs, out):
 
 @nb.njit(cache=True)
 def lacks_contact(work, pairs):
-    """Whether a part that can move touches nothing that is present."""
+    """Return whether a part that can move touches nothing that is present."""
     touched = np.zeros(len(work.free), dtype=np.bool_)
     for p in range(pairs):
         if work.slot_a[p] >= 0:

@@ -15,7 +15,7 @@ from falsework.stability.cpu.layout import FAST
 
 @nb.njit(fastmath=True)
 def _invert(block, b, work, inverse):
-    """Inverse of a 6 x 6 block by elimination with row pivots; False if it is singular."""
+    """Return the inverse of a 6 x 6 block by elimination with row pivots; False if it is singular."""
     for i in range(6):
         for j in range(6):
             work[0, i, j] = block[b, i, j]

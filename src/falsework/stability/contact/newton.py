@@ -76,7 +76,7 @@ class ContactWork(NamedTuple):
 
 @nb.njit(cache=True)
 def make_contact_work(structure):
-    """Scratch large enough for every state of a structure."""
+    """Return scratch large enough for every state of a structure."""
     n, blocks = len(structure.elimination.order), len(structure.elimination.row)
     points = len(structure.basis)
     return ContactWork(
@@ -179,7 +179,7 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
 
 @nb.njit(fastmath=FAST, cache=True)
 def largest_residual(structure, work, wrench):
-    """Residual of whitened wrenches: the largest acceleration that they cause, times `measure`."""
+    """Return the residual of whitened wrenches: the largest acceleration that they cause, times `measure`."""
     free, order = work.free, structure.elimination.order
     turn, measure = structure.acceleration, structure.measure
     worst = 0.0
@@ -196,7 +196,10 @@ def largest_residual(structure, work, wrench):
 
 @nb.njit(fastmath=FAST, cache=True)
 def largest_movement(structure, contact_structure, work, displacement):
-    """Largest movement of a part in m: of its centre, or of a point one radius of gyration away by its rotation."""
+    """Return the largest movement of a part, m.
+
+    The movement of a part is that of its centre, or of a point one radius of gyration away by its rotation.
+    """
     free, order, turn = work.free, structure.elimination.order, structure.acceleration
     worst = 0.0
     for j in range(len(free)):

@@ -129,7 +129,7 @@ class Replayer:
         self._size = structure_size(assembly)
 
     def vary(self, settings: StabilitySettings | None = None, replay: ReplaySettings | None = None) -> Replayer:
-        """A replayer of the same structure under other settings."""
+        """Return a replayer of the same structure under other settings."""
         return Replayer(self.assembly, settings or self.settings, replay or self.replay_settings)
 
     def replay(self, states: ArrayLike, history: History | None = None, *, increments: int | None = None) -> Replay:
@@ -204,7 +204,7 @@ class Variation:
 
 
 def variations(settings: StabilitySettings, draws: int) -> list[tuple[str, StabilitySettings, ReplaySettings]]:
-    """Settings of replay on which the answer must not hang, with names.
+    """Return settings of replay on which the answer must not hang, with names.
 
     Args:
         settings: of the verdicts.

@@ -22,7 +22,7 @@ _DIAGONAL = math.sqrt(0.5)
 
 @nb.njit(inline="always", fastmath=True)
 def project(cone, n, x, y, mu):
-    """Nearest point of the cone to `(n, x, y)`."""
+    """Return the nearest point of the cone to `(n, x, y)`."""
     if cone == QUADRATIC:
         t = math.sqrt(x * x + y * y)
         if n >= 0.0 and t <= mu * n:
@@ -57,7 +57,7 @@ def project(cone, n, x, y, mu):
 
 @nb.njit(inline="always", fastmath=True)
 def support(cone, n, x, y, mu):
-    """Largest value of `n f_n + x f_x + y f_y` over forces of the cone with `f_n = 1`."""
+    """Return the largest value of `n f_n + x f_x + y f_y` over forces of the cone with `f_n = 1`."""
     if cone == QUADRATIC:
         return n + mu * math.sqrt(x * x + y * y)
     ax, ay = abs(x), abs(y)

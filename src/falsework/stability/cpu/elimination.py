@@ -36,7 +36,7 @@ class Elimination(NamedTuple):
 
 
 def eliminate(problem: Problem) -> Elimination:
-    """Order the parts by minimum degree and find the fill (George and Liu, 1981, chapter 5)."""
+    """Return the order the parts by minimum degree and find the fill (George and Liu, 1981, chapter 5)."""
     removable = np.flatnonzero(~problem.boundary)
     neighbours: dict[int, set[int]] = {int(part): set() for part in removable}
     for a, b in problem.pair_parts.tolist():

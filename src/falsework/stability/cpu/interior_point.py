@@ -117,7 +117,7 @@ def _step(octagon, mu, x, s, j, target, second, y0, y1, y2, dx, ds):
 
 @nb.njit(inline="always", fastmath=FAST)
 def _to_boundary(x, dx, j):
-    """Largest step along `dx` that stays in the cone `x0 >= |(x1, x2)|`."""
+    """Return the largest step along `dx` that stays in the cone `x0 >= |(x1, x2)|`."""
     a = dx[j, 0] * dx[j, 0] - dx[j, 1] * dx[j, 1] - dx[j, 2] * dx[j, 2]
     b = x[j, 0] * dx[j, 0] - x[j, 1] * dx[j, 1] - x[j, 2] * dx[j, 2]
     c = x[j, 0] * x[j, 0] - x[j, 1] * x[j, 1] - x[j, 2] * x[j, 2]

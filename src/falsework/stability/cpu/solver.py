@@ -23,7 +23,7 @@ _TASK = 16
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
-    """The settings as the kernel takes them."""
+    """Return the settings as the kernel takes them."""
     cpu = settings.cpu
     return Options(
         rho=cpu.rho,

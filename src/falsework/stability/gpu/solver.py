@@ -316,7 +316,7 @@ class GpuSolver:
         return stages
 
     def _interior_stages(self) -> list[_Stage]:
-        """The interior point method, on chip as far as it goes: few states take it, so that one launch is best."""
+        """Return the single stage of the interior point method, on chip as far as it fits; few states take it."""
         driver, layout, threads = self.driver, self.layout, self.driver.most_threads
         largest = _aligned(layout.interior_bytes())
         shared = min(largest, self._shared_limit)

@@ -175,7 +175,7 @@ def _redraw(model: Model, gap: Array, friction: Array, settings: DiscreteElement
 
 
 def _model(assembly: Assembly) -> tuple[float, Model]:
-    """Size of a typical part, metres, and the structure measured in it."""
+    """Return the size of a typical part, metres, and the structure measured in it."""
     contacts, mass = assembly.contacts, assembly.mass
     boxes = np.array([np.ptp(mesh.bounds, axis=0) for mesh in assembly.meshes])
     size = float(np.median(boxes.max(axis=1)))

@@ -155,7 +155,7 @@ def _unjudged(reason: str) -> Lmgc90Answer:
 
 
 def _lost(assembly: Assembly, state: States, found: set[tuple[int, int]]) -> tuple[int, int] | None:
-    """First pair of parts in contact, one of them free, that is not among those found."""
+    """Return the first pair of parts in contact, one of them free, that is not among those found."""
     for a, b in np.unique(assembly.contacts.parts, axis=0):
         acts = REMOVED not in (state[a], state[b]) and INSTALLED in (state[a], state[b])
         if acts and (int(a), int(b)) not in found:
@@ -184,7 +184,7 @@ def _run(folder: Path) -> str:
 
 
 def _error(said: str) -> str:
-    """First error of what was printed with the line after it, or else the last line."""
+    """Return the first error of what was printed with the line after it, or else the last line."""
     lines = [" ".join(line.split()) for line in said.splitlines() if line.strip()]
     first = next((k for k, line in enumerate(lines) if "error" in line.lower()), len(lines) - 1)
     return " ".join(lines[first : first + 2])

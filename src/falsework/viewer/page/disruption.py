@@ -41,7 +41,7 @@ class Disruption:
     robots: int = 2
 
     def toggled(self, tool: Tool, part: int, assembly: Assembly) -> Disruption:
-        """The same with one mark set, or taken away where it was set.
+        """Return the same with one mark set, or taken away where it was set.
 
         Raises:
             InputError: the part is boundary, which nothing can happen to.
@@ -74,7 +74,7 @@ class Disruption:
         return site
 
     def question(self, assembly: Assembly, state: States, direction: Direction) -> dict[str, Any]:
-        """Arguments for `falsework.replanning.replanner.replan`.
+        """Return arguments for `falsework.replanning.replanner.replan`.
 
         Args:
             assembly: the structure.
@@ -105,7 +105,7 @@ class Disruption:
         }
 
     def words(self, assembly: Assembly) -> str:
-        """What is marked, for people; empty if nothing is."""
+        """Describe the marks; empty if there are none."""
         texts = []
         for word, parts in (
             ("missing", self.missing),
@@ -119,7 +119,7 @@ class Disruption:
 
 
 def chance_of_parts(probabilities: np.ndarray) -> np.ndarray:
-    """Probability of the action on each part, NaN where none is legal.
+    """Return the probability of the action on each part, NaN where none is legal.
 
     Args:
         probabilities: of all actions, illegal ones zero, shape (2 parts,).

@@ -39,7 +39,7 @@ body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
 
 
 def import_viser() -> Any:
-    """The package that serves the page.
+    """Return the package that serves the page.
 
     Raises:
         DependencyError: it is not installed.
@@ -371,7 +371,7 @@ class Page:
 
 
 def check_host(host: str) -> str | None:
-    """A warning if others can reach the page, None if not.
+    """Return a warning if others can reach the page, None if not.
 
     Raises:
         InputError: the host is empty.
