@@ -34,20 +34,20 @@ class Animate(Command):
     out: Annotated[Path, arg(metavar="FILE")] = Path("plan.mp4")
     """File to write; it ends in .mp4 or .gif."""
     seconds: float = 0.4
-    """Length of a step."""
+    """Duration of a step."""
     rate: float = 10.0
-    """Pictures a second."""
+    """Frame rate."""
     verdicts: bool = False
-    """Judge every state, and show what does not stand."""
+    """Evaluate the stability of every state, and mark unstable parts."""
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts without prestress bring every part to rest; or, as in the paper, contact
-    forces in balance exist."""
+    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
+    in balance exist."""
     width: int = 800
-    """Pixels across."""
+    """Width, pixels."""
     azimuth: float = -58.0
-    """Degrees from which to look, about the vertical."""
+    """Azimuth of the camera, degrees."""
     elevation: float = 24.0
-    """Degrees above the horizon."""
+    """Elevation of the camera, degrees."""
 
     def run(self, output: Output) -> Exit:
         """Open, draw every picture, write."""

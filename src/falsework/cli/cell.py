@@ -35,7 +35,7 @@ class CheckCell(Command):
     """TOML file, or a built-in cell such as `dome-37`."""
     structure: StructureOptions
     picture: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
-    """Draw parts and robots from above, coloured by how many robots reach a part."""
+    """Plan view of parts and robots, coloured by the number of robots that reach a part."""
     propose: Literal["auto", "always", "never"] = "auto"
     """Look for better bases; auto: if a robot cannot reach a part."""
 

@@ -40,22 +40,22 @@ class Evaluate(Command):
     folder: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder that `falsework train` wrote."""
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
-    """Ask the policy about another structure, which it was not trained for."""
+    """Evaluate the policy on another structure than the one that it was trained for."""
     search: bool = False
-    """Search where the policy fails, and say for what share of the test states there is a proven plan then."""
+    """Search where the policy fails, and report the share of test states with a proven plan."""
     targets: bool = False
     """Go to other target states than the empty structure. A policy that was not trained with two states is not told;
     the rules alone then keep what the target keeps."""
     criterion: Annotated[
         Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: that of the run)")
     ] = None
-    """What stable means. Under another criterion than that of the run, other states are searched for."""
+    """Stability criterion. For another criterion than that of the run, new states are searched."""
     states: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """States of each set, a fixed sample."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to evaluate; `auto` takes a GPU if there is one."""
+    """Device; `auto` takes a GPU if there is one."""
     seed: int = 0
-    """Of samples and of rollouts that are drawn in a search."""
+    """Random seed of samples and of rollouts in a search."""
 
     def run(self, output: Output) -> Exit:
         """Load, play, count."""

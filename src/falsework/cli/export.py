@@ -50,9 +50,9 @@ class Export(Command):
     out: Annotated[Path, arg(metavar="PATH")]
     """File to write, or folder, which must be new or empty."""
     format: Annotated[Format | None, arg(help_behavior_hint="(default: by the name of the file, else a folder)")] = None
-    """What to write."""
+    """Output format."""
     step_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint=UNSET)] = None
-    """Length of a step of a plan; a second if not given."""
+    """Duration of a step of a plan; 1 s if not given."""
 
     def run(self, output: Output) -> Exit:
         """Load and save."""

@@ -25,21 +25,21 @@ class Failure:
     """Report on a search without a plan."""
 
     proven: bool
-    """There is no plan, as opposed to none that was found."""
+    """Whether it is proven that no plan exists."""
     reached: int
-    """Steps of the plan that the search got done."""
+    """Number of steps that the search completed."""
     steps: int
     """Steps of a whole plan."""
     disassembly: bool
-    """Whether the search took the structure apart; otherwise it put it together."""
+    """Whether the search ran in the order of disassembly."""
     moving: list[Motion]
-    """What moves in the states where the search broke off, the parts that move in most of them first."""
+    """Motions in the states where the search ended, the most frequent first."""
     reason: str
-    """Why the search is no proof, where it is none."""
+    """Reason why the search proves nothing, where it does not."""
     sliding: int
     """States that the search refused because they slide."""
     text: str
-    """All of it in one line."""
+    """Summary in one line."""
 
     def record(self, assembly: Assembly) -> dict[str, Any]:
         """Return the report as a JSON object."""

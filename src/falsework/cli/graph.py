@@ -31,9 +31,9 @@ class MakeGraph(Command):
     task: TaskOptions
     search: SearchOptions
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts bring parts to rest, or forces in balance exist, as in the paper."""
+    """Stability criterion: compliant contacts bring parts to rest, or (paper) forces in balance exist."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
+    """Device of the search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
 
     def run(self, output: Output) -> Exit:
         """Search, connect, save."""

@@ -46,20 +46,20 @@ class MakePlan(Command):
     direction: Literal["both", "assembly", "disassembly"] = "both"
     """Ends from which to search: the empty structure, the complete one, or both in turn."""
     seed: int = 0
-    """Same seed, same machine, same result."""
+    """Random seed; results are reproducible on one machine."""
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts without prestress bring every part to rest, and the whole plan stands when
-    it is replayed; or, as in the paper, contact forces in balance exist."""
+    """Stability criterion: compliant contacts without prestress bring every part to rest, in every state and in a
+    replay of the whole plan; or (paper) contact forces in balance exist."""
     cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
     """Friction cone: round, or eight-sided as in the paper."""
     solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
-    """Who judges; `auto` takes a GPU where there is one and it is faster."""
+    """Solver; `auto` takes a GPU where there is one and it is faster."""
     assembly_order: bool = False
     """Write the plan in the order of assembly: insert and release instead of hold and remove."""
     proofs: bool = False
-    """Write what proves each state into the plan too: displacements, or under `equilibrium` contact forces."""
+    """Write the proof of each state into the plan: displacements, or contact forces under `equilibrium`."""
     resume: bool = False
-    """Go on with the search that was interrupted."""
+    """Resume the interrupted search."""
 
     def run(self, output: Output) -> Exit:
         """Search, prove, save."""

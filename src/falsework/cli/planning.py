@@ -26,7 +26,7 @@ class TaskOptions:
     """Rules that a plan must keep to."""
 
     robots: int = 2
-    """Parts that can be held at a time."""
+    """Number of robots: parts that can be held at a time."""
     start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
     """State from which disassembly starts, where assembly ends: `complete`, digits such as 2110, or a file."""
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
@@ -36,7 +36,7 @@ class TaskOptions:
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts that are neither held nor removed, such as 7."""
     removable_only_if_clear: bool = False
-    """Remove a part only if it has a straight way out, in whatever direction."""
+    """Remove a part only if it has a collision-free straight exit in some direction."""
 
     def task(self, assembly: Assembly) -> Task:
         """Check the rules against a structure.
@@ -67,7 +67,7 @@ class SearchOptions:
     direction: Literal["assembly", "disassembly"] = "assembly"
     """End to begin at: the empty structure, or the complete one."""
     seed: int = 0
-    """Same seed, same machine, same result."""
+    """Random seed; results are reproducible on one machine."""
 
     def settings(self) -> BeamSettings:
         """Return the settings of the search.

@@ -46,9 +46,9 @@ class PlanRobots(Command):
     policy: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Trained run whose policy proposes the actions."""
     robots_seed: int = 0
-    """Same seed, same machine, same result."""
+    """Random seed; results are reproducible on one machine."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
-    """Give up after so long."""
+    """Time limit."""
     start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
     """State to start from: `complete`, digits such as 2110, or a file. It must not have held parts."""
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
@@ -58,10 +58,10 @@ class PlanRobots(Command):
     assembly_order: bool = False
     """Write the motions in the order of assembly."""
     proofs: bool = False
-    """Write the contact forces that prove each state into the plan too."""
+    """Write the contact forces that prove each state into the plan."""
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts without prestress bring every part to rest, and the whole plan stands when
-    it is replayed; or, as in the paper, contact forces in balance exist."""
+    """Stability criterion: compliant contacts without prestress bring every part to rest, in every state and in a
+    replay of the whole plan; or (paper) contact forces in balance exist."""
 
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
@@ -171,11 +171,11 @@ class CheckRobots(Command):
     """Cell to check it in, instead of the one that the plan names."""
     reading: LoadOptions
     resolution: float = 0.01
-    """No joint moves farther between two samples, rad."""
+    """Largest joint step between two samples, rad."""
     motions_only: bool = False
-    """Leave the stability of the states out."""
+    """Skip the stability of the states."""
     steps: bool = False
-    """Print the steps in words as well."""
+    """Print the steps as text too."""
 
     def run(self, output: Output) -> Exit:
         """Load, compare, verify."""
@@ -258,13 +258,13 @@ class ExportRobots(Command):
     plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
     """Plan to export, as `falsework robots plan` wrote it."""
     format: Literal["ros2-json", "ros2-yaml", "csv", "rapid"] = "ros2-json"
-    """What to write."""
+    """Output format."""
     out: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write into."""
     rate: float = 50.0
-    """Rows a second, for csv."""
+    """Rows per second, for csv."""
     assembly_order: bool = False
-    """Write the motions in the order of assembly, whichever order the plan is in."""
+    """Write the motions in the order of assembly, whatever the order of the plan."""
 
     def run(self, output: Output) -> Exit:
         """Load and write."""

@@ -36,9 +36,9 @@ class MakeSheet(Command):
     """Structure, instead of the one that the plan names."""
     reading: LoadOptions
     azimuth: float = -58.0
-    """Degrees about the vertical from which pictures look; 0 looks along +y."""
+    """Azimuth of the camera, degrees; 0 looks along +y."""
     elevation: float = 24.0
-    """Degrees above the horizon."""
+    """Elevation of the camera, degrees."""
 
     def run(self, output: Output) -> Exit:
         """Load, lay out, write."""

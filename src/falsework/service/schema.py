@@ -88,7 +88,7 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
             numbers,
             Field(default=[], description="parts not delivered yet; they go in as late as can be"),
         ),
-        "fixed": (numbers, Field(default=[], description="parts that nobody must touch")),
+        "fixed": (numbers, Field(default=[], description="parts that must not be held or removed")),
         "robots": (whole(1, MOST_ROBOTS), Field(default=2, description="parts that can be held at a time")),
         "alternatives": (whole(1, MOST_ALTERNATIVES), Field(default=1, description="plans wanted")),
         "removable_only_if_clear": (
@@ -180,7 +180,7 @@ def components(models: Models) -> dict[str, Any]:
             "of a state that slides or that is stable under the criterion equilibrium",
         },
         "residual": {"description": "share of gravity", "anyOf": [{"type": "number"}, {"type": "null"}]},
-        "moving": {**numbers, "description": "parts that move, the fastest first; only where asked for"},
+        "moving": {**numbers, "description": "parts that move, the fastest first; only on request"},
     }
     criterion = {
         "enum": list(get_args(Criterion)),

@@ -45,7 +45,7 @@ def choose_device(name: str = "auto") -> torch.device:
     if device.type != "cuda":
         raise InputError(f"device {name!r} is not supported; choose auto, cpu or cuda")
     if (device.index or 0) >= count:
-        raise InputError(f"device {name!r} was asked for, but {count} CUDA devices were found; choose auto or cpu")
+        raise InputError(f"device {name!r} is not available: {count} CUDA devices were found; choose auto or cpu")
     return torch.device("cuda", torch.cuda.current_device()) if device.index is None else device
 
 
