@@ -125,7 +125,7 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
 
 
 def _read_description(source: Path) -> dict[str, Any]:
-    """What `assembly.json` says, types checked; `contact` is always there, as `ContactSettings`."""
+    """Read `assembly.json` with types checked; `contact` becomes `ContactSettings`."""
     file = (source if source.is_dir() else source.parent) / FILE
     described: dict[str, Any] = {}
     if file.is_file():
@@ -172,7 +172,7 @@ def _contact_settings(given: Mapping[str, Any], file: Path) -> ContactSettings:
 
 
 def _ids(boundary: list[Any], names: list[str]) -> list[int]:
-    """Ids of boundary parts, which may be given by name."""
+    """Return ids of boundary parts, which may be given by name."""
     ids = []
     for item in boundary:
         if isinstance(item, str):

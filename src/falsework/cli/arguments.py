@@ -1,4 +1,4 @@
-"""Texts from the command line into part numbers and states."""
+"""Parsers of part numbers and states given as command-line arguments."""
 
 from __future__ import annotations
 

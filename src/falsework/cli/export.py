@@ -1,4 +1,4 @@
-"""`falsework export`: a structure or a plan in the files of other programs."""
+"""`falsework export`: structures and plans in the formats of other programs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MOVING = ("glb", "gltf", "usd")
 
 @dataclass(frozen=True, kw_only=True)
 class Export(Command):
-    """Write a structure, or a plan in motion, for other programs.
+    """Write a structure or an animated plan in the format of another program.
 
     STRUCTURE may be a plan, too. A folder has one mesh a part and assembly.json. glTF (.glb, .gltf) opens in Blender
     and any viewer, USD (.usda) in robot simulators; both show a plan as an animation. COMPAS data (.json) are a list of
@@ -50,9 +50,9 @@ class Export(Command):
     out: Annotated[Path, arg(metavar="PATH")]
     """File to write, or folder, which must be new or empty."""
     format: Annotated[Format | None, arg(help_behavior_hint="(default: by the name of the file, else a folder)")] = None
-    """What to write."""
+    """Output format."""
     step_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint=UNSET)] = None
-    """Length of a step of a plan; a second if not given."""
+    """Duration of a step of a plan; 1 s if not given."""
 
     def run(self, output: Output) -> Exit:
         """Load and save."""
@@ -78,7 +78,7 @@ class Export(Command):
         return Exit.DONE
 
     def _load(self) -> tuple[Assembly, Plan | None]:
-        """The structure, and the plan if one was named."""
+        """Return the structure, and the plan if one was named."""
         from falsework.cli.loading import structure_of
         from falsework.search.plans.plan import Plan
 
@@ -90,7 +90,7 @@ class Export(Command):
 
 
 def _is_plan(path: Path) -> bool:
-    """Whether a file says that it is a plan, of whatever version."""
+    """Return whether a file says that it is a plan, of whatever version."""
     if path.suffix.lower() != ".json" or not path.is_file():
         return False
     try:

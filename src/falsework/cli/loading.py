@@ -1,4 +1,4 @@
-"""Find the structure that a command means: built in, meshes, COMPAS data, or the one that a plan names."""
+"""Loader of the structure that a command names: built in, meshes, COMPAS data, or the structure of a plan."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def load(spec: str, **options: Any) -> Assembly:
-    """A structure by name or path: what `load_structure` knows, and files of COMPAS data.
+    """Return a structure by name or path: what `load_structure` knows, and files of COMPAS data.
 
     Args:
         spec: name of a built-in structure, a folder or file of meshes, or a file that `compas.json_dump` wrote.
@@ -29,7 +29,7 @@ def load(spec: str, **options: Any) -> Assembly:
 
 
 def structure_of(plan: Plan, file: Path, structure: str | None = None, **options: Any) -> Assembly:
-    """The structure of a plan: the one that is named, else the one that the plan says it was made for.
+    """Return the structure of a plan: the one that is named, else the one that the plan says it was made for.
 
     Args:
         plan: the plan.

@@ -1,4 +1,4 @@
-"""What a picture, a film or the page shows: a plan, a run, a robot plan, a state graph or a structure, told apart."""
+"""Files that a picture, a video or the page can show: plan, run, robot plan, state graph or structure."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """What was opened."""
+    """Opened file: its timeline and whatever belongs to it."""
 
     kind: Literal["plan", "run", "robot plan", "graph", "structure"]
     assembly: Assembly
@@ -39,7 +39,7 @@ class Subject:
     """The robots of a robot plan."""
 
     def with_policy(self, run: str | None) -> Subject:
-        """The same with the policy of a run, or as it is without one.
+        """Return the same with the policy of a run, or as it is without one.
 
         Raises:
             InputError: no such run, or one for another structure.
@@ -55,7 +55,7 @@ class Subject:
         return replace(self, policy=load_run(run, assembly=self.assembly).policy)
 
     def proofs(self, places: Iterable[int], criterion: Criterion) -> dict[int, StateProof]:
-        """Verdicts on some states of the timeline, by place."""
+        """Return verdicts on some states of the timeline, by place."""
         from falsework.stability import Stability, StabilitySettings
         from falsework.viewer.proof import proofs_of_states
 
@@ -67,7 +67,7 @@ class Subject:
 
 @dataclass(frozen=True, kw_only=True)
 class SubjectOptions(LoadOptions):
-    """Options that say what to look at."""
+    """Options that name the file or structure to show."""
 
     spec: Annotated[Positional[str], arg(metavar="WHAT")]
     """Plan, run, robot plan, state graph, or a structure: built-in, folder or file of meshes."""
@@ -189,7 +189,7 @@ class SubjectOptions(LoadOptions):
 
 
 def _format_of(path: Path) -> str:
-    """What a JSON file says that it is; empty if it does not say.
+    """Return the format that a JSON file declares; empty if it declares none.
 
     Raises:
         PlanError: it is no JSON.

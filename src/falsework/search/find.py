@@ -1,4 +1,4 @@
-"""From an assembly and a task to plans: what the command line and the README call."""
+"""Plans of an assembly and a task: the entry point of the search."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SAVE_EVERY = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Planning:
-    """What came out of `find_plans`."""
+    """Result of `find_plans`."""
 
     result: SearchResult
     """How the search ended, and if it found nothing, how far it came."""
@@ -100,7 +100,7 @@ def find_plans(
 
 
 def task_of(assembly: Assembly, robots: int = 2) -> Task:
-    """Task of taking the complete structure apart."""
+    """Return the task of taking the complete structure apart."""
     return Task.create(assembly.boundary, robots, identity=assembly.identity)
 
 
@@ -138,7 +138,7 @@ def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, 
 def choose_plans(
     planner: Planner, settings: PlannerSettings, name: str = "", *, stop: Stop | None = None
 ) -> Alternatives:
-    """Of all that a planner has found, as many plans as the settings ask for, as different as possible.
+    """Choose the requested number of plans, as different as possible, from all that a planner has found.
 
     Args:
         planner: with at least one route.

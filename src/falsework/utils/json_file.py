@@ -1,4 +1,4 @@
-"""Versioned JSON files that may come damaged: how they are written, and how they are taken apart with clear errors."""
+"""Versioned JSON files: atomic writing, and strict reading with precise errors."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _dump(value: Any) -> str:
 
 
 class Reader:
-    """Takes JSON values apart and complains about the first thing that is not as it must be.
+    """Strict reader of JSON values with precise errors.
 
     A class for one kind of file says what messages call it, which format is read, and which command writes it.
     """
@@ -49,7 +49,7 @@ class Reader:
 
     @classmethod
     def load(cls, path: Path | str) -> Any:
-        """The JSON values in a file.
+        """Return the JSON values in a file.
 
         Raises:
             PlanError: no such file, or no JSON.

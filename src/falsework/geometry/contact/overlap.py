@@ -1,4 +1,4 @@
-"""Parts that pass through each other: found by collision, measured by depth."""
+"""Overlap between parts: detection by collision queries, and penetration depth."""
 
 from __future__ import annotations
 
@@ -64,13 +64,13 @@ def check_overlap(meshes: Sequence[TriangleMesh], tolerance: float, *, corner: f
 
 
 def _have_layer(a: TriangleMesh, b: TriangleMesh, tolerance: float, limit: float) -> bool:
-    """Whether faces of two parts that should touch overlap by more than the tolerance."""
+    """Return whether faces of two parts that should touch overlap by more than the tolerance."""
     patches = face_patches((a, b), gap=-tolerance, overlap=limit, angle=_OPPOSED)
     return float(patches.areas.sum()) > limit**2
 
 
 def _suspects(meshes: Sequence[TriangleMesh], tolerance: float) -> list[tuple[int, int]]:
-    """Pairs of parts that still collide after shrinking, in order."""
+    """Return pairs of parts that still collide after shrinking, in order."""
     bounds = np.array([mesh.bounds for mesh in meshes])
     low, high = bounds[:, 0] + tolerance / 2, bounds[:, 1] - tolerance / 2
     i, j = box_pairs(low, np.maximum(low, high))
@@ -91,7 +91,7 @@ def _suspects(meshes: Sequence[TriangleMesh], tolerance: float) -> list[tuple[in
 
 
 def depth(a: TriangleMesh, b: TriangleMesh) -> float:
-    """How deep two parts pass into each other, metres; zero if they only touch or are apart.
+    """Return the penetration depth of two parts, metres; zero if they only touch or are apart.
 
     It is the largest distance to the surface of one part from a point of the other inside it: the thickness
     of the common region where that is a layer, and how far a corner sticks in where it is a tip. Points are
@@ -120,7 +120,7 @@ def depth(a: TriangleMesh, b: TriangleMesh) -> float:
 
 
 def _surface_points(mesh: TriangleMesh, low: Array, high: Array, spacing: float) -> Array:
-    """Points of a surface in a box, corners of faces among them, about `spacing` apart. Shape (points, 3)."""
+    """Return points of a surface in a box, corners of faces among them, about `spacing` apart. Shape (points, 3)."""
     corners = mesh.triangles
     near = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= low).all(axis=1)
     found = []

@@ -1,4 +1,4 @@
-"""Collision queries on closed meshes, by the Flexible Collision Library, and the shrinking that makes them robust."""
+"""Collision queries on closed meshes, slightly shrunken for robustness, with the Flexible Collision Library."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MORE, LESS = 0.56, 0.45
 
 
 def shrink(mesh: TriangleMesh, distance: float) -> Array:
-    """Vertices of the mesh with every face moved inwards by `distance`, shape (vertices, 3), metres.
+    """Return vertices of the mesh with every face moved inwards by `distance`, shape (vertices, 3), metres.
 
     Parts that touch, or overlap by less than twice `distance`, come apart when both are shrunk, so that a
     collision of what is left is one of the parts and not of rounding. Each vertex moves by the least vector
@@ -45,7 +45,7 @@ def shrink(mesh: TriangleMesh, distance: float) -> Array:
 
 
 class Body:
-    """A surface of triangles that can be asked for collisions and distances."""
+    """Triangle surface for collision and distance queries."""
 
     def __init__(self, vertices: Array, faces: NDArray[np.integer]) -> None:
         model = fcl.BVHModel()
@@ -55,15 +55,15 @@ class Body:
         self._object = fcl.CollisionObject(model)
 
     def hits(self, other: Body) -> bool:
-        """Whether the two surfaces cross; one inside the other is no hit."""
+        """Return whether the two surfaces cross; one inside the other is no hit."""
         return fcl.collide(self._object, other._object, fcl.CollisionRequest(), fcl.CollisionResult()) > 0
 
     def distance(self, other: Body) -> float:
-        """Smallest distance between the two surfaces, metres; zero or below where they cross."""
+        """Return the smallest distance between the two surfaces, metres; zero or below where they cross."""
         return fcl.distance(self._object, other._object, fcl.DistanceRequest(), fcl.DistanceResult())
 
     def distances(self, points: Array) -> Array:
-        """Distance of points from the surface, shape (points,), metres."""
+        """Return the distance of points from the surface, shape (points,), metres."""
         probe = fcl.CollisionObject(fcl.Sphere(1e-12))
         request = fcl.DistanceRequest()
         found = np.empty(len(points))
@@ -74,7 +74,7 @@ class Body:
 
 
 def inside(points: Array, corners: Array) -> NDArray[np.bool_]:
-    """Which points a closed surface encloses, by the solid angle that it fills as seen from them.
+    """Return whether a closed surface encloses each point, by its solid angle as seen from there.
 
     Args:
         points: shape (points, 3), metres.
@@ -116,7 +116,7 @@ def nested(a: TriangleMesh, a_points: Array, b: TriangleMesh, b_points: Array) -
 
 
 def nearest(part: int, meshes: Sequence[TriangleMesh]) -> tuple[int, float]:
-    """The part nearest to a part, and the gap between the two in metres."""
+    """Return the part nearest to a part, and the gap between the two in metres."""
     body = Body(meshes[part].vertices, meshes[part].faces)
     bounds = np.array([mesh.bounds for mesh in meshes])
     apart = np.maximum(bounds[:, 0] - bounds[part, 1], bounds[part, 0] - bounds[:, 1]).max(axis=1)

@@ -1,4 +1,4 @@
-"""Make sure that a mesh bounds a solid, and mend it where that is safe."""
+"""Check that a mesh bounds a solid, with repair where that is safe."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _FLAT = 1e-3
 
 
 class RepairWarning(UserWarning):
-    """A mesh was mended before use."""
+    """Repair of a mesh before use."""
 
 
 def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
@@ -136,7 +136,7 @@ def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Ar
 
 
 def _weld(points: Array, corners: Faces) -> NDArray[np.int64]:
-    """For every vertex the one that stands for all within the welding distance of each other."""
+    """Return for every vertex the representative of all vertices within the welding distance."""
     reach = _WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
     pairs = KDTree(points).query_pairs(reach, output_type="ndarray")
     graph = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))

@@ -1,4 +1,4 @@
-"""Read an arm from a URDF file: the chain from base to tip, with the convex hulls of its collision shapes."""
+"""URDF reader: the joint chain from base to tip, with the convex hulls of the collision shapes."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from falsework.robots.model.simplify import outer_hull
 
 Array = NDArray[np.float64]
 
-SAMPLES = 1000
+COLLISION_SAMPLES = 1000
 """Random configurations in which pairs of links are tried where no SRDF names those to ignore."""
-ALWAYS = 0.95
+ALWAYS_SHARE = 0.95
 """Pairs that touch in this share of them are ignored: their hulls overlap at the joint between."""
 
 
@@ -100,9 +100,9 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
     return RobotModel(**{**model.__dict__, "ignored": frozenset(ignored)})
 
 
-def always_touching(model: RobotModel, seed: int = 0) -> set[tuple[int, int]]:
-    """Pairs of links that touch in nearly all random configurations, so that a check of them says nothing."""
-    configurations = np.random.default_rng(seed).uniform(model.lower, model.upper, (SAMPLES, model.joints))
+def always_touching(model: RobotModel) -> set[tuple[int, int]]:
+    """Return pairs of links that touch in nearly all random configurations, so that a check of them says nothing."""
+    configurations = np.random.default_rng(0).uniform(model.lower, model.upper, (COLLISION_SAMPLES, model.joints))
     bare = Gripper("none", "suction", (), np.eye(4), 0.0)
     robot = CellRobot("arm", model, np.eye(4), bare, model.home, np.zeros((0, 4, 4)))
     bodies, _, kinds = make_bodies(robot, None, ())
@@ -111,12 +111,12 @@ def always_touching(model: RobotModel, seed: int = 0) -> set[tuple[int, int]]:
     chain = make_chain(model, np.eye(4))
     pairs = self_pairs(model, links)
     found = set()
-    hits = np.empty(SAMPLES, np.int64)
+    hits = np.empty(COLLISION_SAMPLES, np.int64)
     for a, b in sorted({(int(links[i]), int(links[j])) for i, j in pairs}):
         tried = np.array([(i, j) for i, j in pairs if (links[i], links[j]) == (a, b)], np.int64)
         rules = Rules(np.zeros((len(links), 0), bool), tried, -1e9, np.zeros(len(links), bool), 0.0)
         check_many(configurations, chain, bodies, obstacles, rules, make_work(chain, bodies, obstacles, rules), hits)
-        if (hits >= 0).mean() >= ALWAYS:
+        if (hits >= 0).mean() >= ALWAYS_SHARE:
             found.add((a, b))
     return found
 
@@ -153,7 +153,7 @@ def _tip(links: dict[str, Any], below: dict[str, Any], root: str) -> str:
 
 
 def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:
-    """Joints from the root to the end."""
+    """Return joints from the root to the end."""
     found, name = [], end
     while name != root:
         if name not in below:
@@ -164,7 +164,7 @@ def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:
 
 
 def _carrier(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> tuple[int, Array] | None:
-    """Frame that carries a link and the pose of the link in it; joints off the chain stay at zero."""
+    """Return the frame that carries a link and the pose of the link in it; joints off the chain stay at zero."""
     pose = np.eye(4)
     while name not in frame_of:
         if name not in below:
@@ -201,7 +201,7 @@ def _limits(file: Path, joint: Any) -> tuple[float, float, float]:
 
 
 def _shapes(file: Path, link: Any) -> Iterable[TriangleMesh]:
-    """Every collision shape of a link, in the frame of the link; round ones as polytopes around them."""
+    """Yield every collision shape of a link, in the frame of the link; round ones as polytopes around them."""
     for collision in link.collisions:
         pose = np.eye(4) if collision.origin is None else np.asarray(collision.origin, float)
         shape = collision.geometry
@@ -221,7 +221,7 @@ def _shapes(file: Path, link: Any) -> Iterable[TriangleMesh]:
 
 
 def _ball(radius: float) -> Array:
-    """Corners of a polytope around a ball: an icosahedron, grown by what its faces cut off."""
+    """Return corners of a polytope around a ball: an icosahedron, grown by what its faces cut off."""
     golden = (1 + 5**0.5) / 2
     corners = [(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)]
     points = np.array([np.roll(corner, k) for corner in corners for k in range(3)], float)
@@ -260,7 +260,7 @@ def _read_mesh(file: Path, mesh: Any) -> TriangleMesh:
 
 
 def _named_pairs(srdf: Path, owner: dict[str, int]) -> set[tuple[int, int]]:
-    """Pairs of links that an SRDF says need no check."""
+    """Return pairs of links that an SRDF says need no check."""
     try:
         tree = ElementTree.parse(srdf)
     except ElementTree.ParseError as error:

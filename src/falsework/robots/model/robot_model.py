@@ -1,4 +1,4 @@
-"""A robot arm: joints, limits, and the convex pieces of its links. Frozen; knows nothing of where it stands."""
+"""Immutable model of a robot arm: joints, limits, and the convex pieces of its links."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ class RobotModel:
         return float(steps + slides)
 
     def within_limits(self, configurations: Array, tolerance: float = 1e-9) -> NDArray[np.bool_]:
-        """Which configurations keep the position limits. Shape (..., joints) to (...)."""
+        """Return whether configurations keep the position limits. Shape (..., joints) to (...)."""
         inside = (configurations >= self.lower - tolerance) & (configurations <= self.upper + tolerance)
         return np.asarray(inside.all(axis=-1))
 
     def check_configuration(self, values: object, what: str = "configuration") -> Array:
-        """One configuration from outside as an array of shape (joints,).
+        """Return one configuration from outside as an array of shape (joints,).
 
         Raises:
             InputError: wrong length, no numbers, or outside the limits; the message names the joint.

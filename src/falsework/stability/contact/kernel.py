@@ -1,4 +1,4 @@
-"""The compiled verdict of one state from rest, and of a run of states without the interpreter's lock."""
+"""Compiled verdict under `contact` of one state at rest, and of a run of states without the GIL."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_sti
 
 
 class ContactOptions(NamedTuple):
-    """Numbers that steer the kernel."""
+    """Numerical options of the kernel."""
 
     tolerance: float
     """Largest residual of a state at rest."""
@@ -117,7 +117,7 @@ def write_forces(structure, work, contact, pairs, out):
 
 @nb.njit(cache=True)
 def lacks_contact(work, pairs):
-    """Whether a part that can move touches nothing that is present."""
+    """Return whether a part that can move touches nothing that is present."""
     touched = np.zeros(len(work.free), dtype=np.bool_)
     for p in range(pairs):
         if work.slot_a[p] >= 0:

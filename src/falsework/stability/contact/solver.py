@@ -1,4 +1,4 @@
-"""The solver of the criterion `contact` on the processor: batches of states, one state a thread."""
+"""CPU solver of the criterion `contact`: batches of states, one state per thread."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SLIDES = int(Verdict.SLIDES)
 
 
 class ContactSolver:
-    """Judges batches of states of one structure under the criterion `contact`.
+    """Solver of batches of states of one structure under the criterion `contact`.
 
     A state that differs from its parent is first searched for parts that fall near the difference, with a proof
     (`neighbourhood.py`). Then a displacement is looked for (`newton.py`); where there is one the state is stable. Where

@@ -1,4 +1,4 @@
-"""The solver of the equilibrium problem on the processor: batches of states, one state a thread, no BLAS."""
+"""CPU solver of the equilibrium problem: batches of states, one state per thread, no BLAS."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TASK = 16
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
-    """The settings as the kernel takes them."""
+    """Return the settings as the kernel takes them."""
     cpu = settings.cpu
     return Options(
         rho=cpu.rho,
@@ -37,7 +37,7 @@ def kernel_options(settings: StabilitySettings) -> Options:
 
 
 class Workers:
-    """Threads that share the rows of a batch; compiled code runs in them without the interpreter's lock."""
+    """Threads that share the rows of a batch; compiled code runs in them without the GIL."""
 
     def __init__(self, threads: int | None) -> None:
         """Start as many threads, or one a core."""
@@ -56,7 +56,7 @@ class Workers:
 
 
 class CpuSolver:
-    """Judges batches of states of one structure with compiled code.
+    """Solver of batches of states of one structure with compiled code.
 
     ADMM on the force with one sparse factor a state, then an interior point method for what it leaves open
     (`docs/decisions/0002`). Both stop at the first proof.

@@ -1,4 +1,4 @@
-"""The page in the browser: what viser draws and the controls beside it; all decisions are the model's."""
+"""Interactive page: the viser scene and its controls; all decisions are in the viewer state."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
 
 
 def import_viser() -> Any:
-    """The package that serves the page.
+    """Return the package that serves the page.
 
     Raises:
         DependencyError: it is not installed.
@@ -51,7 +51,7 @@ def import_viser() -> Any:
 
 
 class Page:
-    """One page with one model; every browser that opens it sees the same."""
+    """Browser page of one model, shared by all clients."""
 
     def __init__(
         self, model: Model, *, host: str = "127.0.0.1", port: int = 8080, allowed_hosts: Iterable[str] = ()
@@ -110,11 +110,6 @@ class Page:
         """Serve until interrupted."""
         while not self._stop.wait(1.0):
             pass
-
-    def sync(self) -> None:
-        """Bring slider, scene and words up to date after the model was changed from outside."""
-        self._set_slider()
-        self.refresh()
 
     def refresh(self) -> None:
         """Bring scene and words up to date with the model."""
@@ -376,7 +371,7 @@ class Page:
 
 
 def check_host(host: str) -> str | None:
-    """A warning if others can reach the page, None if not.
+    """Return a warning if others can reach the page, None if not.
 
     Raises:
         InputError: the host is empty.
