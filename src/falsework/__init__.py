@@ -1,3 +1,3 @@
 """Plan how robots build structures of rigid blocks with nothing but their grippers as falsework."""
 
-__version__ = "0.1.0"
+from falsework._version import __version__ as __version__

@@ -51,8 +51,9 @@ def build_contact_structure(
     return ContactStructure(
         normal=stiffness * scale,
         tangential=ratio * stiffness * scale,
-        turned_a=np.ascontiguousarray(problem.transfer_a.transpose(0, 2, 1)),
-        turned_b=np.ascontiguousarray(problem.transfer_b.transpose(0, 2, 1)),
+        # Copies even where there is no pair: a read-only view is another type, for which numba would compile all anew.
+        turned_a=np.array(problem.transfer_a.transpose(0, 2, 1), order="C"),
+        turned_b=np.array(problem.transfer_b.transpose(0, 2, 1), order="C"),
         scale=scale,
         reach=assembly.mass.gyration,
         limit=MOVEMENT * structure_size(assembly),

@@ -22,6 +22,7 @@ from falsework.stability.contact.kernel import ContactOptions
 from falsework.stability.contact.newton import FIRST_STEP, OPEN, RESTS
 from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.solver import ContactSolver
+from falsework.stability.cpu.layout import COMPILED_LAYOUT
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.stiffness import structure_size
@@ -143,7 +144,7 @@ class Replayer:
         Raises:
             StateError: states of the wrong length or with other values.
         """
-        batch = as_states(states, self.assembly.boundary)
+        batch = np.require(as_states(states, self.assembly.boundary), requirements=COMPILED_LAYOUT)
         count, problem = len(batch), self.problem
         displacement, springs = np.zeros((count, problem.parts, 6)), np.zeros((count, problem.points, 3))
         if history is not None:

@@ -14,6 +14,8 @@ from falsework.stability.problem import Problem
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 """Freedoms given to the compiler: all of fast mathematics, but NaN and infinity keep their meaning."""
+COMPILED_LAYOUT = ("C", "W")
+"""Contiguous and writable, for `np.require`: for other arrays of states numba would compile the kernels anew."""
 
 
 class Structure(NamedTuple):

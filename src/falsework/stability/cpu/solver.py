@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.stability.cpu.kernel import solve_range
-from falsework.stability.cpu.layout import build_structure
+from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import RINGS, solve_range_near
 from falsework.stability.cpu.termination import Options
 from falsework.stability.problem import Problem
@@ -90,6 +90,9 @@ class CpuSolver:
         Returns:
             Verdicts; `UNDECIDED` where neither proof was found within the limits of the settings.
         """
+        states = np.require(states, requirements=COMPILED_LAYOUT)
+        if parents is not None:
+            parents = np.require(parents, requirements=COMPILED_LAYOUT)
         batch, problem = len(states), self.problem
         verdicts = Verdicts.blank(
             batch, points=problem.points if certificates else None, parts=problem.parts if certificates else None
