@@ -145,7 +145,6 @@ def complete(options: Options) -> None:
             case,
             options,
             seeds=tuple(range(options.seeds)),
-            asked=len(answers),
             **summary(answers),
             **values,
         )
@@ -188,7 +187,6 @@ def deadline(options: Options) -> None:
                 case,
                 options,
                 seeds=(0,),
-                asked=len(answers),
                 deadline=seconds,
                 late=late,
                 **summary(answers),
