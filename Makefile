@@ -4,6 +4,7 @@
 #   make test    the test suite            make lint    ruff
 #   make types   pyright                   make docs    the documentation, warnings as errors
 #   make check   all of it, as CI does     make clean   remove what these made
+#   make results the tables, from benchmarks/results/*.jsonl
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -25,7 +26,7 @@ GLTF_VALIDATOR ?= gltf-validator@2.0.0-dev.3.10
 # One worker a core; test files stay whole, since their fixtures are shared.
 PYTEST_ARGS ?= -n logical --dist loadfile
 
-.PHONY: demo test lint types docs images check clean help
+.PHONY: demo test lint types docs images results check clean help
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -85,6 +86,10 @@ docs: $(VENV)/.docs
 # The pictures of README and docs, made anew by the software itself.
 images: $(VENV)/.docs $(VENV)/.test
 	$(BIN)/python docs/make_pictures.py
+
+# The tables of README, documentation and benchmarks/RESULTS.md, from the records of the benchmarks.
+results:
+	$(PYTHON) benchmarks/tables.py
 
 check: lint types docs test
 

@@ -77,6 +77,8 @@ def verdicts(name: str, options: Options) -> Iterator[dict[str, Any]]:
         cold.append((time.perf_counter() - begun) * 1e3)
     yield {
         "asked": asked,
+        "repeat": options.repeat,
+        "seeds": (0,),
         "stable": counts,
         "ms_each": {key: spread([t / asked * 1e3 for t in value]) for key, value in times.items()},
         "ratio": spread(ratios),
@@ -96,7 +98,14 @@ def replay(name: str, options: Options) -> Iterator[dict[str, Any]]:
         result = oracle.replayer.replay(plan.assembly_states)
         seconds.append(time.perf_counter() - begun)
     moved = round(result.largest * 1e3, 4)
-    yield {"states": len(plan.states), "stands": result.good, "moved_mm": moved, "seconds": spread(seconds)}
+    yield {
+        "states": len(plan.states),
+        "repeat": options.repeat,
+        "seeds": (0,),
+        "stands": result.good,
+        "moved_mm": moved,
+        "seconds": spread(seconds),
+    }
 
 
 def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:

@@ -89,7 +89,7 @@ def median_ms(call: Callable[[], object], repeats: int = 9) -> float:
     return float(np.median(times))
 
 
-def ceilings() -> dict[str, float]:
+def ceilings() -> dict[str, Any]:
     """What the chip does at most: copies, and products of random matrices."""
     rates = {}
     source = torch.rand(1 << 30, dtype=torch.float32, device="cuda")

@@ -100,7 +100,19 @@ def commit() -> str:
     )
     if hashed.returncode:
         return os.environ.get("COMMIT", "unknown")
-    changed = ["git", "-C", here, "status", "--porcelain", "--untracked-files=no", "--", ".", "../src", ":!results"]
+    changed = [
+        "git",
+        "-C",
+        here,
+        "status",
+        "--porcelain",
+        "--untracked-files=no",
+        "--",
+        ".",
+        "../src",
+        ":!results",
+        ":!*.md",
+    ]
     dirty = subprocess.run(changed, capture_output=True, text=True, check=False).stdout.strip()
     return hashed.stdout.strip() + ("-dirty" if dirty else "")
 
