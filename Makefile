@@ -5,6 +5,7 @@
 #   make types   pyright                   make docs    the documentation, warnings as errors
 #   make package sdist and wheel, tried in an environment of their own
 #   make check   all of it, as CI does     make clean   remove what these made
+#   make results the tables, from benchmarks/results/*.jsonl
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -29,7 +30,7 @@ GLTF_VALIDATOR ?= gltf-validator@2.0.0-dev.3.10
 # One worker a core; test files stay whole, since their fixtures are shared.
 PYTEST_ARGS ?= -n logical --dist loadfile
 
-.PHONY: demo install compile test lint types docs package lock images check clean help
+.PHONY: demo install compile test lint types docs package lock images results check clean help
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -118,6 +119,10 @@ lock: $(VENV)/.test
 # The pictures of README and docs, made anew by the software itself.
 images: $(VENV)/.docs $(VENV)/.test
 	$(BIN)/python docs/make_pictures.py
+
+# The tables of README, documentation and benchmarks/RESULTS.md, from the records of the benchmarks.
+results:
+	$(PYTHON) benchmarks/tables.py
 
 check: lint types docs test
 
