@@ -221,7 +221,7 @@ TABLES = {
         benchmark="learning data",
     ),
     "policies-short": Table(
-        "train",
+        "training",
         (*STRUCTURE_AND_ROBOTS, ("criterion", "{criterion}")),
         (("success, %", "{test.success:%}"), ("unseen states", "{test.states}"), ("seconds", "{seconds}")),
     ),

@@ -18,14 +18,11 @@ from headline import headline
 from table_list import TABLES
 from table_model import REPOSITORY
 
+DOCS = REPOSITORY / "docs"
 PAGES = (
     REPOSITORY / "README.md",
     REPOSITORY / "benchmarks" / "RESULTS.md",
-    *sorted(
-        path
-        for path in (REPOSITORY / "docs").rglob("*.md")
-        if not any(part.startswith("_") for part in path.relative_to(REPOSITORY).parts)
-    ),
+    *sorted(path for path in DOCS.rglob("*.md") if not path.relative_to(DOCS).parts[0].startswith("_")),
 )
 BLOCK = re.compile(r"(<!-- results: ([\w-]+) -->\n).*?(<!-- /results -->)", re.DOTALL)
 
