@@ -1,0 +1,104 @@
+"""The table of the README: few figures, each with what it compares with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from table_model import Runs, commits, fill_in, look_up, markdown, origin, records, seeds
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of the table `headline`."""
+
+    subject: str
+    source: str
+    where: dict[str, Any]
+    """Values by path that the records must have."""
+    value: str
+    comparison: str = ""
+
+    def runs(self) -> Runs:
+        """Return the records at the newest commit."""
+        found = [r for r in records(self.source) if all(look_up(r, path) == want for path, want in self.where.items())]
+        return [run for run in found if run["commit"] == found[-1]["commit"]]
+
+
+HEADLINE = (
+    Line(
+        "Plan for vault-62 with two robots, every state proven, the whole plan replayed",
+        "contact",
+        {"benchmark": "contact plan", "structure": "vault-62"},
+        "{seconds:s}",
+    ),
+    Line(
+        "The same for dome-72",
+        "contact",
+        {"benchmark": "contact plan", "structure": "dome-72"},
+        "{seconds:s}",
+    ),
+    Line(
+        "A verdict of vault-62 on a GPU, device time, batches of 1,024 (`equilibrium`)",
+        "gpu_stability",
+        {"benchmark": "gpu_stability", "structure": "vault-62", "drawn_from": "states that a search asks about"},
+        "{ms_a_state.1024:ms}, {same_as_cpu} of {states} verdicts as on the processor",
+        "published method, re-implemented: {shared_inverse.ms_a_state} ms, "
+        "{shared_inverse.wrong} of {shared_inverse.states} wrong",
+    ),
+    Line(
+        "The same, whole call with certificates",
+        "gpu_stability",
+        {"benchmark": "gpu_stability", "structure": "vault-62", "drawn_from": "states that a search asks about"},
+        "{check_ms.1024:ms}",
+        "{shared_inverse.ms_a_state/check_ms.1024} times less than the re-implemented method",
+    ),
+    Line(
+        "Device time beside the published implementation, in another run",
+        "gpu_stability",
+        {"benchmark": "gpu_stability published", "structure": "vault-62"},
+        "{ms_a_state.1024:ms}",
+        "{published_ms:ms}",
+    ),
+    Line(
+        "Wrong verdicts in that run, states of five structures",
+        "gpu_stability",
+        {"benchmark": "gpu_stability published-errors"},
+        "{wrong} of {states}",
+        "{published_wrong} of {states} with the paper's settings, {published_wrong_defaults} with the defaults",
+    ),
+    Line(
+        "Policy for vault-62, success from unseen states, criterion `contact`",
+        "learning",
+        {"benchmark": "learning table3", "structure": "vault-62", "robots": 2, "criterion": "contact"},
+        "{test.success:%} % of {test.states} after {seconds} s",
+        "paper, under equilibrium: {paper.test:%} % after {paper.hours} hours",
+    ),
+    Line(
+        "The same for dome-72, criterion `equilibrium`",
+        "learning",
+        {"benchmark": "learning table3", "structure": "dome-72", "data": "wide", "evaluated": "all states"},
+        "{test.success:%} % of {test.states} after {seconds} s",
+        "paper: {paper.test:%} % after {paper.hours} hours",
+    ),
+    Line(
+        "Policy for vault-62 trained on the paper's own data, criterion `equilibrium`",
+        "learning",
+        {"benchmark": "learning table3", "structure": "vault-62", "robots": 2, "data": "width64"},
+        "{test.success:%} %",
+        "paper: {paper.test:%} %",
+    ),
+)
+
+
+def headline(page: Path) -> str:
+    """Return the table of the README: few figures, each with what it compares with."""
+    found = [(line, line.runs()) for line in HEADLINE]
+    body = [
+        [line.subject, fill_in(line.value, runs), fill_in(line.comparison, runs), seeds(runs), commits(runs)]
+        for line, runs in found
+    ]
+    heads = ["", "falsework", "compared with", "seeds", "commit"]
+    used = [run for _, runs in found for run in runs]
+    return markdown(heads, body) + "\n\n" + origin(used, [line.source for line, _ in found], page)
