@@ -11,6 +11,7 @@ pytest.importorskip("viser", reason="the page needs viser; pip install 'falsewor
 
 import viser
 
+from falsework.cli.main import main
 from falsework.errors import DependencyError
 from falsework.viewer.page.origin_guard import OriginGuard, start_server
 from falsework.viewer.page.page import Page
@@ -69,6 +70,18 @@ def test_the_page_itself_is_served(page: Page) -> None:
         ("localhost:PORT", None),
     ):
         assert handshake(page.port, host, origin) == 101, (host, origin)
+
+
+def test_the_command_names_further_hosts(monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[int] = []
+
+    def ask(page: Page) -> None:
+        for name in ("a.example", "b.example", "evil.example"):
+            found.append(handshake(page.port, name, f"http://{name}"))
+
+    monkeypatch.setattr(Page, "wait", ask)
+    assert main(["view", "arch:blocks=3", "--port", str(PORT), "--allow-host", "a.example, B.example"]) == 0
+    assert found == [101, 101, 403]
 
 
 def test_files_of_the_page_are_guarded_too(page: Page) -> None:

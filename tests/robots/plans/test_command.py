@@ -74,6 +74,7 @@ def test_plan_check_export(run: Callable, cell_file: Path, tmp_path: Path) -> No
     assert records[0]["good"]
     assert records[0]["stable"]
     assert records[0]["problems"] == []
+    assert records[0]["links"] == {"arm": "convex pieces"}
     for form, name in (("ros2-json", "plan.json"), ("csv", "plan.csv"), ("rapid", "arm.mod")):
         folder = tmp_path / form
         code, _, error = run("robots", "export", out, "--format", form, "--assembly-order", "--out", folder)

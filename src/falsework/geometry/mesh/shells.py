@@ -118,11 +118,9 @@ class Shells:
         return _SHALLOW * float(np.linalg.norm(bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)))
 
     def _near(self, a: int, b: int) -> bool:
-        low, high = (
-            np.maximum(*(self.solids[k].bounds[0] for k in (a, b))),
-            np.minimum(*(self.solids[k].bounds[1] for k in (a, b))),
-        )
-        return bool((high - low > self._shallow).all())
+        """Whether the boxes around two shells overlap."""
+        one, other = self.solids[a].bounds, self.solids[b].bounds
+        return bool((np.minimum(one[1], other[1]) - np.maximum(one[0], other[0]) > self._shallow).all())
 
 
 def directed_edges(corners: Faces) -> tuple[Faces, Faces]:
