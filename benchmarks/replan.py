@@ -32,7 +32,7 @@ from states import find
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import States, complete_state
 from falsework.replanning.replanner import Replan, Replanner, Request
-from falsework.search import BeamSearch, BeamSettings, Task
+from falsework.search import BeamSearch, BeamSettings, Task, validate_plan
 from falsework.stability import Stability, StabilitySettings
 
 TARGET = {"vault-62": {"cpu": 3.0, "cuda": 0.3}}
@@ -143,7 +143,7 @@ def complete(options: Options) -> None:
             request = case.request(complete_state(case.assembly.boundary), seed=seed)
             answers += replanner.replan_many([request])
         target = TARGET.get(Path(case.name).name, {}).get(options.device)
-        proven = all(plan.validate(case.assembly).good for plan in answers[0].plans)
+        proven = all(validate_plan(plan, case.assembly).good for plan in answers[0].plans)
         values = {"load_seconds": quantiles(load), "target_seconds": target, "exact_solver_agrees": proven}
         report("complete", case, options, asked=len(answers), **summary(answers), **values)
 

@@ -6,7 +6,7 @@ Run: python examples/01_plan_a_vault.py
 from __future__ import annotations
 
 from falsework.assembly import load_structure
-from falsework.search import find_plans, task_of
+from falsework.search import find_plans, save_plan, task_of, validate_plan
 
 
 def main() -> None:
@@ -22,9 +22,9 @@ def main() -> None:
     for step in range(len(plan)):
         print(f"{step + 1:4d}  {plan.describe(step)}")
 
-    report = plan.validate(vault)
+    report = validate_plan(plan, vault)
     print(f"{report.checked} of {report.states} states proven stable by the exact solver")
-    plan.save("vault-plan.json")
+    save_plan(plan, "vault-plan.json")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ Run: python examples/05_change_of_plan.py
 from __future__ import annotations
 
 from falsework.assembly import load_structure
-from falsework.search import PlannerSettings, Task, find_plans
+from falsework.search import PlannerSettings, Task, find_plans, validate_plan
 
 
 def main() -> None:
@@ -23,7 +23,7 @@ def main() -> None:
     for row in planning.alternatives.distance:
         print("  ", " ".join(f"{value:.2f}" for value in row))
     for plan in planning.plans:
-        assert plan.validate(dome).good
+        assert validate_plan(plan, dome).good
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from __future__ import annotations
 from falsework.assembly import load_structure
 from falsework.replanning.plan_diff import difference
 from falsework.replanning.replanner import Replanner
-from falsework.search import Task, find_plans
+from falsework.search import Task, find_plans, validate_plan
 from falsework.search.problem.task import Direction
 
 
@@ -36,7 +36,7 @@ def main() -> None:
         print(f"with two robots: {answer.outcome.value}, {answer.reason}")
     for plan in answer.plans:
         print(f"with two robots: {len(plan)} steps, first {plan.describe(0)}, then {plan.describe(1)}")
-        assert plan.validate(dome).good
+        assert validate_plan(plan, dome).good
 
 
 if __name__ == "__main__":

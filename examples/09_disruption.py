@@ -16,6 +16,7 @@ import numpy as np
 
 from falsework.assembly import Assembly, load_structure
 from falsework.replanning.plan_diff import difference
+from falsework.robots import save_robot_plan
 from falsework.robots.cells.cell_file import load_cell
 from falsework.robots.model.cell import Cell, Placement
 from falsework.robots.planning.hybrid_planner import plan_robots
@@ -72,7 +73,7 @@ def main() -> None:
     again = second.statistics["free_motions_used_again"]
     print(f"{again} free motions were known from the first plan")
 
-    other.save("robot_plan.json")
+    save_robot_plan(other, "robot_plan.json")
     files = export_plan(other, "motions", "ros2-json")
     print(f"robot_plan.json, and {len(files)} files for ROS 2 in motions")
 

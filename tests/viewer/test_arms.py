@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from falsework.assembly import Assembly
+from falsework.robots import save_robot_plan
 from falsework.robots.kinematics.forward import link_poses, tool_pose
 from falsework.robots.model.builtin_robots import builtin_robot
-from falsework.robots.model.cell import Cell, CellRobot, Gripper, Placement
+from falsework.robots.model.cell import Cell, CellRobot, Gripper, Placement, cell_identity
 from falsework.robots.model.shapes import block, pose
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, Step, Trajectory, cell_identity, records_of
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, Step, Trajectory, records_of
 from falsework.search import Direction, Plan
 from falsework.viewer.appearance import bounds_of, look_at
 from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms, wxyz_of
@@ -191,7 +192,9 @@ def test_from_a_file(
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("falsework.robots.cells.cell_file.load_cell", lambda name: cell)
-    replace(robot_plan, plan=replace(robot_plan.plan, source={"built_in": "arch:blocks=5"})).save("robot_plan.json")
+    save_robot_plan(
+        replace(robot_plan, plan=replace(robot_plan.plan, source={"built_in": "arch:blocks=5"})), "robot_plan.json"
+    )
     assert main(["picture", "robot_plan.json", "--step", "2", "--width", "160"]) == 2
     assert "--cell" in capsys.readouterr().err
     pytest.importorskip("PIL", reason="pictures need Pillow")

@@ -80,12 +80,12 @@ class Export(Command):
     def _load(self) -> tuple[Assembly, Plan | None]:
         """The structure, and the plan if one was named."""
         from falsework.cli.loading import structure_of
-        from falsework.search.plans.plan import Plan
+        from falsework.search.plans.plan_file import load_plan
 
         path = Path(self.structure.spec)
         if not _is_plan(path):
             return self.structure.load(), None
-        plan = Plan.load(path)
+        plan = load_plan(path)
         return structure_of(plan, path, **self.structure.given()), plan
 
 

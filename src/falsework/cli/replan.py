@@ -82,11 +82,11 @@ class MakeReplan(Command):
         """Ask, prove, compare, save."""
         from falsework.replanning.plan_diff import difference
         from falsework.replanning.replanner import Replanner
-        from falsework.search.plans.plan import Plan
+        from falsework.search.plans.plan_file import load_plan
         from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)
-        old = None if self.compare is None else Plan.load(self.compare)
+        old = None if self.compare is None else load_plan(self.compare)
         assembly, policy, source, robots, clear = self._load()
         if old is not None and old.identity != assembly.identity:
             raise InputError(f"{self.compare} is a plan for another structure, {old.name}; compare plans of one")
@@ -157,10 +157,12 @@ class MakeReplan(Command):
         )
 
     def _save(self, answer: Replan, source: dict[str, Any]) -> list[Path]:
+        from falsework.search.plans.plan_file import save_plan
+
         paths = []
         for number, plan in enumerate(answer.plans, 1):
             path = self.out if number == 1 else self.out.with_stem(f"{self.out.stem}-{number}")
-            replace(plan, source=source).save(path)
+            save_plan(replace(plan, source=source), path)
             paths.append(path)
         return paths
 

@@ -115,21 +115,21 @@ class SubjectOptions(LoadOptions):
 
     def _plan(self, path: Path, direction: Any) -> Subject:
         from falsework.cli.loading import structure_of
-        from falsework.search.plans.plan import Plan
+        from falsework.search.plans.plan_file import load_plan
         from falsework.viewer.timeline import Timeline
 
-        plan = Plan.load(path)
+        plan = load_plan(path)
         assembly = structure_of(plan, path, self.structure, **self.given())
         return Subject("plan", assembly, Timeline.of(plan, assembly, direction), plan)
 
     def _robot_plan(self, path: Path, direction: Any) -> Subject:
         from falsework.cli.loading import structure_of
         from falsework.robots.cells.cell_file import load_cell
-        from falsework.robots.plans.robot_plan import RobotPlan
+        from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.viewer.arms import Arms
         from falsework.viewer.timeline import Timeline
 
-        robot_plan = RobotPlan.load(path)
+        robot_plan = load_robot_plan(path)
         assembly = structure_of(robot_plan.plan, path, self.structure, **self.given())
         source = self.cell if self.cell is not None else robot_plan.cell_source
         if source is None:
@@ -166,10 +166,10 @@ class SubjectOptions(LoadOptions):
 
         from falsework.assembly.library import is_built_in
         from falsework.cli.loading import load
-        from falsework.search.problem.state_graph import StateGraph
+        from falsework.search.problem.state_graph import load_state_graph
         from falsework.viewer.timeline import Timeline, holders
 
-        graph = StateGraph.load(path)
+        graph = load_state_graph(path)
         spec = self.structure
         if spec is None:
             if not is_built_in(graph.name):

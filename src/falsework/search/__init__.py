@@ -16,9 +16,9 @@ from falsework.search.planner import Planner as Planner
 from falsework.search.planner import PlannerSettings as PlannerSettings
 from falsework.search.plans.alternatives import Alternatives as Alternatives
 from falsework.search.plans.alternatives import choose_alternatives as choose_alternatives
+from falsework.search.plans.plan import Need as Need
 from falsework.search.plans.plan import Plan as Plan
 from falsework.search.plans.plan_check import PlanReport as PlanReport
-from falsework.search.plans.plan_file import Need as Need
 from falsework.search.plans.plan_file import plan_schema as plan_schema
 from falsework.search.plans.plan_replay import PlanReplay as PlanReplay
 from falsework.search.problem.guide import Guide as Guide

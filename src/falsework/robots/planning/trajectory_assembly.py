@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.robots.model.cell import Cell
+from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.timing import time_path
 from falsework.robots.planning.keyframe_graph import Edge, Leg, Node
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, Step, Trajectory, cell_identity, records_of
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, Step, Trajectory, records_of
 from falsework.search.find import plan_of
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
