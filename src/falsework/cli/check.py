@@ -66,9 +66,9 @@ class CheckPlan(Command):
 
     def run(self, output: Output) -> Exit:
         """Load, compare, verify, replay."""
-        from falsework.cli.loading import structure_of
         from falsework.search.plans.plan_check import validate_plan
         from falsework.search.plans.plan_file import load_plan
+        from falsework.search.plans.plan_source import structure_of_plan
         from falsework.stability import StabilitySettings
 
         if self.by != "contact" and not self.replay:
@@ -83,7 +83,7 @@ class CheckPlan(Command):
             force_bound=self.force_bound,
         )
         plan = load_plan(self.plan)
-        assembly = structure_of(plan, self.plan, self.structure, **self.reading.given())
+        assembly = structure_of_plan(plan, self.plan, self.structure, **self.reading.given())
         with output.bar("checking") as show:
             found = validate_plan(
                 plan, assembly, settings, progress=lambda done, total: show(done, total, f"state {done} of {total}")

@@ -42,10 +42,10 @@ class MakeSheet(Command):
 
     def run(self, output: Output) -> Exit:
         """Load, lay out, write."""
-        from falsework.cli.loading import structure_of
         from falsework.cli.planning import writable
         from falsework.interop.assembly_instructions import sheet_csv, site_sheet, write_sheet
         from falsework.search.plans.plan_file import load_plan
+        from falsework.search.plans.plan_source import structure_of_plan
 
         kind = self.out.suffix.lower()
         if kind not in (".pdf", ".csv"):
@@ -54,7 +54,7 @@ class MakeSheet(Command):
             raise InputError(f"an elevation of {self.elevation:g} degrees sees nothing; give one such as 24")
         writable(self.out)
         plan = load_plan(self.plan)
-        sheet = site_sheet(plan, structure_of(plan, self.plan, self.structure, **self.reading.given()))
+        sheet = site_sheet(plan, structure_of_plan(plan, self.plan, self.structure, **self.reading.given()))
         if kind == ".csv":
             content = sheet_csv(sheet).encode("utf-8-sig")  # with the mark by which spreadsheets know the encoding
         else:

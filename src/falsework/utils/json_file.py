@@ -88,3 +88,17 @@ class Reader:
 
     def _fail(self, what: str, remedy: str = "the file is damaged; plan again") -> NoReturn:
         raise PlanError(f"{self._source} is not a valid {self.kind}: {what}; {remedy}")
+
+
+def read_format(path: Path | str) -> str:
+    """Read the entry `format` of a JSON file; empty if it has none.
+
+    Raises:
+        PlanError: it is no JSON.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, ValueError, RecursionError):
+        raise PlanError(f"{path} is not valid JSON; it may be truncated; write it again") from None
+    form = content.get("format") if isinstance(content, dict) else None
+    return form if isinstance(form, str) else ""

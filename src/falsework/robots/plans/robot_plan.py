@@ -108,7 +108,7 @@ def _before(function, times: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class RobotStep:
     """One action of the plan, carried out by one robot."""
 
     robot: int
@@ -153,7 +153,7 @@ class RobotPlan:
     """States, actions, proofs; its direction is that of the motions."""
     keyframes: tuple[Keyframe, ...]
     """One for every state of the plan."""
-    steps: tuple[Step, ...]
+    steps: tuple[RobotStep, ...]
     """One for every action of the plan."""
     robots: tuple[RobotRecord, ...]
     cell_name: str
@@ -198,7 +198,7 @@ class RobotPlan:
     def reverse(self) -> RobotPlan:
         """The same the other way round: assembly from disassembly, and back."""
         steps = tuple(
-            Step(step.robot, tuple(trajectory.reverse() for trajectory in reversed(step.trajectories)))
+            RobotStep(step.robot, tuple(trajectory.reverse() for trajectory in reversed(step.trajectories)))
             for step in reversed(self.steps)
         )
         return replace(self, plan=self.plan.reverse(), keyframes=self.keyframes[::-1], steps=steps)

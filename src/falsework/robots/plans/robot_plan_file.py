@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, Step, Trajectory
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep, Trajectory
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.utils.json_file import Reader, write_json
 
@@ -173,13 +173,13 @@ class _Reader(Reader):
             tuple(self._part(part, parts, f"{place}: held") for part in held),
         )
 
-    def _step(self, data: Any, place: str, joints: list[int], parts: int) -> Step:
+    def _step(self, data: Any, place: str, joints: list[int], parts: int) -> RobotStep:
         self._keys(data, {"do", "robot", "trajectories"}, place)
         robot = data["robot"]
         if type(robot) is not int or not 0 <= robot < len(joints):
             self._fail(f"{place}: robot is {robot!r}", f"it must be a number from 0 to {len(joints) - 1}")
         found = self._list(data["trajectories"], f"{place}: trajectories")
-        return Step(robot, tuple(self._trajectory(entry, place, joints[robot], parts) for entry in found))
+        return RobotStep(robot, tuple(self._trajectory(entry, place, joints[robot], parts) for entry in found))
 
     def _trajectory(self, data: Any, place: str, joints: int, parts: int) -> Trajectory:
         self._keys(data, {"kind", "part", "touches", "times", "positions", "velocities"}, place)

@@ -14,7 +14,7 @@ from falsework.assembly.state import HELD, States, action_mask, apply_actions, h
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
-from falsework.stability.certificate import Claim, accept, residual_of_displacement, residual_of_forces
+from falsework.stability.certificate import Claim, residual_of_displacement, residual_of_forces, verify_certificates
 from falsework.stability.oracle import Stability
 from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.settings import StabilitySettings
@@ -152,7 +152,7 @@ def validate_plan(
     largest = 0.0
     for row in range(count if broken is None else broken[0]):
         verdict = solver.check(plan.states[row : row + 1])
-        if not (verdict.stable[0] and accept(assembly, plan.states[row : row + 1], verdict, claim)[0]):
+        if not (verdict.stable[0] and verify_certificates(assembly, plan.states[row : row + 1], verdict, claim)[0]):
             seconds = time.perf_counter() - begun
             return PlanReport(count, row, _unstable(plan, row, verdict), largest, claim, verdict, seconds)
         largest = max(largest, float(verdict.residual[0]))
