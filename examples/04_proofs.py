@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.assembly import load_structure
-from falsework.assembly.state import complete_state
+from falsework.assembly import complete_state, load_structure
 from falsework.stability import Stability, verify_certificates
 
 

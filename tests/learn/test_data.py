@@ -86,7 +86,7 @@ def test_saved_and_loaded(arch: Any, data: Dataset, tmp_path: Path) -> None:
     again = load_dataset(tmp_path / "data.npz", arch)
     for name in ("train", "test", "more"):
         assert np.array_equal(getattr(again, name), getattr(data, name))
-    assert again.task.describe() == data.task.describe()
+    assert again.task.to_dict() == data.task.to_dict()
     with pytest.raises(InputError, match="of arch:blocks=8, not of arch:blocks=9"):
         load_dataset(tmp_path / "data.npz", load_structure("arch:blocks=9"))
     with pytest.raises(InputError, match="there is no file"):

@@ -353,7 +353,7 @@ def test_a_plan_is_replayed(alone: Replanner) -> None:
         # Replayed a few steps at a time, and in one go.
         assert replayed.moved == pytest.approx(whole.largest, rel=1e-9)
         assert replayed.moved > 0
-    record = answer.record()
+    record = answer.to_dict()
     assert record["criterion"] == "contact"
     assert record["replay"] == record["replays"][0]
     assert record["replay"]["stands"] is True
@@ -362,9 +362,9 @@ def test_a_plan_is_replayed(alone: Replanner) -> None:
 
 def test_equilibrium_knows_no_history() -> None:
     answer = Replanner(ARCH, oracle=Stability(ARCH, StabilitySettings(criterion="equilibrium"))).replan(COMPLETE)
-    assert answer.criterion == answer.record()["criterion"] == "equilibrium"
+    assert answer.criterion == answer.to_dict()["criterion"] == "equilibrium"
     assert answer.replays == ()
-    assert "replay" not in answer.record()
+    assert "replay" not in answer.to_dict()
     assert (answer.plans[0].proofs == Proof.FORCES).all()
 
 
@@ -438,7 +438,7 @@ def test_a_replay_goes_as_far_as_the_deadline_allows(policy: bool) -> None:
     (replayed,) = answer.replays
     assert replayed.stands is None
     assert replayed.steps < replayed.of == len(answer.plans[0])
-    assert answer.record()["replay"]["stands"] is None
+    assert answer.to_dict()["replay"]["stands"] is None
     assert answer.spent["replays"] > 0.3
 
 
@@ -451,7 +451,7 @@ def test_at_the_deadline_a_plan_that_falls_is_said_to_fall() -> None:
     assert answer.deadline_passed
     assert answer.replays[0].stands is False
     assert answer.replays[0].steps == 0
-    assert answer.record()["replay"]["stands"] is False
+    assert answer.to_dict()["replay"]["stands"] is False
 
 
 def test_a_state_that_slides_is_no_proof() -> None:

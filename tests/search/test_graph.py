@@ -93,7 +93,7 @@ def test_comes_back_from_disk(graph: StateGraph, tmp_path: Path) -> None:
     loaded = load_state_graph(path)
     for name in ("states", "source", "action", "target"):
         assert np.array_equal(getattr(loaded, name), getattr(graph, name))
-    assert loaded.task.describe() == graph.task.describe()
+    assert loaded.task.to_dict() == graph.task.to_dict()
     assert (loaded.name, loaded.removable_only_if_clear) == ("eight", False)
     assert loaded.count_routes() == graph.count_routes()
     assert [entry.name for entry in tmp_path.iterdir()] == ["graph.npz"]

@@ -55,7 +55,7 @@ def children(assembly: Assembly, parent: NDArray[np.uint8]) -> NDArray[np.uint8]
 
 def balanced(stability: Stability) -> bool:
     """Whether every state that was asked is accounted for."""
-    counters = stability.counters.as_dict()
+    counters = stability.counters.to_dict()
     answered = sum(count for name, count in counters.items() if name not in ("asked", "rejected", "warm"))
     return counters["asked"] == answered
 

@@ -115,7 +115,7 @@ class CheckPlan(Command):
                 "residual": found.residual,
                 "bad_step": found.bad_step,
                 "reason": found.reason,
-                "moving": [motion.record(assembly) for motion in moving],
+                "moving": [motion.to_dict(assembly) for motion in moving],
                 "seconds": found.seconds,
                 **asdict(found.claim),
             }

@@ -91,7 +91,7 @@ class MakePlan(Command):
             self._report(self._save(planning.plans), planning, output)
         elif not result.interrupted:
             failure = explain(assembly, oracle, result)
-            output.record(failure.record(assembly))
+            output.record(failure.to_dict(assembly))
             output.note(f"falsework: {failure.text}")
             if planning.fallen is not None:
                 self._show_fallen(planning.fallen, output)

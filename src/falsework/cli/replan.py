@@ -100,12 +100,12 @@ class MakeReplan(Command):
             self._refuse(assembly, oracle, request, answer, output)
             return Exit.NO
         paths = self._save(answer, source)
-        record = {"plan": str(paths[0]), "alternatives": [str(path) for path in paths[1:]], **answer.record()}
+        record = {"plan": str(paths[0]), "alternatives": [str(path) for path in paths[1:]], **answer.to_dict()}
         record["criterion"] = answer.plans[0].claim.criterion
         if self.confidences:
             record["confidences"] = [_probabilities(row, assembly) for row in answer.confidences[0]]
         changes = None if old is None else difference(old, answer.plans[0])
-        output.record(record if changes is None else {**record, "difference": changes.record()})
+        output.record(record if changes is None else {**record, "difference": changes.to_dict()})
         self._tell(answer, paths, output)
         if changes is not None:
             output.say(f"compared with {self.compare}: {changes.text}")
@@ -204,8 +204,8 @@ class MakeReplan(Command):
         elif not answer.deadline_passed:
             failure = explain(assembly, oracle, answer.search)
             moving, text = failure.moving, failure.text
-        record = {**answer.record(), "plan": None, "criterion": self.criterion}
-        record["moving"] = [motion.record(assembly) for motion in moving]
+        record = {**answer.to_dict(), "plan": None, "criterion": self.criterion}
+        record["moving"] = [motion.to_dict(assembly) for motion in moving]
         output.record(record)
         if moving and answer.search is None:
             text = f"{text}; {describe(assembly, moving, limit=3)}"

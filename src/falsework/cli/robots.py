@@ -132,7 +132,7 @@ class PlanRobots(Command):
                 return Exit.DONE
             output.note(f"the {len(saved)} steps that were found are in {self.out}")
         else:
-            why = result.explanation.record() if result.explanation else {}
+            why = result.explanation.to_dict() if result.explanation else {}
             output.record({"robot_plan": None, "found": False, "failure": why, **result.statistics})
         if result.explanation is not None:
             output.note(f"falsework: {result.explanation.text}")

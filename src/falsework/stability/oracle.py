@@ -55,7 +55,7 @@ class Counters:
     warm: int = 0
     """Solved from the forces or the displacement of a parent."""
 
-    def as_dict(self) -> dict[str, int]:
+    def to_dict(self) -> dict[str, int]:
         """Plain numbers for reports."""
         return asdict(self)
 

@@ -262,7 +262,7 @@ def check_robot_plan(
     - on the lines on which a part leaves its place or arrives there, the part is shrunk by the tolerance, since it
       touches its neighbours and the floor. Everywhere else it has its full size.
 
-    The stability of the states is not checked here; `plan.plan.validate` does that.
+    The stability of the states is not checked here; `validate_plan(plan.plan, ...)` does that.
 
     Args:
         plan: what to check.
