@@ -51,6 +51,16 @@ def run(tmp_path: Path) -> Path:
     return tmp_path / "run"
 
 
+def test_a_run_is_opened_in_python_too(run: Path) -> None:
+    import falsework as fw
+    from falsework.learn import Policy
+
+    shown = fw.open_file(run)
+    assert (shown.kind, shown.assembly.identity) == ("run", ARCH.identity)
+    for policy in (shown.policy, fw.load_policy(run), fw.open_file("arch:blocks=5").with_policy(run).policy):
+        assert isinstance(policy, Policy)
+
+
 def test_take_down_what_is_there(falsework: Run, old: Path, tmp_path: Path) -> None:
     state = load_plan(old).states[5]
     out = tmp_path / "new.json"

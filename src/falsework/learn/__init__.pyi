@@ -20,7 +20,6 @@ from falsework.learn.env.rules import Rules as Rules
 from falsework.learn.networks.policy import Policy as Policy
 from falsework.learn.networks.policy import confidences as confidences
 from falsework.learn.networks.policy import make_policy as make_policy
-from falsework.learn.networks.policy import transfer as transfer
 from falsework.learn.training.checkpoint import Run as Run
 from falsework.learn.training.checkpoint import load_policy as load_policy
 from falsework.learn.training.checkpoint import load_run as load_run
