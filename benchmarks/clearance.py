@@ -10,14 +10,13 @@ beside the repository), then the built-in dome and vault. `ways` is what the tab
 
 from __future__ import annotations
 
-import json
-import platform
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import tyro
+from record import report, spread, write_to
 from states import find, one_core, real_structures
 
 from falsework.assembly import load_structure
@@ -25,8 +24,6 @@ from falsework.geometry import clearance_table
 
 REAL = ("dome-72", "dome-37", "vault-62")
 BUILT_IN = ("dome", "vault")
-TARGET = {"dome-72": 60.0}
-"""Seconds asked for, at 1,000 directions."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +34,16 @@ class Options:
     """Built-in names or paths; empty for a choice of real and built-in ones."""
     directions: int = 1000
     """Directions to try for each part."""
+    repeats: int = 3
+    """Runs of each."""
+    out: Path | None = None
+    """File to which the records are appended."""
 
 
 def main(options: Options) -> None:
     """Run the benchmark."""
     one_core()
+    write_to(options.out)
     warm_up = load_structure("arch")
     clearance_table(warm_up.meshes, warm_up.contacts, 10, tolerance=1e-4).can_leave(
         np.ones((1, warm_up.part_count), dtype=np.uint8)
@@ -51,34 +53,30 @@ def main(options: Options) -> None:
     for structure in options.structures or (*real_structures(REAL), *BUILT_IN):
         assembly = load_structure(find(structure))
         _, overlap = assembly.contact_settings.lengths(assembly.meshes)
-        begin, cpu = time.perf_counter(), time.process_time()
-        table = clearance_table(assembly.meshes, assembly.contacts, options.directions, tolerance=overlap)
-        seconds, cpu = time.perf_counter() - begin, time.process_time() - cpu
+        table, seconds, cpu = None, [], []
+        for _ in range(options.repeats):
+            begin, begin_cpu = time.perf_counter(), time.process_time()
+            table = clearance_table(assembly.meshes, assembly.contacts, options.directions, tolerance=overlap)
+            seconds.append(time.perf_counter() - begin)
+            cpu.append(time.process_time() - begin_cpu)
+        assert table is not None
         name = Path(structure).name
         complete = np.ones((1, assembly.part_count), dtype=np.uint8)
         states = np.random.default_rng(0).integers(0, 3, (10_000, assembly.part_count), dtype=np.uint8)
         begin = time.perf_counter()
         table.can_leave(states)
         lookup = time.perf_counter() - begin
-        print(
-            json.dumps(
-                {
-                    "benchmark": "clearance",
-                    "structure": name,
-                    "parts": assembly.part_count,
-                    "directions": options.directions,
-                    "seconds": round(seconds, 3),
-                    "cpu_seconds": round(cpu, 3),
-                    "target_seconds": TARGET.get(name) if options.directions == 1000 else None,
-                    "ways": len(table.directions),
-                    "table_bytes": table.blockers.nbytes + table.directions.nbytes,
-                    "free_when_complete": int(table.can_leave(complete).sum()),
-                    "lookup_microseconds_a_state": round(1e6 * lookup / len(states), 2),
-                    "machine": platform.machine(),
-                    "python": platform.python_version(),
-                }
-            ),
-            flush=True,
+        report(
+            "clearance",
+            structure=name,
+            parts=assembly.part_count,
+            directions=options.directions,
+            seconds=spread(seconds),
+            cpu_seconds=spread(cpu),
+            ways=len(table.directions),
+            table_bytes=table.blockers.nbytes + table.directions.nbytes,
+            free_when_complete=int(table.can_leave(complete).sum()),
+            lookup_microseconds_a_state=1e6 * lookup / len(states),
         )
 
 

@@ -15,19 +15,14 @@ the folder `shared` beside the repository.
 
 from __future__ import annotations
 
-import json
-import os
-import platform
-import subprocess
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import tyro
+from record import report, spread, write_to
 from states import Recorder, find
 
 from falsework.assembly import load_structure
@@ -53,12 +48,7 @@ class Options:
     repeat: int = 5
     """Repetitions of `verdicts` and `replay`."""
     out: Path | None = None
-    """File to which the lines are appended as well."""
-
-
-def spread(values: list[float]) -> dict[str, float]:
-    """Median and range."""
-    return {"median": float(np.median(values)), "least": min(values), "most": max(values)}
+    """File to which the records are appended."""
 
 
 def verdicts(name: str, options: Options) -> Iterator[dict[str, Any]]:
@@ -87,6 +77,8 @@ def verdicts(name: str, options: Options) -> Iterator[dict[str, Any]]:
         cold.append((time.perf_counter() - begun) * 1e3)
     yield {
         "asked": asked,
+        "repeat": options.repeat,
+        "seeds": (0,),
         "stable": counts,
         "ms_each": {key: spread([t / asked * 1e3 for t in value]) for key, value in times.items()},
         "ratio": spread(ratios),
@@ -106,7 +98,14 @@ def replay(name: str, options: Options) -> Iterator[dict[str, Any]]:
         result = oracle.replayer.replay(plan.assembly_states)
         seconds.append(time.perf_counter() - begun)
     moved = round(result.largest * 1e3, 4)
-    yield {"states": len(plan.states), "stands": result.good, "moved_mm": moved, "seconds": spread(seconds)}
+    yield {
+        "states": len(plan.states),
+        "repeat": options.repeat,
+        "seeds": (0,),
+        "stands": result.good,
+        "moved_mm": moved,
+        "seconds": spread(seconds),
+    }
 
 
 def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:
@@ -128,7 +127,7 @@ def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:
             states += len(found.states)
             fail += int((oracle.replayer.replay(found.assembly_states).stands != 1).sum())
     yield {
-        "seeds": options.seeds,
+        "seeds": tuple(range(options.seeds)),
         "robots": options.robots,
         "seconds": spread(whole),
         "seconds_before_replay": spread(search),
@@ -138,31 +137,16 @@ def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:
     }
 
 
-def commit() -> str:
-    """The commit that is run, with a mark where files have changed since."""
-    here = Path(__file__).parent
-    run = ["git", "-C", str(here), "describe", "--always", "--dirty", "--abbrev=7"]
-    return subprocess.run(run, capture_output=True, text=True, check=False).stdout.strip()
-
-
 def main(options: Options) -> None:
     """Run the benchmarks on each structure."""
     chosen = {"verdicts": verdicts, "replay": replay, "plan": plan}
     names = list(chosen) if options.what == "all" else [options.what]
     find_plans(load_structure("arch:blocks=5"))
-    common = {
-        "commit": commit(),
-        "date": date.today().isoformat(),
-        "machine": f"{os.cpu_count()} cores {platform.machine()}, Python {platform.python_version()}",
-    }
+    write_to(options.out)
     for what in names:
         for name in options.structures:
             for row in chosen[what](name, options):
-                line = json.dumps({"benchmark": f"contact {what}", "structure": name, **row, **common})
-                print(line, flush=True)
-                if options.out is not None:
-                    with options.out.open("a", encoding="utf-8") as file:
-                        file.write(line + "\n")
+                report(f"contact {what}", structure=name, **row)
 
 
 if __name__ == "__main__":

@@ -4,20 +4,19 @@
     python benchmarks/contacts.py --structures vault:parts=300 path/to/assembly --repeats 10
 
 Without names: the real structures where they are found (FALSEWORK_DATA, else the folder `shared` beside the
-repository), then the built-in vault of 1,000 parts. `seconds` is the best of the repeats and covers what
+repository), then the built-in vault of 1,000 parts. `seconds`, median and range of the repeats, cover what
 `find_contacts` does, the search for overlaps included; `peak_gib` is the memory of the whole process so far.
 """
 
 from __future__ import annotations
 
-import json
-import platform
 import resource
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
+from record import report, spread, write_to
 from states import find, one_core, real_structures
 
 from falsework.assembly import load_structure
@@ -25,8 +24,6 @@ from falsework.geometry import find_contacts
 
 REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")
 LARGE = "vault:parts=1000"
-TARGET = {"vault-62": 0.3, LARGE: 10.0}
-"""Seconds asked for."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +33,15 @@ class Options:
     structures: tuple[str, ...] = ()
     """Built-in names or paths; empty for all real structures and the large vault."""
     repeats: int = 5
-    """Runs of each; the best counts."""
+    """Runs of each."""
+    out: Path | None = None
+    """File to which the records are appended."""
 
 
 def main(options: Options) -> None:
     """Run the benchmark."""
     one_core()
+    write_to(options.out)
     for structure in options.structures or (*real_structures(REAL), LARGE):
         assembly = load_structure(find(structure))
         seconds = []
@@ -50,23 +50,15 @@ def main(options: Options) -> None:
             contacts = find_contacts(assembly.meshes, assembly.contact_settings)
             seconds.append(time.perf_counter() - begin)
         name = Path(structure).name
-        print(
-            json.dumps(
-                {
-                    "benchmark": "contacts",
-                    "structure": name,
-                    "parts": assembly.part_count,
-                    "faces": sum(len(mesh.faces) for mesh in assembly.meshes),
-                    "contacts": len(contacts),
-                    "points": len(contacts.points),
-                    "seconds": round(min(seconds), 5),
-                    "target_seconds": TARGET.get(name),
-                    "peak_gib": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 3),
-                    "machine": platform.machine(),
-                    "python": platform.python_version(),
-                }
-            ),
-            flush=True,
+        report(
+            "contacts",
+            structure=name,
+            parts=assembly.part_count,
+            faces=sum(len(mesh.faces) for mesh in assembly.meshes),
+            contacts=len(contacts),
+            points=len(contacts.points),
+            seconds=spread(seconds),
+            peak_gib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
         )
 
 

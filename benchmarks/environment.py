@@ -17,16 +17,15 @@ relative to `sb3` where that ran. With several processes, each plays as many rol
 
 from __future__ import annotations
 
-import json
-import os
-import platform
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 import tyro
+from record import report, write_to
 from states import find
 
 from falsework.assembly import Assembly, load_structure
@@ -66,6 +65,8 @@ class Options:
     """Time sb3-contrib's MaskablePPO too, in the first process."""
     threads: int = 0
     """Threads of torch on the processor; 0 leaves it to torch."""
+    out: Path | None = None
+    """File to which the records are appended."""
 
 
 def wait(device: torch.device) -> None:
@@ -240,27 +241,24 @@ class Bench:
         reference = self.rows.get("sb3 rollouts" if name.startswith("rollouts") else "sb3")
         gpu = self.device.type == "cuda" and not name.startswith("sb3")
         row = {
-            "benchmark": "environment",
             "row": name,
             "structure": self.options.structure,
             "robots": self.options.robots,
             "policy": self.options.kind if policy is not None else "mlp",
             "parameters": None if policy is None else sum(weight.numel() for weight in policy.parameters()),
-            "device": torch.cuda.get_device_name(self.device) if gpu else platform.processor() or "cpu",
             "processes": processes or self.shards.size,
             "rollouts_at_once": 1 if name.startswith("sb3") else self.count * self.shards.size,
             "seconds": round(seconds, 2),
             "steps_a_second": round(rate),
             "times_sb3": round(rate / reference, 1) if reference else None,
             **more,
-            "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-            "torch": torch.__version__,
         }
-        print(json.dumps(row), flush=True)
+        report("environment", **row, device="cuda" if gpu else "cpu", seeds=(0,))
 
 
 def main(options: Options) -> None:
     """Run the benchmark."""
+    write_to(options.out)
     if options.threads:
         torch.set_num_threads(options.threads)
     with joined(options.device) as (shards, device):

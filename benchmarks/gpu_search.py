@@ -16,17 +16,17 @@ up to the one given.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 import tyro
+from record import report, write_to
 from states import find
 
 from falsework.assembly import Assembly, load_structure
@@ -36,9 +36,6 @@ from falsework.search.device.oracle import oracle_on
 from falsework.stability import Stability
 from falsework.stability.settings import EQUILIBRIUM
 from falsework.utils.distributed import Shards, joined
-
-TARGET = {("vault-62", 64): 2.0, ("vault-62", 1024): 15.0, ("dome-72", 64): 4.0}
-"""Seconds asked for, with two robots on one H200."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +56,8 @@ class Options:
     """Run each search a second time to time its phases."""
     graph: bool = False
     """Build the state graph too, and count the states from which it leads to the goal."""
+    out: Path | None = None
+    """File to which the records are appended."""
 
 
 def wait(device: torch.device) -> None:
@@ -116,14 +115,11 @@ def measure(case: str, options: Options, shards: Shards, device: torch.device) -
     states = beam.states()
     seconds = time.perf_counter() - begin
     row = {
-        "benchmark": "gpu_search",
         "structure": name,
         "robots": options.robots,
         "width": int(width),
-        "device": torch.cuda.get_device_name(device) if device.type == "cuda" else platform.processor() or "cpu",
         "processes": shards.size,
         "seconds": round(seconds, 3),
-        "target_seconds": TARGET.get((name, int(width))) if options.robots == 2 else None,
         "warm_up_seconds": round(warm_up, 2),
         "found": result.found,
         "states": result.counters.states,
@@ -133,7 +129,6 @@ def measure(case: str, options: Options, shards: Shards, device: torch.device) -
         "undecided": result.undecided,
         "levels": hashlib.sha256(states.tobytes()).hexdigest()[:16],
         "notes": result.notes,
-        "torch": torch.__version__,
     }
     if device.type == "cuda":
         row["peak_bytes"] = torch.cuda.max_memory_allocated(device)
@@ -162,11 +157,12 @@ def measure(case: str, options: Options, shards: Shards, device: torch.device) -
 
 def main(options: Options) -> None:
     """Run the benchmark."""
+    write_to(options.out)
     with joined(options.device) as (shards, device):
         for case in options.cases:
             row = measure(case, options, shards, device)
             if shards.first:
-                print(json.dumps(row), flush=True)
+                report("gpu_search", **row, device=device, seeds=(0,))
 
 
 if __name__ == "__main__":

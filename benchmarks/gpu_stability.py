@@ -14,10 +14,6 @@ the states of searches are kept.
 
 from __future__ import annotations
 
-import json
-import os
-import platform
-import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,7 +23,8 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
-from states import asked_states
+from record import report, write_to
+from states import asked_states, find, real_structures
 
 from falsework.assembly import Assembly, load_structure
 from falsework.stability import Criterion, Problem, StabilitySettings, Verdict, build_problem, verify_certificates
@@ -62,6 +59,8 @@ class Options:
     """States for the shared inverse; 0 leaves it out."""
     graph: int = 1024
     """States for the captured graph; 0 leaves it out."""
+    out: Path | None = None
+    """File to which the records are appended."""
 
 
 def states_of_search(assembly: Assembly, options: Options) -> np.ndarray:
@@ -90,7 +89,7 @@ def median_ms(call: Callable[[], object], repeats: int = 9) -> float:
     return float(np.median(times))
 
 
-def ceilings() -> dict[str, float]:
+def ceilings() -> dict[str, Any]:
     """What the chip does at most: copies, and products of random matrices."""
     rates = {}
     source = torch.rand(1 << 30, dtype=torch.float32, device="cuda")
@@ -239,31 +238,16 @@ def time_baseline(assembly: Assembly, problem: Problem, solver: GpuSolver, state
     return {"ms_a_state": round(each, 4), "states": len(states), "wrong": int((answers.verdict != right.verdict).sum())}
 
 
-def machine() -> dict[str, Any]:
-    """Where and what this was measured on."""
-    smi = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    named = subprocess.run(smi, capture_output=True, text=True, check=False).stdout.strip().splitlines()
-    return {
-        "chip": named[0] if named else torch.cuda.get_device_name(),
-        "torch": torch.__version__,
-        "python": platform.python_version(),
-        "commit": commit.stdout.strip() or os.environ.get("COMMIT", ""),
-        **ceilings(),
-    }
-
-
 def main(options: Options) -> None:
     """Run the benchmark."""
-    named = os.environ.get("FALSEWORK_DATA")
-    data = Path(named) if named else Path(__file__).resolve().parents[2] / "shared"
-    found = [str(data / "assemblies" / name) for name in REAL if (data / "assemblies" / name).is_dir()]
-    print(json.dumps(machine()), flush=True)
-    for name in options.structures or found or BUILT_IN:
-        assembly = load_structure(name)
+    write_to(options.out)
+    report("gpu_stability ceilings", **ceilings(), device="cuda")
+    for name in options.structures or real_structures(REAL) or BUILT_IN:
+        assembly = load_structure(find(name))
         states = states_of_search(assembly, options)
         for criterion in options.criteria:
-            print(json.dumps(time_structure(assembly, states, criterion, options)), flush=True)
+            figures = time_structure(assembly, states, criterion, options)
+            report("gpu_stability", **figures, device="cuda", seeds=(0,))
 
 
 if __name__ == "__main__":

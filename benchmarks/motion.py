@@ -1,7 +1,7 @@
 """Collision checks and plans beside Pinocchio, Coal and OMPL, in one run: one JSON object a line.
 
-    python benchmarks/motion.py --structure ../shared/assemblies/dome-37
-    python benchmarks/motion.py --structure ../shared/assemblies/dome-37 --pairs 100000 --configurations 100000
+    python benchmarks/motion.py --structure dome-37
+    python benchmarks/motion.py --structure dome-37 --pairs 100000 --configurations 100000
 
 One arm of the cell moves, the other stands at home, all parts are in place. Configurations are random within the
 limits; `free` of them touch nothing. Times are those of the processor, of one core. `missed` counts what Coal calls a
@@ -12,16 +12,17 @@ is proven free between its points; OMPL looks at its edges every `step` rad, thr
 
 from __future__ import annotations
 
-import json
-import platform
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tyro
 from motion_reference import Reference, convex
+from record import report, write_to
+from states import find
 
 from falsework.assembly import load_structure
 from falsework.robots.cells.cell_file import load_cell
@@ -44,7 +45,7 @@ class Options:
     """What to measure."""
 
     structure: str
-    """Folder or built-in structure that stands in the cell."""
+    """Name of a real or built-in structure that stands in the cell, or a path."""
     cell: str = "dome-37"
     """Built-in cell or TOML file."""
     checks: int = 200_000
@@ -61,14 +62,17 @@ class Options:
     """Resolution of OMPL's edges, rad."""
     seed: int = 0
     """Of everything random."""
+    out: Path | None = None
+    """File to which the records are appended."""
 
 
 def main(options: Options) -> None:
     """Print one record a measurement."""
     first = compile_kernels()
-    print(json.dumps({"what": "first use", "seconds": round(first, 2), **machine()}))
+    write_to(options.out)
+    report("motion first-use", seconds=round(first, 2))
     cell = load_cell(options.cell)
-    assembly = load_structure(options.structure)
+    assembly = load_structure(find(options.structure))
     parts = place_parts(assembly, cell.placement)
     world = CollisionWorld(cell, parts)
     scene = Scene.at_home(cell, parts)
@@ -79,7 +83,8 @@ def main(options: Options) -> None:
         *plans(world.view(scene, 0), random, options, "free"),
         *carried(world, scene, assembly, random, options),
     ):
-        print(json.dumps({**record, "cell": options.cell, "structure": assembly.name}), flush=True)
+        what = f"motion {record.pop('what')}"
+        report(what, cell=options.cell, structure=assembly.name, **record, seeds=(options.seed,))
 
 
 def distances(random: np.random.Generator, count: int) -> Iterator[dict[str, Any]]:
@@ -208,11 +213,6 @@ def spread(name: str, seconds: list[float]) -> dict[str, float]:
     """Median and tail in milliseconds."""
     median, tail = np.percentile(np.array(seconds) * 1000, [50, 95])
     return {f"{name}_ms_median": round(float(median), 3), f"{name}_ms_95": round(float(tail), 3)}
-
-
-def machine() -> dict[str, str]:
-    """Where this runs."""
-    return {"machine": platform.processor() or platform.machine(), "python": platform.python_version()}
 
 
 if __name__ == "__main__":

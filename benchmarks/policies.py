@@ -15,14 +15,15 @@ on many generated structures, on structures that it has never seen, then fine-tu
 
 from __future__ import annotations
 
-import json
-import platform
+import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import torch
 import tyro
+from record import report, write_to
 from states import find, real_structures
 
 from falsework.assembly import load_structure
@@ -68,11 +69,8 @@ class Options:
     """Of data, weights and batches."""
     compile: bool = False
     """Compile the networks with torch."""
-
-
-def show(**values: Any) -> None:
-    """One JSON object on a line."""
-    print(json.dumps(values), flush=True)
+    out: Path | None = None
+    """File to which the records are appended."""
 
 
 def default_structures(names: tuple[str, ...], fallback: tuple[str, ...]) -> tuple[str, ...]:
@@ -85,7 +83,7 @@ def cost(options: Options) -> None:
     for name in options.structures or default_structures(("bottle-12", "dome-37", "vault-62"), ("bottle", "vault")):
         assembly = load_structure(find(name))
         for row in policy_table(assembly, [PolicySettings(kind) for kind in options.kinds]):
-            show(benchmark="cost", structure=name, **row)
+            report("policies cost", structure=name, **row)
 
 
 def speed(options: Options, device: torch.device) -> None:
@@ -122,9 +120,9 @@ def speed(options: Options, device: torch.device) -> None:
                     function()
                 rates[what] = round(batch / timed(function, device, options.seconds / 20))
             memory = torch.cuda.max_memory_allocated(device) if gpu else None
-            show(
-                benchmark="speed", structure=name, kind=kind, batch=batch, compiled=options.compile,
-                states_per_second=rates, peak_bytes=memory, **machine(device),
+            report(
+                "policies speed", structure=name, kind=kind, batch=batch, compiled=options.compile,
+                states_per_second=rates, peak_bytes=memory, device=device, seeds=(options.seed,),
             )  # fmt: skip
             if gpu:
                 torch.cuda.reset_peak_memory_stats(device)
@@ -144,16 +142,11 @@ def timed(function: Any, device: torch.device, seconds: float) -> float:
             return taken / calls
 
 
-def machine(device: torch.device) -> dict[str, str]:
-    """Where this ran."""
-    name = torch.cuda.get_device_name(device) if device.type == "cuda" else platform.processor() or platform.machine()
-    return {"device": name, "torch": torch.__version__}
-
-
 def main() -> None:
     """Run what the command line asks for."""
     options = tyro.cli(Options, description=__doc__)
     device = choose_device(options.device)
+    write_to(options.out)
     budget = Budget(options.seconds, options.steps)
     if options.what == "cost":
         cost(options)
@@ -166,7 +159,9 @@ def main() -> None:
                 assembly, [PolicySettings(kind) for kind in options.kinds], budget=budget,
                 robots=options.robots, device=device, batch=options.batch, seed=options.seed,
             ):  # fmt: skip
-                show(benchmark="learn", structure=name, robots=options.robots, **row, **machine(device))
+                report(
+                    "policies learn", structure=name, robots=options.robots, **row, device=device, seeds=(options.seed,)
+                )  # fmt: skip
     elif options.what == "transfer":
         names = options.structures or default_structures(("bottle-12", "dog-35"), ("bottle", "dome:rings=2,blocks=5"))
         source, *others = (load_structure(find(name)) for name in names)
@@ -174,12 +169,12 @@ def main() -> None:
             if not PolicySettings(kind).transfers:
                 continue
             sizes = PolicySettings(kind, layers=options.layers, channels=options.channels, heads=options.heads)
-            about = {"kind": kind, "widths": options.widths, "turns": options.turns, "seed": options.seed}
+            about = {"kind": kind, "widths": options.widths, "turns": options.turns}
             for row in transfer_experiment(
                 source, others, sizes, budget=budget, robots=options.robots, device=device, batch=options.batch,
                 seed=options.seed, data=DataSettings(widths=options.widths), turns=options.turns,
             ):  # fmt: skip
-                show(benchmark="transfer", **about, **row, **machine(device))
+                report("policies transfer", **about, **row, device=device, seeds=(options.seed,))
     else:
         generalist(options, device)
 
@@ -193,13 +188,13 @@ def generalist(options: Options, device: torch.device) -> None:
             policy=PolicySettings(kind), seconds=options.seconds, robots=options.robots, seed=options.seed,
             batch=options.batch,
         )  # fmt: skip
-        trained = train_generalist(settings, device, report=lambda line: show(benchmark="generalist", progress=line))
+        trained = train_generalist(settings, device, report=lambda line: print(line, file=sys.stderr))
         for row in trained.rows:
-            show(benchmark="generalist", kind=kind, **row, **machine(device))
+            report("policies generalist", kind=kind, **row, device=device, seeds=(options.seed,))
         for name in options.structures or default_structures(("bottle-12", "dog-35", "dome-37"), ("bottle", "dome")):
             assembly = load_structure(find(name))
             for row in fine_tune(trained, assembly, budget=Budget(options.seconds / 5), device=device):
-                show(benchmark="fine-tune", kind=kind, **row, **machine(device))
+                report("policies generalist", kind=kind, fine_tuned=True, **row, device=device, seeds=(options.seed,))
 
 
 if __name__ == "__main__":

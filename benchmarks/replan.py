@@ -15,9 +15,6 @@ question to the plan of proven states; `load_seconds`, for loading kernels, stru
 
 from __future__ import annotations
 
-import json
-import os
-import platform
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -27,6 +24,7 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
+from record import report, write_to
 from states import find
 
 from falsework.assembly import Assembly, load_structure
@@ -34,9 +32,6 @@ from falsework.assembly.state import States, complete_state
 from falsework.replanning.replanner import Replan, Replanner, Request
 from falsework.search import BeamSearch, BeamSettings, Task, validate_plan
 from falsework.stability import Stability, StabilitySettings
-
-TARGET = {"vault-62": {"cpu": 3.0, "cuda": 0.3}}
-"""Seconds asked for from the complete state, with a policy; the paper took 8."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +60,8 @@ class Options:
     """Who judges."""
     threads: int = 1
     """Threads of the network on the processor."""
+    out: Path | None = None
+    """File to which the records are appended."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +114,7 @@ def summary(answers: Sequence[Replan]) -> dict[str, Any]:
     for answer in answers:
         spent.update(answer.spent)
     return {
+        "asked": len(answers),
         "seconds": quantiles([answer.seconds for answer in answers]),
         "found": sum(answer.found for answer in answers),
         "decided_by": dict(Counter(answer.decided_by.value for answer in answers)),
@@ -125,12 +123,10 @@ def summary(answers: Sequence[Replan]) -> dict[str, Any]:
     }
 
 
-def report(what: str, case: Case, options: Options, **values: Any) -> None:
-    """Print one line."""
-    record = {"benchmark": f"replan {what}", "structure": Path(case.name).name, "policy": case.policy is not None}
-    record |= {"robots": case.robots, "device": options.device, "solver": options.solver, **values}
-    record |= {"cores": os.cpu_count(), "machine": platform.machine(), "python": platform.python_version()}
-    print(json.dumps(record), flush=True)
+def show(what: str, case: Case, options: Options, **values: Any) -> None:
+    """Print one record."""
+    about = {"structure": Path(case.name).name, "policy": case.policy is not None, "robots": case.robots}
+    report(f"replan {what}", **about, solver=options.solver, **values, device=options.device)
 
 
 def complete(options: Options) -> None:
@@ -142,10 +138,16 @@ def complete(options: Options) -> None:
             load.append(seconds)
             request = case.request(complete_state(case.assembly.boundary), seed=seed)
             answers += replanner.replan_many([request])
-        target = TARGET.get(Path(case.name).name, {}).get(options.device)
         proven = all(validate_plan(plan, case.assembly).good for plan in answers[0].plans)
-        values = {"load_seconds": quantiles(load), "target_seconds": target, "exact_solver_agrees": proven}
-        report("complete", case, options, asked=len(answers), **summary(answers), **values)
+        values = {"load_seconds": quantiles(load), "exact_solver_agrees": proven}
+        show(
+            "complete",
+            case,
+            options,
+            seeds=tuple(range(options.seeds)),
+            **summary(answers),
+            **values,
+        )
 
 
 def middle(case: Case, count: int) -> States:
@@ -165,7 +167,7 @@ def midway(options: Options) -> None:
         replanner, load = case.replanner(options)
         requests = [case.request(state, seed=n) for n, state in enumerate(middle(case, options.count))]
         answers = [replanner.replan_many([request])[0] for request in requests]
-        report("midway", case, options, asked=len(answers), **summary(answers), load_seconds=round(load, 3))
+        show("midway", case, options, seeds=(0,), **summary(answers), load_seconds=round(load, 3))
 
 
 def deadline(options: Options) -> None:
@@ -180,7 +182,15 @@ def deadline(options: Options) -> None:
                 answers += replanner.replan_many([case.request(state, seed=seed, deadline=seconds)])
                 taken.append(time.perf_counter() - begun)
             late = quantiles(np.maximum(np.array(taken) - seconds, 0).tolist())
-            report("deadline", case, options, asked=len(answers), deadline=seconds, late=late, **summary(answers))
+            show(
+                "deadline",
+                case,
+                options,
+                seeds=(0,),
+                deadline=seconds,
+                late=late,
+                **summary(answers),
+            )
 
 
 def batch(options: Options) -> None:
@@ -196,12 +206,13 @@ def batch(options: Options) -> None:
                 answers += replanner.replan_many([case.request(state, seed=n) for n, state in enumerate(piece)])
             rate = len(answers) / (time.perf_counter() - begun)
             values = {"together": together, "answers_per_second": round(rate, 2)}
-            report("batch", case, options, asked=len(answers), **values, **summary(answers))
+            show("batch", case, options, seeds=(0,), **values, **summary(answers))
 
 
 def main() -> None:
     """Run what was asked for."""
     options = tyro.cli(Options, description=__doc__)
+    write_to(options.out)
     {"complete": complete, "midway": midway, "deadline": deadline, "batch": batch}[options.what](options)
 
 

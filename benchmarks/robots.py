@@ -19,9 +19,6 @@ repository.
 
 from __future__ import annotations
 
-import json
-import os
-import platform
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -30,6 +27,8 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
+from record import report, spread, write_to
+from states import find
 
 from falsework.assembly import Assembly, load_structure
 from falsework.errors import FalseworkError
@@ -51,14 +50,6 @@ STRUCTURES = {
     "bottle-12": "bottle-12",
     "dome-72": "dome-72",
 }
-GOALS = {
-    "dome-37": {"median": 5, "worst": 30},
-    "vault-62-a": {"median": 30, "worst": 180},
-    "vault-62-b": {"median": 30, "worst": 180},
-    "bottle-12": {"median": 3},
-    "dome-72": {},
-    "random": {"success": 0.95},
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,17 +66,13 @@ class Arguments:
     cells: int = 20
     policy: Path | None = None
     no_check: bool = False
-
-
-def say(**fields: Any) -> None:
-    """Print one line."""
-    print(json.dumps(fields), flush=True)
+    out: Path | None = None
+    """File to which the records are appended."""
 
 
 def structure(name: str) -> Assembly:
     """One of the published structures, with its clearance table."""
-    data = Path(os.environ.get("FALSEWORK_DATA", Path(__file__).resolve().parents[2] / "shared"))
-    assembly = load_structure(str(data / "assemblies" / name))
+    assembly = load_structure(find(name))
     assembly.clearance  # noqa: B018 - depends on the structure alone
     return assembly
 
@@ -106,9 +93,9 @@ def once(
         fields["why"] = result.explanation.text
     plan = result.plan or result.partial
     if check and plan is not None:
-        report = check_robot_plan(plan, assembly, cell)
-        fields |= {"check": report.good, "samples": report.samples, "check_seconds": round(report.seconds, 1)}
-        fields["problems"] = [str(problem) for problem in report.problems[:3]]
+        checked = check_robot_plan(plan, assembly, cell)
+        fields |= {"check": checked.good, "samples": checked.samples, "check_seconds": round(checked.seconds, 1)}
+        fields["problems"] = [str(problem) for problem in checked.problems[:3]]
     return result, fields
 
 
@@ -132,20 +119,20 @@ def building(name: str, arguments: Arguments) -> None:
     seconds, found, good = [], 0, 0
     for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
         result, fields = once(assembly, cell, seed, arguments.deadline, check=not arguments.no_check, guide=guide)
-        say(benchmark=name, robots=cell.robot_count, seed=seed, guided=guide is not None, **fields)
+        report("robots plan", cell=name, robots=cell.robot_count, guided=guide is not None, **fields, seeds=(seed,))
         seconds.append(fields["seconds"])
         found += result.found
         good += bool(fields.get("check"))
-    say(
-        benchmark=name,
+    report(
+        "robots",
+        cell=name,
+        robots=cell.robot_count,
+        guided=guide is not None,
         runs=len(seconds),
         found=found,
         checked_good=None if arguments.no_check else good,
-        median=float(np.median(seconds)),
-        worst=max(seconds),
-        goal=GOALS[name],
-        machine=platform.processor() or platform.machine(),
-        processors=os.cpu_count(),
+        seconds=spread(seconds),
+        seeds=tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds)),
     )
 
 
@@ -181,20 +168,30 @@ def _moved(robot: CellRobot, base: np.ndarray) -> CellRobot:
 def random_layouts(arguments: Arguments) -> None:
     """Success over random cells that can reach everything."""
     assembly = structure("dome-37")
-    found = good = 0
+    seconds, found, good = [], 0, 0
     for number, (drawn, cell) in enumerate(random_cells(assembly, arguments.cells, arguments.first_seed)):
         result, fields = once(assembly, cell, 0, arguments.deadline, check=not arguments.no_check)
-        say(benchmark="random", cell=number, drawn=drawn, **fields)
+        report("robots plan", cell=f"random {number}", drawn=drawn, **fields, seeds=(0,))
+        seconds.append(fields["seconds"])
         found += result.found
         good += bool(result.found and fields.get("check"))
-    share = found / arguments.cells
-    checked = None if arguments.no_check else good
-    say(benchmark="random", cells=arguments.cells, success=share, checked_good=checked, goal=GOALS["random"])
+    report(
+        "robots",
+        cell="random",
+        robots=2,
+        guided=False,
+        runs=arguments.cells,
+        found=found,
+        checked_good=None if arguments.no_check else good,
+        seconds=spread(seconds),
+        seeds=(arguments.first_seed,),
+    )
 
 
 def main() -> None:
     """Compile, then run."""
-    arguments = tyro.cli(Arguments)
+    arguments = tyro.cli(Arguments, description=__doc__)
+    write_to(arguments.out)
     compile_kernels()
     Stability(load_structure("stack:blocks=2"))
     names = [*STRUCTURES, "random"] if arguments.what == "all" else [arguments.what]

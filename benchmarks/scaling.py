@@ -1,7 +1,7 @@
 """Cost against the number of parts on the built-in vault: one JSON object a size, then one with the fits.
 
     python benchmarks/scaling.py
-    python benchmarks/scaling.py --parts 60 125 250 500 1000 --out scaling.json
+    python benchmarks/scaling.py --parts 60 125 250 500 1000 --out benchmarks/results/scaling.jsonl
 
 For every size, on the complete structure: seconds for the contacts, for the problem (wrench maps, order of
 elimination), for one full verdict with its certificate accepted by the checker, and the peak memory of the
@@ -12,8 +12,6 @@ a straight line through the logarithms: 1 is linear in the number of parts.
 from __future__ import annotations
 
 import json
-import os
-import platform
 import resource
 import subprocess
 import sys
@@ -23,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import tyro
+from record import report, write_to
 
 from falsework.assembly import load_structure
 from falsework.assembly.state import complete_state
@@ -40,16 +39,16 @@ class Options:
     parts: tuple[int, ...] = (60, 125, 250, 500, 1000)
     """Sizes to ask the vault for."""
     repeats: int = 3
-    """Runs of each; the best counts."""
+    """Runs of each; the median counts."""
     out: Path | None = None
-    """Also write all objects to this file, as a JSON list; the picture in the documentation is drawn from it."""
+    """File to which the records are appended; the picture in the documentation is drawn from the last of them."""
     alone: bool = False
     """Measure the first size in this process and print its object only."""
 
 
 def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
-    """Best times of one size."""
-    best: dict[str, float] = dict.fromkeys(MEASURED[:3], np.inf)
+    """Median times of one size."""
+    times: dict[str, list[float]] = {name: [] for name in MEASURED[:3]}
     assembly = load_structure(f"vault:parts={parts}")
     state = complete_state(assembly.boundary)
     Stability(assembly, EQUILIBRIUM).check(state)  # compiles
@@ -66,15 +65,13 @@ def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
             raise SystemExit(f"vault:parts={parts} is not proven stable")
         residual = float(verdict.residual[0])
         for name, seconds in zip(MEASURED, (contacts - begun, problem - contacts, done - problem), strict=False):
-            best[name] = min(best[name], seconds)
+            times[name].append(seconds)
     return {
-        "benchmark": "scaling",
         "parts": assembly.part_count,
         "contact_points": len(assembly.contacts.points),
-        **{name: round(seconds, 4) for name, seconds in best.items()},
+        **{name: round(float(np.median(seconds)), 5) for name, seconds in times.items()},
         "memory_gib": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 3),
         "residual": residual,
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
     }
 
 
@@ -83,19 +80,17 @@ def main(options: Options) -> None:
     if options.alone:
         print(json.dumps(measure(options.parts[0], options.repeats)), flush=True)
         return
+    write_to(options.out)
     results = []
     for parts in options.parts:
         command = [sys.executable, __file__, "--alone", "--parts", str(parts), "--repeats", str(options.repeats)]
         line = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip().splitlines()[-1]
         results.append(json.loads(line))
-        print(line, flush=True)
+        report("scaling", **results[-1], repeats=options.repeats)
     if len(results) > 1:
         sizes = np.log([result["parts"] for result in results])
         fit = {name: float(np.polyfit(sizes, np.log([r[name] for r in results]), 1)[0]) for name in MEASURED}
-        results.append({"benchmark": "scaling", "exponent": {name: round(value, 2) for name, value in fit.items()}})
-        print(json.dumps(results[-1]), flush=True)
-    if options.out is not None:
-        options.out.write_text(json.dumps(results, indent=1) + "\n")
+        report("scaling fit", parts=options.parts, exponent={name: round(value, 2) for name, value in fit.items()})
 
 
 if __name__ == "__main__":

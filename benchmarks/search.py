@@ -16,9 +16,7 @@ repository).
 
 from __future__ import annotations
 
-import json
 import os
-import platform
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +24,8 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
+from record import report, write_to
+from states import REAL, find, real_structures
 
 from falsework.assembly import load_structure
 from falsework.search import (
@@ -44,9 +44,6 @@ from falsework.search import (
 from falsework.stability import Stability, StabilitySettings
 from falsework.stability.settings import EQUILIBRIUM
 
-REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")
-TARGET = {"vault-62": 30.0, "dome-72": 90.0}
-"""Seconds asked for, from nothing to a plan with two robots on two cores."""
 TABLE_3 = {"bottle-12": (1077, 1159), "dome-37": (4540, 8430), "vault-62": (4781, 10229)}
 """The paper's states: found by a search of width 64; found by one of width 128 and not by the first."""
 
@@ -71,30 +68,18 @@ class Options:
     """Of `plan` and `methods`; graphs are compared with the paper's and so are under `equilibrium`."""
     quiet: bool = False
     """No progress of long searches on standard error."""
-
-
-def data_folder() -> Path:
-    """Folder with the real structures."""
-    named = os.environ.get("FALSEWORK_DATA")
-    return (Path(named) if named else Path(__file__).resolve().parents[2] / "shared") / "assemblies"
+    out: Path | None = None
+    """File to which the records are appended."""
 
 
 def structures(options: Options, names: tuple[str, ...]) -> list[str]:
     """What to run on: what was asked for, else those of `names` that this machine has."""
-    chosen = options.structures or tuple(name for name in names if (data_folder() / name).is_dir())
-    return [str(data_folder() / name) if (data_folder() / name).is_dir() else name for name in chosen]
+    return [find(name) for name in options.structures or real_structures(names)]
 
 
 def warm_up() -> None:
     """Have everything compiled."""
     find_plans(load_structure("arch:blocks=5"), settings=PlannerSettings(alternatives=2))
-
-
-def report(benchmark: str, structure: str, **values: Any) -> None:
-    """Print one line."""
-    record = {"benchmark": f"search {benchmark}", "structure": Path(structure).name, **values}
-    record |= {"cores": os.cpu_count(), "machine": platform.machine(), "python": platform.python_version()}
-    print(json.dumps(record), flush=True)
 
 
 def progress(options: Options) -> Any:
@@ -123,8 +108,9 @@ def plan(options: Options) -> None:
         seconds = time.perf_counter() - begin
         result = planning.result
         report(
-            "plan",
-            structure,
+            "search plan",
+            structure=Path(structure).name,
+            seeds=(options.seed,),
             parts=assembly.part_count,
             robots=options.robots,
             outcome=result.outcome.value,
@@ -133,7 +119,6 @@ def plan(options: Options) -> None:
             verdicts=result.counters.asked,
             search_seconds=round(result.seconds, 3),
             seconds=round(seconds, 3),
-            target_seconds=TARGET.get(Path(structure).name),
             criterion=options.criterion,
             replay_stands=planning.found and planning.plans[0].replay is not None and planning.plans[0].replay.stands,
             proofs_accepted=planning.found and validate_proofs(planning.plans[0], assembly, oracle.settings).good,
@@ -156,8 +141,9 @@ def graph(options: Options) -> None:
             if options.widths == (64, 128) and options.robots == 2 and name in TABLE_3:
                 paper = TABLE_3[name][len(found) - 1]
             report(
-                "graph",
-                structure,
+                "search graph",
+                structure=Path(structure).name,
+                seeds=(options.seed,),
                 width=width,
                 robots=options.robots,
                 found=result.found,
@@ -183,8 +169,9 @@ def alternatives(options: Options) -> None:
         seconds, chosen = time.perf_counter() - begin, planning.alternatives
         others = ~np.eye(len(chosen.routes), dtype=bool)
         report(
-            "alternatives",
-            structure,
+            "search alternatives",
+            structure=Path(structure).name,
+            seeds=(options.seed,),
             wanted=options.count,
             found=len(chosen.routes),
             least_distance=round(chosen.least_distance, 4),
@@ -215,8 +202,9 @@ def methods(options: Options) -> None:
         for name, run in runs.items():
             result = run(Stability(assembly, StabilitySettings(criterion=options.criterion)))
             report(
-                "methods",
-                structure,
+                "search methods",
+                structure=Path(structure).name,
+                seeds=(options.seed,),
                 method=name,
                 outcome=result.outcome.value,
                 reached=result.reached,
@@ -235,4 +223,5 @@ def deadline(seconds: float) -> Any:
 if __name__ == "__main__":
     chosen = tyro.cli(Options, description=__doc__)
     warm_up()
+    write_to(chosen.out)
     {"plan": plan, "graph": graph, "alternatives": alternatives, "methods": methods}[chosen.what](chosen)

@@ -19,9 +19,7 @@ that. Caches are empty in every round.
 
 from __future__ import annotations
 
-import json
 import os
-import platform
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -31,6 +29,7 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
+from record import report, write_to
 from states import asked_states, find, real_structures
 
 from falsework.assembly import Assembly, load_structure
@@ -44,11 +43,6 @@ from falsework.stability import (
     StabilitySettings,
     verify_certificates,
 )
-
-SPEEDUP = {"vault-62": 20.0, "dome-72": 15.0}
-"""States a second on two cores over those of the exact solver on one, asked for."""
-COLD = {"vault-62": 10.0}
-"""Milliseconds asked for."""
 
 Measure = Literal["verdicts", "cold", "baseline"]
 
@@ -83,6 +77,8 @@ class Options:
     """How the paper's method applies its inverse; see `SharedInverseSettings`."""
     precision: Literal["float64", "float32"] = "float64"
     """Of the paper's method."""
+    out: Path | None = None
+    """File to which the records are appended."""
 
 
 def seconds_of(work: Callable[[], Any]) -> tuple[float, Any]:
@@ -104,13 +100,6 @@ def one_core() -> Iterator[None]:
         yield
     finally:
         os.sched_setaffinity(0, before)
-
-
-def report(benchmark: str, structure: str, **figures: Any) -> None:
-    """Print one line."""
-    rounded = {key: float(f"{value:.4g}") if isinstance(value, float) else value for key, value in figures.items()}
-    machine = {"machine": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()}
-    print(json.dumps({"benchmark": benchmark, "structure": structure, **rounded, **machine}), flush=True)
 
 
 def measure_verdicts(name: str, assembly: Assembly, states: States, parents: States, options: Options) -> None:
@@ -143,7 +132,8 @@ def measure_verdicts(name: str, assembly: Assembly, states: States, parents: Sta
     median = {key: float(np.median([row[key] for row in rows])) for key in rows[0]}
     report(
         "stability verdicts",
-        name,
+        structure=name,
+        seeds=(options.seed,),
         states=len(states),
         stable=int(verdicts.stable.sum()),
         unstable=int(verdicts.unstable.sum()),
@@ -158,7 +148,6 @@ def measure_verdicts(name: str, assembly: Assembly, states: States, parents: Sta
         exact_milliseconds=1e3 * exact_seconds / len(states),
         speedup=median["speedup"],
         speedup_alone=median["speedup_alone"],
-        speedup_asked=SPEEDUP.get(name),
         threads=options.threads,
         cone=options.cone,
     )
@@ -178,12 +167,12 @@ def measure_cold(name: str, assembly: Assembly, states: States, options: Options
         single.append(seconds_of(lambda stability=stability, row=row: stability.check(row))[0])
     report(
         "stability cold",
-        name,
+        structure=name,
+        seeds=(options.seed,),
         set_up_milliseconds=1e3 * float(np.median(set_up)),
         complete_milliseconds=1e3 * float(np.median(first)),
         verdict_milliseconds=1e3 * float(np.median(single)),
         slowest_verdict_milliseconds=1e3 * max(single),
-        verdict_milliseconds_asked=COLD.get(name),
         cone=options.cone,
     )
 
@@ -205,7 +194,8 @@ def measure_baseline(name: str, assembly: Assembly, states: States, parents: Sta
     ours, verdicts = seconds_of(lambda: stability.judge(states, parents=parents))
     report(
         "stability baseline",
-        name,
+        structure=name,
+        seeds=(options.seed,),
         states=len(states),
         stable=int(verdicts.stable.sum()),
         agree=int((answers.verdict == verdicts.verdict).sum()),
@@ -227,6 +217,7 @@ def measure_baseline(name: str, assembly: Assembly, states: States, parents: Sta
 
 def main(options: Options) -> None:
     """Run the benchmark."""
+    write_to(options.out)
     for structure in options.structures or real_structures():
         assembly = load_structure(find(structure))
         name = Path(structure).name

@@ -11,12 +11,12 @@ a second are those of a headless Chromium that draws in software, on the process
 from __future__ import annotations
 
 import argparse
-import json
-import platform
 import shutil
 import time
+from pathlib import Path
 
 import numpy as np
+from record import report, write_to
 
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import HELD, REMOVED, complete_state
@@ -36,11 +36,6 @@ COUNT = """() => new Promise(done => {
 })"""
 
 
-def say(**fields: object) -> None:
-    """Print one result."""
-    print(json.dumps({**fields, "machine": platform.processor() or platform.machine()}), flush=True)
-
-
 def pictures() -> None:
     """A contact sheet and one state of the built-in vault, after the compiler has done its work."""
     vault = load_structure("vault")
@@ -51,8 +46,8 @@ def pictures() -> None:
     sheet = time.perf_counter() - begun
     begun = time.perf_counter()
     one_state(timeline, len(timeline) / 2)
-    say(
-        what="pictures",
+    report(
+        "viewer pictures",
         structure="vault",
         sheet_seconds=round(sheet, 3),
         state_seconds=round(time.perf_counter() - begun, 3),
@@ -113,7 +108,7 @@ def page(parts: int, browser: bool) -> None:
             found["frames_a_second_playing_in_software"] = round(tab.evaluate(COUNT), 1)
             started.close()
     shown.close()
-    say(what="page", **found)
+    report("viewer page", **found, seeds=(0,))
 
 
 def main() -> None:
@@ -121,7 +116,9 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--parts", type=int, default=1000)
     options.add_argument("--no-browser", action="store_true")
+    options.add_argument("--out", type=Path, help="file to which the records are appended")
     chosen = options.parse_args()
+    write_to(chosen.out)
     pictures()
     page(chosen.parts, not chosen.no_browser)
 

@@ -6,7 +6,8 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,15 @@ def data_folder() -> Path | None:
     named = os.environ.get("FALSEWORK_DATA")
     folder = Path(named) if named else REPOSITORY.parent / "shared"
     return folder if (folder / "assemblies").is_dir() else None
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Iterator[None]:
+    """Say at the end which tests did not run and for want of what; only pytest's closing line follows."""
+    yield
+    skipped = [report.longrepr[2] for report in terminalreporter.stats.get("skipped", [])]
+    for reason, count in sorted(Counter(reason.removeprefix("Skipped: ") for reason in skipped).items()):
+        terminalreporter.write_line(f"not run: {count} {'test' if count == 1 else 'tests'} ({reason})")
 
 
 @pytest.fixture(scope="session")

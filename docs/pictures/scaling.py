@@ -1,4 +1,4 @@
-"""Cost against the number of parts, from what `benchmarks/scaling.py --out` wrote."""
+"""Cost against the number of parts, from the records of `benchmarks/scaling.py`."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 from palette import INK, ROBOTS
 
-DATA = Path(__file__).with_name("scaling.json")
+DATA = Path(__file__).resolve().parents[2] / "benchmarks" / "results" / "scaling.jsonl"
 SERIES = {"contacts_s": "contacts", "problem_s": "problem", "verdict_s": "one verdict with proof"}
 
 
 def cost_against_parts(path: Path) -> None:
     """Draw seconds over parts on logarithmic axes with fitted lines."""
-    *sizes, fit = json.loads(DATA.read_text())
+    records = [json.loads(line) for line in DATA.read_text(encoding="utf-8").splitlines()]
+    fit = [record for record in records if record["benchmark"] == "scaling fit"][-1]
+    sizes = [one for one in records if one["benchmark"] == "scaling" and one["commit"] == fit["commit"]]
     parts = np.array([size["parts"] for size in sizes], dtype=float)
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
     for (name, label), colour in zip(SERIES.items(), ROBOTS, strict=False):
@@ -27,7 +29,7 @@ def cost_against_parts(path: Path) -> None:
     axes.set_xticks(parts, [f"{int(value)}" for value in parts], minor=False)
     axes.minorticks_off()
     axes.set_xlabel("parts of the built-in vault", color=INK)
-    axes.set_ylabel(f"seconds, {sizes[0]['machine']}", color=INK)
+    axes.set_ylabel(f"seconds, {fit['device']}", color=INK)
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
     figure.savefig(path, dpi=110)

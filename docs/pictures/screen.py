@@ -32,7 +32,7 @@ def page(path: Path) -> None:
     model.go_to(middle - 8 + int(np.argmax(busy[middle - 8 : middle + 8])))
     model.selected = int(np.argmax(np.where(model.state == 1, vault.mass.center[:, 1], -np.inf)))
     shown = Page(model, port=8191)
-    shown.sync()
+    shown.refresh()
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium, args=FLAGS)
         tab = browser.new_page(viewport={"width": 1200, "height": 720})

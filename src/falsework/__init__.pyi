@@ -9,6 +9,7 @@ from falsework import search as search
 from falsework import service as service
 from falsework import stability as stability
 from falsework import viewer as viewer
+from falsework._version import __version__ as __version__
 from falsework.assembly import Assembly as Assembly
 from falsework.assembly import load_structure as load_structure
 from falsework.assembly import save_assembly as save_assembly
@@ -39,5 +40,3 @@ from falsework.viewer import animate as animate
 from falsework.viewer import open_file as open_file
 from falsework.viewer import picture as picture
 from falsework.viewer import view as view
-
-__version__: str

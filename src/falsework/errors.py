@@ -1,4 +1,4 @@
-"""One exception tree; every message says what was wrong, which part, and what to do."""
+"""Exception hierarchy; every message names the fault, the part where there is one, and the remedy."""
 
 from __future__ import annotations
 
@@ -17,40 +17,40 @@ __all__ = [
 
 
 class FalseworkError(Exception):
-    """Base of everything this package raises on purpose."""
+    """Base of all exceptions that this package raises."""
 
 
 class InputError(FalseworkError, ValueError):
-    """What was handed in cannot be used; the message names the remedy (command line: exit code 2)."""
+    """Invalid input; the message names the remedy (command line: exit code 2)."""
 
 
 class MeshError(InputError):
-    """A mesh cannot be read, is not closed, or has no volume."""
+    """Mesh that cannot be read, is not closed, or has no volume."""
 
 
 class AssemblyError(InputError):
-    """Parts, boundary, density or friction do not make an assembly."""
+    """Parts, boundary, density or friction that do not make an assembly."""
 
 
 class StateError(InputError):
-    """A state or an action has the wrong length or values."""
+    """State or action of the wrong length or with invalid values."""
 
 
 class CellError(InputError):
-    """A cell file or a robot description cannot be used."""
+    """Cell file or robot description that cannot be used."""
 
 
 class PlanError(InputError):
-    """A plan file is damaged, of another version, or for another assembly."""
+    """Plan file that is damaged, of another version, or of another assembly."""
 
 
 class DependencyError(InputError, ImportError):
-    """An optional package is missing; the message says which extra installs it."""
+    """Missing optional package; the message names the extra that installs it."""
 
 
 class SolverError(FalseworkError):
-    """A numerical library failed where the mathematics says that it must not."""
+    """Failure of a numerical library where the mathematics excludes one."""
 
 
 class TrainingError(FalseworkError):
-    """Training cannot go on, such as after a loss that is not a finite number; what was saved is still good."""
+    """Training that cannot continue, such as after a non-finite loss; saved checkpoints remain valid."""

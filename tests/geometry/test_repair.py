@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import sys
 import warnings
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 from falsework.errors import MeshError
 from falsework.geometry import RepairWarning, check_mesh
+from falsework.geometry.mesh.mesh import mass_properties
 
 
 @pytest.fixture
@@ -142,3 +145,86 @@ def test_a_size_that_betrays_the_unit_is_refused(box, scale):
 def test_no_faces_is_refused():
     with pytest.raises(MeshError, match="part p has no faces"):
         check_mesh("p", np.zeros((3, 3)), np.zeros((0, 3)))
+
+
+def together(*meshes):
+    """Vertices and faces of meshes in one pair of arrays."""
+    first = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, first, strict=True)]
+    return np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces)
+
+
+def united(*meshes):
+    """The part that meshes make, which must have overlapped, with its mass properties."""
+    with pytest.warns(RepairWarning, match="part p was repaired: .*overlapped"):
+        mesh = check_mesh("p", *together(*meshes))
+    return mesh, mass_properties([mesh], np.array([2000.0]))
+
+
+def test_two_cubes_that_overlap_weigh_as_much_as_their_union(shapes):
+    _, mass = united(shapes.box((0, 0, 0), (1, 1, 1)), shapes.box((0.7, 0.5, 0.25), (1.7, 1.5, 1.25)))
+    common = 0.3 * 0.5 * 0.75
+    center = (np.array([0.5, 0.5, 0.5]) + [1.2, 1.0, 0.75] - common * np.array([0.85, 0.75, 0.625])) / (2 - common)
+    assert mass.volume[0] == pytest.approx(2 - common, rel=1e-9)
+    assert mass.mass[0] == pytest.approx(2000 * (2 - common), rel=1e-9)
+    np.testing.assert_allclose(mass.center[0], center, rtol=1e-9)
+
+
+def test_the_warning_says_how_much_counted_twice(shapes):
+    with pytest.warns(RepairWarning, match=r"0\.25 m3 in common"):
+        check_mesh("p", *together(shapes.box((0, 0, 0), (1, 1, 1)), shapes.box((0.75, 0, 0), (1.75, 1, 1))))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_turned_cubes_that_overlap(shapes, seed):
+    """In any attitude the union is as large as one cube and the corner that the other adds."""
+    rotation = shapes.rotation(seed)
+    boxes = [shapes.box((0, 0, 0), (1, 1, 1)), shapes.box((0.5, 0.5, 0.5), (2, 2, 2)), shapes.box((0, 0, 2), (1, 1, 3))]
+    _, mass = united(*(shapes.moved(box, rotation=rotation) for box in boxes))
+    assert mass.volume[0] == pytest.approx(1 + 1.5**3 - 0.125 + 1, rel=1e-9)
+
+
+def test_a_hollow_stays_where_another_solid_does_not_fill_it(shapes):
+    """A bar runs through the hollow of a box, and out of the box."""
+    outer, hollow = shapes.box((0, 0, 0), (4, 4, 4)), shapes.box((1, 1, 1), (3, 3, 3))
+    _, mass = united(outer, hollow, shapes.box((1.5, 1.5, -1), (2.5, 2.5, 5)))
+    assert mass.volume[0] == pytest.approx(64 - 8 + 2 + 2, rel=1e-9)
+
+
+def test_a_beam_between_the_corners_of_a_bent_part(shapes):
+    """All corners of the beam are in the legs of a U, and its middle is not: it is no hollow."""
+    legs = shapes.extruded([(0, 0), (4, 0), (4, 3), (3, 3), (3, 1), (1, 1), (1, 3), (0, 3)], 0, 1)
+    _, mass = united(legs, shapes.box((0.5, 2, 0.25), (3.5, 2.5, 0.75)))
+    assert mass.volume[0] == pytest.approx(8 + 2 * 0.5 * 0.5, rel=1e-9)
+
+
+def test_cubes_that_share_an_edge_and_overlap(shapes):
+    _, mass = united(shapes.box((0, 0, 0), (1, 1, 1)), shapes.box((0, 0, 0), (0.5, 2, 1)))
+    assert mass.volume[0] == pytest.approx(1.5, rel=1e-9)
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e-4])
+def test_a_cube_given_twice_counts_once(box, shift):
+    copy = dataclasses.replace(box, vertices=box.vertices + shift)
+    with pytest.warns(RepairWarning, match="doubled" if shift == 0 else "overlapped"):
+        mesh = check_mesh("p", *together(box, copy))
+    assert mesh.volume == pytest.approx(0.024, rel=2e-3)
+
+
+@pytest.mark.parametrize("low", [(1, 0, 0), (1, 0.5, 0.25), (1, 1, 0), (1, 1, 1), (1.5, 0, 0), (1 - 1e-8, 0.5, 0.25)])
+def test_surfaces_that_touch_or_are_apart_are_left_alone(shapes, low):
+    boxes = shapes.box((0, 0, 0), (1, 1, 1)), shapes.box(low, np.add(low, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mesh = check_mesh("p", *together(*boxes))
+    assert mesh.volume == pytest.approx(2)
+    assert len(mesh.faces) == 24
+
+
+def test_without_manifold3d_the_line_says_what_to_install(shapes, monkeypatch):
+    monkeypatch.setitem(sys.modules, "manifold3d", None)
+    boxes = shapes.box((0, 0, 0), (1, 1, 1)), shapes.box((0.5, 0, 0), (1.5, 1, 1))
+    with pytest.raises(MeshError, match=r"part p: .*overlap.*falsework\[repair\]") as error:
+        check_mesh("p", *together(*boxes))
+    assert "\n" not in str(error.value)
+    assert check_mesh("p", *together(boxes[0])).volume == pytest.approx(1)

@@ -51,7 +51,7 @@ def validate_gltf() -> Callable[[bytes], dict[str, Any]]:
     package = Path(sys.prefix) / "node" / "node_modules" / "gltf-validator"
     node = _node()
     if node is None:
-        pytest.skip("the glTF validator needs node; pip install 'falsework[test]'")
+        pytest.skip("the glTF validator needs node; make test installs it")
     if not package.is_dir():
         pytest.skip("the glTF validator is not installed; make test does it")
 

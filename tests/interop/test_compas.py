@@ -23,7 +23,7 @@ KINDS = ("meshes", "assembly", "dem")
 @pytest.fixture
 def compas() -> Any:
     """The package itself."""
-    return pytest.importorskip("compas", reason="needs compas; pip install 'falsework[test]'")
+    return pytest.importorskip("compas", reason="needs compas; pip install 'falsework[judge]'")
 
 
 @pytest.mark.parametrize("kind", KINDS)

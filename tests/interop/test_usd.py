@@ -13,7 +13,7 @@ from falsework.assembly import Assembly, load_structure
 from falsework.interop.usd import usd_of, write_usd
 from falsework.search import Plan
 
-pytest.importorskip("pxr", reason="needs usd-core; pip install 'falsework[test]'")
+pytest.importorskip("pxr", reason="needs usd-core, of the dependency group test")
 
 # Its modules are filled in by compiled code, of which a type checker knows nothing.
 Gf: Any = import_module("pxr.Gf")

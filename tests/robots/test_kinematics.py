@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 from falsework.errors import InputError
 from falsework.robots.cells.urdf import load_urdf
 from falsework.robots.kernels.kernel_arrays import make_bodies
-from falsework.robots.kinematics.forward import flange_pose, jacobian, link_poses
+from falsework.robots.kinematics.forward import flange_pose, link_poses
 from falsework.robots.kinematics.inverse import inverse, inverse_flange, solver_of
 from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
 from falsework.robots.model.cell import CellRobot, Gripper
@@ -71,21 +71,6 @@ def test_urdf_files_are_read_as_yourdfpy_reads_them(name: str, robot_file: Calla
         reader.update_cfg(dict(zip(model.joint_names, values, strict=True)))
         for link, here in zip(model.link_names, link_poses(model, values), strict=True):
             np.testing.assert_allclose(reader.get_transform(link, model.link_names[0]), here, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", BUILTIN)
-def test_jacobian_is_the_derivative(name: str) -> None:
-    """Against differences of forward kinematics."""
-    model, step = builtin_robot(name), 1e-6
-    for values in samples(model, 5):
-        made = jacobian(model, values)
-        here = flange_pose(model, values)
-        for joint in range(model.joints):
-            nudge = step * np.eye(model.joints)[joint]
-            ahead, behind = flange_pose(model, values + nudge), flange_pose(model, values - nudge)
-            np.testing.assert_allclose((ahead - behind)[:3, 3] / (2 * step), made[:3, joint], atol=1e-7)
-            spin = (ahead - behind)[:3, :3] / (2 * step) @ here[:3, :3].T
-            np.testing.assert_allclose([spin[2, 1], spin[0, 2], spin[1, 0]], made[3:, joint], atol=1e-7)
 
 
 def test_no_point_moves_farther_than_the_sweep_says(cup: Gripper) -> None:

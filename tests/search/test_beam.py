@@ -51,7 +51,7 @@ def test_without_a_limit_it_decides(rules: Any, direction: Direction, seed: int)
 
 @pytest.mark.parametrize("seed", range(15))
 def test_every_state_of_an_assembly_beam_is_solvable(rules: Any, seed: int) -> None:
-    """Found from the empty structure, each can be taken apart: that is what makes them data (DESIGN, section 5)."""
+    """Found from the empty structure, each can be taken apart: that is what makes them data (paper, section 5)."""
     oracle, _ = rules.random(seed, 8)
     search = BeamSearch(Task.create(rules.ground(8), 2), oracle, BeamSettings(width=6))
     search.run()

@@ -1,4 +1,4 @@
-"""The rules between start and target, against the rules of DESIGN written down once more."""
+"""The rules between start and target, against the same rules written down once more."""
 
 from __future__ import annotations
 

@@ -33,6 +33,11 @@ def expect(reply: Any, status: int, *hints: str) -> None:
         assert leak not in text, text
 
 
+def pids(live: Any, kind: str) -> list[int]:
+    """Process ids of the workers of a kind."""
+    return [worker.process.pid for worker in live.pool._workers if worker.kind == kind]
+
+
 @pytest.mark.parametrize(
     ("content", "hints"),
     [
@@ -178,7 +183,7 @@ def test_what_is_no_http_is_refused(sent: bytes, live: Any) -> None:
 
 def test_a_deadline_is_kept_while_the_planner_hangs(live: Any) -> None:
     live.wait_until_well()
-    (planner,) = live.pool.pids["replan"]
+    (planner,) = pids(live, "replan")
     os.kill(planner, signal.SIGSTOP)
     try:
         begun = time.monotonic()
@@ -220,7 +225,7 @@ def test_a_request_survives_the_worker_that_had_it(live: Any, monkeypatch: pytes
     assert reply.status_code == 200
     assert reply.json()["outcome"] == "found"
     assert len(victims) == 1
-    assert not set(victims) & set(live.pool.pids["replan"])
+    assert not set(victims) & set(pids(live, "replan"))
 
 
 def test_a_request_that_takes_two_workers_with_it_is_refused(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -234,7 +239,7 @@ def test_a_request_that_takes_two_workers_with_it_is_refused(live: Any, monkeypa
 
 def test_verdicts_come_back_after_the_judge_is_lost(live: Any) -> None:
     live.wait_until_well()
-    (judge,) = live.pool.pids["stability"]
+    (judge,) = pids(live, "stability")
     os.kill(judge, signal.SIGKILL)
     reply = live.post("/stability", {"states": ["complete"]})
     assert reply.status_code == 200
@@ -244,7 +249,7 @@ def test_verdicts_come_back_after_the_judge_is_lost(live: Any) -> None:
 def test_more_requests_than_may_wait_are_turned_away(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     live.wait_until_well()
     monkeypatch.setattr(live.pool, "settings", replace(live.settings, queue=2))
-    (planner,) = live.pool.pids["replan"]
+    (planner,) = pids(live, "replan")
     os.kill(planner, signal.SIGSTOP)
     try:
         with ThreadPoolExecutor(8) as clients:
@@ -266,7 +271,7 @@ def test_who_hangs_up_takes_the_request_back(live: Any) -> None:
     while live.pool.busy:  # with what a test before has left
         assert time.monotonic() < end
         time.sleep(0.01)
-    (planner,) = live.pool.pids["replan"]
+    (planner,) = pids(live, "replan")
     os.kill(planner, signal.SIGSTOP)
     try:
         body = b'{"deadline": 60000}'

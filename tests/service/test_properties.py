@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-schemathesis = pytest.importorskip("schemathesis", reason="needs schemathesis; pip install 'falsework[test]'")
+schemathesis = pytest.importorskip("schemathesis", reason="needs schemathesis, of the dependency group test")
 openapi_checks = pytest.importorskip("schemathesis.specs.openapi.checks")
 
 FEW = settings(

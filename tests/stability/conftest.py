@@ -10,6 +10,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -250,3 +251,32 @@ def host_driver() -> type[HostDriver]:
 def on_host(host_driver: type[HostDriver]) -> Callable[..., GpuSolver]:
     """Makes the solver for a GPU on the processor, given an assembly, settings and limits of the device."""
     return solver_on_host
+
+
+def solver_on_device(
+    assembly: Assembly, settings: StabilitySettings = EQUILIBRIUM, threads: int | None = None
+) -> GpuSolver:
+    """The solver on a GPU; with `threads`, blocks have that many at most."""
+    problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
+    solver = GpuSolver(assembly, problem, settings)
+    if threads is not None:
+        solver.driver.most_threads = threads
+    return solver
+
+
+@pytest.fixture(scope="session")
+def on_device() -> Callable[..., GpuSolver]:
+    """Makes the solver on a GPU, given an assembly and settings; skips where there is none."""
+    if find_spec("torch") is None or find_spec("cuda") is None or find_spec("cuda.bindings") is None:
+        pytest.skip("no torch or no cuda-bindings; pip install 'falsework[gpu]'")
+    import torch
+
+    if not torch.cuda.is_available():
+        pytest.skip("no GPU")
+    return solver_on_device
+
+
+@pytest.fixture(params=["host", "device"])
+def make_solver(request: pytest.FixtureRequest) -> Callable[..., GpuSolver]:
+    """Makes the solver with the GPU's kernels on the processor, and on a GPU where there is one."""
+    return request.getfixturevalue(f"on_{request.param}")

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from falsework.stability.cpu.cones import OCTAGON, QUADRATIC, project, project_derivative, support
+from falsework.stability.cpu.cones import OCTAGON, QUADRATIC, project, support
 from falsework.stability.reference.conic_program import into_cone
 
 BOTH = pytest.mark.parametrize("cone", [OCTAGON, QUADRATIC])
@@ -24,13 +24,6 @@ BOUNDED = settings(max_examples=150, deadline=None, derandomize=True)
 def nearest(cone: int, point: tuple[float, ...], friction: float) -> NDArray[np.float64]:
     n, x, y = (float(value) for value in point)
     return np.array(project(cone, n, x, y, float(friction)))
-
-
-def derivative_at(cone: int, point: tuple[float, ...], friction: float) -> NDArray[np.float64]:
-    rows = np.zeros((3, 3))
-    n, x, y = point
-    count = project_derivative(cone, n, x, y, friction, rows)
-    return rows[:count].T @ rows[:count]
 
 
 def rays(cone: int, friction: float) -> NDArray[np.float64]:
@@ -83,36 +76,6 @@ def test_the_octagon_agrees_with_least_squares_over_its_edges(point: tuple[float
 @pytest.mark.parametrize("tangent", [(0.0, 0.0), (0.3, -0.2)])
 def test_without_friction_only_pressure_is_left(cone: int, normal: float, tangent: tuple[float, float]) -> None:
     np.testing.assert_array_equal(nearest(cone, (normal, *tangent), 0.0), [max(normal, 0.0), 0.0, 0.0])
-
-
-@BOTH
-@BOUNDED
-@given(point=POINT, friction=st.floats(0.05, 2))
-def test_derivative_agrees_with_finite_differences(cone: int, point: tuple[float, ...], friction: float) -> None:
-    step = 1e-6
-    derivative = derivative_at(cone, point, friction)
-    ahead = [nearest(cone, tuple(np.array(point) + step * axis), friction) for axis in np.eye(3)]
-    behind = [nearest(cone, tuple(np.array(point) - step * axis), friction) for axis in np.eye(3)]
-    here = nearest(cone, point, friction)
-    # At a kink both sides differ, and any mixture of them is a derivative: leave those out.
-    kink = max(np.abs(f + b - 2 * here).max() for f, b in zip(ahead, behind, strict=True))
-    assume(kink < 1e-9)
-    differences = np.column_stack([(f - b) / (2 * step) for f, b in zip(ahead, behind, strict=True)])
-    np.testing.assert_allclose(derivative, differences, atol=2e-3)
-
-
-@BOTH
-@BOUNDED
-@given(point=POINT, friction=FRICTION)
-def test_derivative_is_a_projection_in_size(cone: int, point: tuple[float, ...], friction: float) -> None:
-    """Eigenvalues between 0 and 1, and it maps the point onto its projection (Euler, homogeneous of degree one)."""
-    derivative = derivative_at(cone, point, friction)
-    values = np.linalg.eigvalsh(derivative)
-    assert values.min() >= -1e-12
-    assert values.max() <= 1 + 1e-12
-    np.testing.assert_allclose(
-        derivative @ point, nearest(cone, point, friction), atol=1e-9 * (1 + max(map(abs, point)))
-    )
 
 
 @BOTH

@@ -14,6 +14,7 @@ from falsework.assembly.model import Assembly
 from falsework.stability import ExactSolver, Stability, StabilitySettings, Verdict, build_problem, verify_certificates
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import Cone
+from falsework.stability.reference.conic_program import into_cone
 from falsework.stability.settings import CpuSettings, GpuSettings
 
 CONES: tuple[Cone, ...] = ("octagon", "quadratic")
@@ -52,6 +53,21 @@ def test_contacts_do_not_pull(scenes: Any, cone: Cone, friction: float) -> None:
     assert verdicts.forces is not None
     assert (verdicts.forces[0, :, 0] >= 0).all()
     assert Stability(assembly, settings).check(state).verdict[0] == Verdict.UNSTABLE
+
+
+@pytest.mark.parametrize("cone", CONES)
+@pytest.mark.parametrize("friction", [0.0, 1e-8, 0.5])
+def test_forces_of_the_exact_solver_end_in_the_cone(cone: Cone, friction: float) -> None:
+    """A pull of a solver's last digits becomes no force at all; forces in the cone stay as they are."""
+    pull, slip, within = [-1e-9, 1e-9, 0.0], [2.0, 3.0, -4.0], [2.0, friction, 0.0]
+    pulled, slipped, kept = into_cone(np.array([pull, slip, within]), friction, cone)
+    assert not pulled.any()
+    assert slipped[0] == 2.0
+    np.testing.assert_allclose(slipped[1] * -4.0, slipped[2] * 3.0)
+    low, high = np.sort(np.abs(slipped[1:]))
+    size = np.hypot(low, high) if cone == "quadratic" else high + (2**0.5 - 1) * low
+    assert size == pytest.approx(2.0 * friction, abs=1e-15)
+    np.testing.assert_array_equal(kept, within)
 
 
 @pytest.mark.parametrize("cone", CONES)

@@ -1,4 +1,4 @@
-"""The GPU's kernels for equilibrium, compiled as plain C++ with one thread a block, agree with the processor."""
+"""The GPU's kernels for equilibrium, as plain C++ with one thread a block and on a GPU, agree with the processor."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def mixed_states(scenes: Any, assembly: Assembly, count: int, seed: int) -> Any:
     return np.concatenate([near, far])
 
 
-def compare(on_host: Callable[..., GpuSolver], assembly: Assembly, states: Any, settings: StabilitySettings) -> Any:
+def compare(make_solver: Callable[..., GpuSolver], assembly: Assembly, states: Any, settings: StabilitySettings) -> Any:
     """Check that both solvers say the same and that every certificate is accepted; return the verdicts."""
-    solver = on_host(assembly, settings)
+    solver = make_solver(assembly, settings)
     verdicts = solver.check(states)
     expected = CpuSolver(solver.problem, settings).check(states, certificates=False)
     both = ~verdicts.undecided & ~expected.undecided  # what either leaves open goes to the exact solver
@@ -53,29 +53,58 @@ def compare(on_host: Callable[..., GpuSolver], assembly: Assembly, states: Any, 
 
 @pytest.mark.parametrize("cone", ["octagon", "quadratic"])
 @pytest.mark.parametrize("structure", SMALL)
-def test_agrees_with_the_processor(scenes: Any, structure: str, cone: Any, on_host: Callable[..., GpuSolver]) -> None:
+def test_agrees_with_the_processor(
+    scenes: Any, structure: str, cone: Any, make_solver: Callable[..., GpuSolver]
+) -> None:
     assembly = library.build(structure)
-    verdicts = compare(on_host, assembly, mixed_states(scenes, assembly, 30, seed=5), replace(EQUILIBRIUM, cone=cone))
+    verdicts = compare(
+        make_solver, assembly, mixed_states(scenes, assembly, 30, seed=5), replace(EQUILIBRIUM, cone=cone)
+    )
     assert verdicts.stable.any()
     assert verdicts.unstable.any()
 
 
 @pytest.mark.parametrize("name", ["bottle-12", "dome-37", "vault-62"])
 def test_agrees_on_real_structures(
-    scenes: Any, shared_assembly: Callable[[str], Path], name: str, on_host: Callable[..., GpuSolver]
+    scenes: Any, shared_assembly: Callable[[str], Path], name: str, make_solver: Callable[..., GpuSolver]
 ) -> None:
     assembly = load_structure(str(shared_assembly(name)))
-    compare(on_host, assembly, mixed_states(scenes, assembly, 20, seed=3), EQUILIBRIUM)
+    compare(make_solver, assembly, mixed_states(scenes, assembly, 20, seed=3), EQUILIBRIUM)
 
 
-def test_the_interior_point_method_agrees_from_the_first_step(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
+def test_the_interior_point_method_agrees_from_the_first_step(
+    scenes: Any, make_solver: Callable[..., GpuSolver]
+) -> None:
     """With one iteration of ADMM nearly everything is left to the interior point method."""
     assembly = library.build("wall:bricks=3,courses=3")
     states = mixed_states(scenes, assembly, 30, seed=8)
     for cone in ("octagon", "quadratic"):
         settings = replace(EQUILIBRIUM, cone=cone, gpu=GpuSettings(iterations=1, first_check=1))
-        verdicts = compare(on_host, assembly, states, settings)
+        verdicts = compare(make_solver, assembly, states, settings)
         assert (verdicts.iterations > 1).mean() > 0.5
+
+
+@pytest.mark.parametrize("settings", [EQUILIBRIUM, StabilitySettings()], ids=["equilibrium", "contact"])
+@pytest.mark.parametrize("structure", ["dome", "wall:bricks=3,courses=3"])
+def test_any_number_of_threads_finds_the_same(
+    scenes: Any,
+    structure: str,
+    settings: StabilitySettings,
+    on_host: Callable[..., GpuSolver],
+    on_device: Callable[..., GpuSolver],
+) -> None:
+    """A block reduces within one warp, or across two or eight; one thread on the processor is the reference."""
+    assembly = library.build(structure)
+    states = mixed_states(scenes, assembly, 200, seed=12)
+    alone = on_host(assembly, settings).check(states, certificates=False)
+    for threads in (32, 64, 256):
+        verdicts = on_device(assembly, settings, threads=threads).check(states)
+        both = ~verdicts.undecided & ~alone.undecided
+        assert both.mean() > 0.95
+        np.testing.assert_array_equal(verdicts.verdict[both], alone.verdict[both])
+        np.testing.assert_array_equal(
+            verify_certificates(assembly, states, verdicts, settings.claim), ~verdicts.undecided
+        )
 
 
 def test_states_too_large_for_the_chip_are_judged_in_memory(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
@@ -92,24 +121,24 @@ def test_states_too_large_for_the_chip_are_judged_in_memory(scenes: Any, on_host
     np.testing.assert_array_equal(first.residual, second.residual)
 
 
-def test_verdicts_alone_are_the_same(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
+def test_verdicts_alone_are_the_same(scenes: Any, make_solver: Callable[..., GpuSolver]) -> None:
     assembly = library.build("wall:bricks=3,courses=3")
     states = mixed_states(scenes, assembly, 20, seed=4)
-    solver = on_host(assembly, EQUILIBRIUM)
+    solver = make_solver(assembly, EQUILIBRIUM)
     whole, bare = solver.check(states), solver.check(states, certificates=False)
     assert bare.forces is None
     assert bare.velocity is None
     np.testing.assert_array_equal(whole.verdict, bare.verdict)
-    verdict, residual = solver.check_tensor(states)
-    np.testing.assert_array_equal(verdict, whole.verdict)
-    np.testing.assert_array_equal(residual, whole.residual)
+    verdict, residual = solver.check_tensor(solver.driver.put(states))
+    np.testing.assert_array_equal(solver.driver.get(verdict), whole.verdict)
+    np.testing.assert_array_equal(solver.driver.get(residual), whole.residual)
 
 
-def test_found_forces_are_a_good_guess(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
+def test_found_forces_are_a_good_guess(scenes: Any, make_solver: Callable[..., GpuSolver]) -> None:
     """A stable state started from its own forces is proven at the first test, and hands forces back."""
     assembly = library.build("arch:blocks=7")
     states = np.unique(mixed_states(scenes, assembly, 40, seed=6), axis=0)
-    solver = on_host(assembly, EQUILIBRIUM)
+    solver = make_solver(assembly, EQUILIBRIUM)
     cold = solver.check(states)
     assert cold.forces is not None
     rows = np.flatnonzero(cold.stable & (cold.iterations > 10))
@@ -138,9 +167,9 @@ def test_the_batch_is_halved_when_memory_runs_out(scenes: Any, on_host: Callable
     np.testing.assert_array_equal(verdict, expected.verdict)
 
 
-def test_nothing_to_judge_and_nothing_that_moves(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
+def test_nothing_to_judge_and_nothing_that_moves(scenes: Any, make_solver: Callable[..., GpuSolver]) -> None:
     assembly = library.build("arch:blocks=5")
-    solver = on_host(assembly, EQUILIBRIUM)
+    solver = make_solver(assembly, EQUILIBRIUM)
     assert len(solver.check(np.zeros((0, assembly.part_count), np.uint8))) == 0
     still = np.where(assembly.boundary, 2, 0).astype(np.uint8)
     held = np.full(assembly.part_count, 2, np.uint8)
@@ -149,10 +178,10 @@ def test_nothing_to_judge_and_nothing_that_moves(scenes: Any, on_host: Callable[
     assert (verdicts.residual == 0).all()
 
 
-def test_without_friction_a_clamped_cube_falls(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
+def test_without_friction_a_clamped_cube_falls(scenes: Any, make_solver: Callable[..., GpuSolver]) -> None:
     for cone in ("octagon", "quadratic"):
         assembly = scenes.clamp(friction=0.0)
-        solver = on_host(assembly, replace(EQUILIBRIUM, cone=cone))
+        solver = make_solver(assembly, replace(EQUILIBRIUM, cone=cone))
         assert solver.check(np.array([[1, 2, 2]], np.uint8)).verdict[0] == Verdict.UNSTABLE
 
 

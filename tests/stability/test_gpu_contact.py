@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,25 +20,6 @@ from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.settings import EQUILIBRIUM, GpuSettings
 
 CONTACT = StabilitySettings()
-
-
-def on_device(assembly: Assembly, settings: StabilitySettings) -> GpuSolver:
-    problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
-    return GpuSolver(assembly, problem, settings)
-
-
-@pytest.fixture(params=["host", "device"])
-def make_solver(request: pytest.FixtureRequest) -> Callable[..., GpuSolver]:
-    """Makes the solver on the processor, and on a GPU where there is one."""
-    if request.param == "host":
-        return request.getfixturevalue("on_host")
-    if find_spec("torch") is None or find_spec("cuda") is None or find_spec("cuda.bindings") is None:
-        pytest.skip("no torch or no cuda-bindings")
-    import torch
-
-    if not torch.cuda.is_available():
-        pytest.skip("no GPU")
-    return on_device
 
 
 def states_of(scenes: Any, assembly: Assembly, count: int, seed: int) -> Any:

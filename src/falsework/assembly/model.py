@@ -1,4 +1,4 @@
-"""The assembly: parts, contacts, boundary, density and friction, frozen."""
+"""Immutable assembly: parts, contacts, boundary, density and friction."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ class Assembly:
         density: ArrayLike | None = None,
         friction: float | None = None,
     ) -> Assembly:
-        """The same parts with another name, boundary, density or friction; contacts are kept.
+        """Return the same parts with another name, boundary, density or friction; contacts are kept.
 
         Raises:
             AssemblyError: as `from_meshes`.
@@ -199,7 +199,7 @@ class Assembly:
         return changed
 
     def with_ground(self) -> Assembly:
-        """The same parts on a fixed slab under the lowest point, which becomes the last part."""
+        """Return the same parts on a fixed slab under the lowest point, which becomes the last part."""
         return Assembly.from_meshes(
             self.meshes,
             boundary=self.boundary,
@@ -212,7 +212,7 @@ class Assembly:
 
 
 def ground_slab(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    """A slab whose top is level with the lowest point and that reaches past the parts on all sides."""
+    """Return a slab whose top is level with the lowest point and that reaches past the parts on all sides."""
     low = np.min([mesh.bounds[0] for mesh in meshes], axis=0)
     high = np.max([mesh.bounds[1] for mesh in meshes], axis=0)
     size = float((high - low).max())

@@ -1,4 +1,4 @@
-"""States, the actions that are legal in them, and what the actions do.
+"""States, legal actions and transitions.
 
 A state is a `uint8` vector over parts: 0 removed, 1 installed, 2 held; boundary parts are always 2 and
 use no robot. Every function takes a batch `(batch, parts)` and works on whole batches at once.
@@ -73,12 +73,12 @@ def check_robots(robots: int) -> int:
 
 
 def held_count(states: States, boundary: Mask) -> NDArray[np.int64]:
-    """Number of parts that robots hold, shape (batch,)."""
+    """Return the number of parts that robots hold, shape (batch,)."""
     return ((states == HELD) & ~boundary).sum(axis=-1)
 
 
 def action_mask(states: States, boundary: Mask, robots: int) -> Mask:
-    """Actions that the rules of disassembly allow, stability aside.
+    """Return actions that the rules of disassembly allow, stability aside.
 
     A part is held at most once, at most `robots` parts are held, and only a held part can be removed.
 
@@ -92,7 +92,7 @@ def action_mask(states: States, boundary: Mask, robots: int) -> Mask:
 
 
 def apply_actions(states: States, actions: NDArray[np.integer]) -> States:
-    """States after one action each: hold sets 2, remove sets 0. Shapes (batch, parts), (batch,)."""
+    """Return states after one action each: hold sets 2, remove sets 0. Shapes (batch, parts), (batch,)."""
     batch, parts = states.shape
     after = states.copy()
     after[np.arange(batch), actions % parts] = np.where(actions < parts, HELD, REMOVED)
@@ -100,7 +100,7 @@ def apply_actions(states: States, actions: NDArray[np.integer]) -> States:
 
 
 def undo_mask(states: States, boundary: Mask, robots: int) -> Mask:
-    """Actions that can have led into each state, stability aside: the moves of assembly.
+    """Return actions that can have led into each state, stability aside: the moves of assembly.
 
     Undoing a hold releases a held part; undoing a removal installs a part that a robot then holds.
 
@@ -114,7 +114,7 @@ def undo_mask(states: States, boundary: Mask, robots: int) -> Mask:
 
 
 def undo_actions(states: States, actions: NDArray[np.integer]) -> States:
-    """States before one action each: the reverse of `apply_actions`. Shapes (batch, parts), (batch,)."""
+    """Return states before one action each: the reverse of `apply_actions`. Shapes (batch, parts), (batch,)."""
     batch, parts = states.shape
     before = states.copy()
     before[np.arange(batch), actions % parts] = np.where(actions < parts, INSTALLED, HELD)

@@ -18,6 +18,7 @@ from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.obj import obj_text
 from falsework.geometry.mesh.read import load_meshes, unit_length
+from falsework.utils.json_text import parse_json
 
 FORMAT = "falsework.assembly/1"
 FILE = "assembly.json"
@@ -124,13 +125,13 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
 
 
 def _read_description(source: Path) -> dict[str, Any]:
-    """What `assembly.json` says, types checked; `contact` is always there, as `ContactSettings`."""
+    """Read `assembly.json` with types checked; `contact` becomes `ContactSettings`."""
     file = (source if source.is_dir() else source.parent) / FILE
     described: dict[str, Any] = {}
     if file.is_file():
         try:
-            described = json.loads(file.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+            described = parse_json(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
             raise AssemblyError(f"cannot read {file}: {error}; write it again") from error
         if not isinstance(described, dict):
             raise AssemblyError(
@@ -171,7 +172,7 @@ def _contact_settings(given: Mapping[str, Any], file: Path) -> ContactSettings:
 
 
 def _ids(boundary: list[Any], names: list[str]) -> list[int]:
-    """Ids of boundary parts, which may be given by name."""
+    """Return ids of boundary parts, which may be given by name."""
     ids = []
     for item in boundary:
         if isinstance(item, str):

@@ -1,4 +1,4 @@
-"""Turns and reflections about the vertical under which a structure looks the same, as permutations of its parts.
+"""Rotations and reflections about the vertical that map a structure onto itself, as permutations of its parts.
 
 Gravity points down, so whatever holds for a state holds for its image under any of them: whether it stands, and which
 actions lead where. A dome of twelve equal sectors tells so the same story twenty-four times.
@@ -19,7 +19,7 @@ _ALIKE = 0.1
 
 
 def symmetries(assembly: Assembly) -> NDArray[np.intp]:
-    """Permutations of the parts that some turn about a vertical axis, or reflection in a vertical plane, makes.
+    """Return permutations of the parts that some turn about a vertical axis, or reflection in a vertical plane, makes.
 
     Centres of mass, masses and every contact's area times normal have to agree with those of the images. Parts that
     are boundary may stay where they are: the ground is no smaller for being turned.
@@ -54,7 +54,7 @@ def symmetries(assembly: Assembly) -> NDArray[np.intp]:
 
 
 def _motions(place: NDArray[np.float64], mass: NDArray[np.float64], size: float) -> list[NDArray[np.float64]]:
-    """Turns and reflections that put one part where another like it is: whatever is a symmetry is among them."""
+    """Return turns and reflections that put one part where another like it is: whatever is a symmetry is among them."""
     radius = np.linalg.norm(place[:, :2], axis=1)
     alike = (
         (np.abs(radius[:, None] - radius) < _NEAR * size)
@@ -83,7 +83,7 @@ def _image(
     fixed: NDArray[np.bool_],
     size: float,
 ) -> NDArray[np.intp] | None:
-    """Which part each one comes to lie on; None if some come to lie on none, or on one unlike them."""
+    """Return the part onto which each part is mapped; None if the mapping is not one-to-one on like parts."""
     image = np.arange(len(place))
     for group in (np.flatnonzero(~fixed), np.flatnonzero(fixed)):
         if len(group) == 0:

@@ -1,4 +1,4 @@
-"""`falsework animate`: a plan as a film."""
+"""`falsework animate`: video of a plan."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Animate(Command):
-    """Play a plan as a film, MP4 or GIF, as the ending of the file says.
+    """Render a plan as a video, MP4 or GIF by the ending of the file.
 
     Needs no display and no graphics driver. With --verdicts every state is judged anew: parts that slide are marked,
     and states that do not stand are named.
@@ -34,20 +34,20 @@ class Animate(Command):
     out: Annotated[Path, arg(metavar="FILE")] = Path("plan.mp4")
     """File to write; it ends in .mp4 or .gif."""
     seconds: float = 0.4
-    """Length of a step."""
+    """Duration of a step."""
     rate: float = 10.0
-    """Pictures a second."""
+    """Frame rate."""
     verdicts: bool = False
-    """Judge every state, and show what does not stand."""
+    """Evaluate the stability of every state, and mark unstable parts."""
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts without prestress bring every part to rest; or, as in the paper, contact
-    forces in balance exist."""
+    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
+    in balance exist."""
     width: int = 800
-    """Pixels across."""
+    """Width, pixels."""
     azimuth: float = -58.0
-    """Degrees from which to look, about the vertical."""
+    """Azimuth of the camera, degrees."""
     elevation: float = 24.0
-    """Degrees above the horizon."""
+    """Elevation of the camera, degrees."""
 
     def run(self, output: Output) -> Exit:
         """Open, draw every picture, write."""

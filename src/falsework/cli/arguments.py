@@ -1,14 +1,14 @@
-"""Texts from the command line into part numbers and states."""
+"""Parsers of part numbers and states given as command-line arguments."""
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from falsework.errors import InputError, StateError
+from falsework.utils.json_text import parse_json
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -56,9 +56,10 @@ def read_states(path: Path) -> Any:
     try:
         if path.suffix.lower() == ".npy":
             return np.load(path, allow_pickle=False)
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, EOFError) as error:
-        raise StateError(f"{path} holds no states: {error}; give a JSON list of states or a .npy array") from error
+        content = parse_json(path.read_text(encoding="utf-8"))
+    except Exception as error:  # NumPy fails in many ways on a damaged file
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise StateError(f"{path} holds no states: {reason}; give a JSON list of states or a .npy array") from error
     if not isinstance(content, list):
         raise StateError(f"{path} holds no list; give a JSON list of states such as [[2, 1, 0], [2, 2, 0]]")
     return content
@@ -83,7 +84,7 @@ def parse_state(text: str, option: str, assembly: Assembly) -> States:
         content: Any = [int(digit) for digit in text]
     elif text.startswith("["):
         try:
-            content = json.loads(text)
+            content = parse_json(text)
         except ValueError as error:
             raise StateError(f"{option} {text}: {error}") from error
     elif Path(text).is_file():

@@ -1,4 +1,4 @@
-"""`falsework cell check`: which robot of a cell reaches which part, and where robots would stand better."""
+"""`falsework cell check`: reachability of parts by the robots of a cell, and proposals for better bases."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class CheckCell(Command):
     """TOML file, or a built-in cell such as `dome-37`."""
     structure: StructureOptions
     picture: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
-    """Draw parts and robots from above, coloured by how many robots reach a part."""
+    """Plan view of parts and robots, coloured by the number of robots that reach a part."""
     propose: Literal["auto", "always", "never"] = "auto"
     """Look for better bases; auto: if a robot cannot reach a part."""
 
@@ -105,7 +105,7 @@ class CheckCell(Command):
         output.say(f"{cell.name}: of {len(table.parts)} parts within reach: {counts}")
 
     def _propose(self, output: Output, cell: Cell, proposal: BaseProposal | None) -> None:
-        """Where robots would stand better."""
+        """Propose better robot bases."""
         import numpy as np
 
         if proposal is None:

@@ -1,4 +1,4 @@
-"""`falsework check`: does every step of a plan hold, by what the caller asks for?"""
+"""`falsework check`: verification of every step of a plan under a chosen criterion."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ class CheckPlan(Command):
     """Structure to check it on, instead of the one that the plan names."""
     reading: LoadOptions
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts without prestress bring every part to rest, or, as in the paper, contact
-    forces in balance exist."""
+    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
+    in balance exist."""
     cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
     """Friction cone: round, or eight-sided as in the paper."""
     tolerance: float = 1e-4
@@ -57,12 +57,12 @@ class CheckPlan(Command):
     force_bound: float = 1e3
     """Bound on the sum of all normal forces, in weights of the structure."""
     replay: bool = False
-    """Replay the plan in the order of assembly with contact history too, and print a line a step. A plan that falls
-    under another stiffness ratio, speed of letting go or friction at the start is reported as marginal."""
+    """Also replay the plan in the order of assembly with contact history, and print one line per step. A plan that
+    falls under another stiffness ratio, release speed or initial friction is reported as marginal."""
     by: Literal["contact", "lmgc90"] = "contact"
-    """Who replays: the contacts of the criterion, or LMGC90, which judges the states one by one."""
+    """Replay method: the contact law of the criterion, or LMGC90 on each state by itself."""
     steps: bool = False
-    """Print the steps in words as well."""
+    """Print the steps as text too."""
 
     def run(self, output: Output) -> Exit:
         """Load, compare, verify, replay."""

@@ -1,4 +1,4 @@
-"""What all subcommands share: their base, exit codes, and the options that name a structure."""
+"""Base of all subcommands: exit codes, and the options that name a structure."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Command(ABC):
     """Command lines for the end of the help text."""
 
     json: bool = False
-    """Print JSON for machines, one object a line; remarks for people go to the error stream."""
+    """Print JSON, one object per line; notes go to standard error."""
     debug: bool = False
     """Show the traceback of an error."""
 
@@ -62,12 +62,12 @@ class LoadOptions:
     friction: Annotated[float | None, arg(metavar="MU", help_behavior_hint=UNSET)] = None
     """Coefficient of friction of every contact."""
     boundary: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
-    """Parts that are fixed for ever, such as 0,3 or 0-16."""
+    """Parts that are permanently fixed, such as 0,3 or 0-16."""
     ground: bool = False
     """Put a fixed ground under the lowest point."""
 
     def given(self) -> dict[str, Any]:
-        """Those that were given, as `load_structure` takes them.
+        """Return those that were given, as `load_structure` takes them.
 
         Raises:
             InputError: boundary is no list of parts.

@@ -1,4 +1,4 @@
-"""`falsework dataset`: states to train a policy on and states to test it on."""
+"""`falsework dataset`: training and test states for a policy."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ class MakeDataset(Command):
     out: Annotated[Path, arg(metavar="FILE")] = Path("data.npz")
     """File to write, a NumPy archive."""
     robots: int = 2
-    """Parts that can be held at a time."""
+    """Number of robots: parts that can be held at a time."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts that are neither held nor removed, such as 7."""
     removable_only_if_clear: bool = False
-    """Remove a part only if it has a straight way out."""
+    """Remove a part only if it has a collision-free straight exit."""
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts bring parts to rest, or forces in balance exist, as in the paper."""
+    """Stability criterion: compliant contacts bring parts to rest, or (paper) forces in balance exist."""
     train_width: int = 64
     """Width of the search for the training set."""
     test_width: int = 128
     """Width of the search for the test set."""
     widths: tuple[int, ...] = ()
-    """Widths of further searches to learn from; what is in the test set is left out."""
+    """Widths of further searches for training states; test states are excluded."""
     seed: int = 0
-    """Same seed, same states, on every device."""
+    """Random seed; the states are the same on every device."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
+    """Device of the search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
 
     def run(self, output: Output) -> Exit:
         """Search, compare, save."""

@@ -1,4 +1,4 @@
-"""`falsework evaluate`: how often a policy succeeds, on states that it has learned from and on others."""
+"""`falsework evaluate`: success rate of a policy on training states and on unseen states."""
 
 from __future__ import annotations
 
@@ -40,22 +40,22 @@ class Evaluate(Command):
     folder: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder that `falsework train` wrote."""
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
-    """Ask the policy about another structure, which it was not trained for."""
+    """Evaluate the policy on another structure than the one that it was trained for."""
     search: bool = False
-    """Search where the policy fails, and say for what share of the test states there is a proven plan then."""
+    """Search where the policy fails, and report the share of test states with a proven plan."""
     targets: bool = False
     """Go to other target states than the empty structure. A policy that was not trained with two states is not told;
     the rules alone then keep what the target keeps."""
     criterion: Annotated[
         Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: that of the run)")
     ] = None
-    """What stable means. Under another criterion than that of the run, other states are searched for."""
+    """Stability criterion. For another criterion than that of the run, new states are searched."""
     states: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """States of each set, a fixed sample."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to evaluate; `auto` takes a GPU if there is one."""
+    """Device; `auto` takes a GPU if there is one."""
     seed: int = 0
-    """Of samples and of rollouts that are drawn in a search."""
+    """Random seed of samples and of rollouts in a search."""
 
     def run(self, output: Output) -> Exit:
         """Load, play, count."""
@@ -122,7 +122,7 @@ class Evaluate(Command):
         return Exit.DONE
 
     def _subject(self, trained: Run) -> tuple[Assembly, Policy]:
-        """Structure and policy: those of the run, or the policy carried over to another structure."""
+        """Return the structure and policy: those of the run, or the policy carried over to another structure."""
         from falsework.assembly import load_structure
         from falsework.learn.networks.policy import transfer
 
@@ -134,7 +134,7 @@ class Evaluate(Command):
         return assembly, policy.eval()
 
     def _pairs(self, trained: Run, assembly: Assembly, oracle: TensorOracle, device: torch.device) -> Sets:
-        """Pairs of states and targets, the same for all runs of a structure."""
+        """Return pairs of states and targets, the same for all runs of a structure."""
         from dataclasses import replace
 
         from falsework.learn.training.training_data import find_pairs

@@ -1,4 +1,4 @@
-"""`falsework export`: a structure or a plan in the files of other programs."""
+"""`falsework export`: structures and plans in the formats of other programs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Format = Literal["folder", "glb", "gltf", "usd", "compas", "compas-assembly", "c
 
 @dataclass(frozen=True, kw_only=True)
 class Export(Command):
-    """Write a structure, or a plan in motion, for other programs.
+    """Write a structure or an animated plan in the format of another program.
 
     STRUCTURE may be a plan, too. A folder has one mesh a part and assembly.json. glTF (.glb, .gltf) opens in Blender
     and any viewer, USD (.usda) in robot simulators; both show a plan as an animation. COMPAS data (.json) are a list of
@@ -37,9 +37,9 @@ class Export(Command):
     out: Annotated[Path, arg(metavar="PATH")]
     """File to write, or folder, which must be new or empty."""
     format: Annotated[Format | None, arg(help_behavior_hint="(default: by the name of the file, else a folder)")] = None
-    """What to write."""
+    """Output format."""
     step_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint=UNSET)] = None
-    """Length of a step of a plan; a second if not given."""
+    """Duration of a step of a plan; 1 s if not given."""
 
     def run(self, output: Output) -> Exit:
         """Load and save."""

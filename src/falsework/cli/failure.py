@@ -1,4 +1,4 @@
-"""Why there is no plan, in plain words: proven or only not found, how far the search came, what would move there."""
+"""Reports on failed searches: proven or not, depth reached, and the motion at the failing states."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ LOOKED_AT = 16
 
 @dataclass(frozen=True)
 class Failure:
-    """What can be said about a search without a plan."""
+    """Report on a search without a plan."""
 
     proven: bool
-    """There is no plan, as opposed to none that was found."""
+    """Whether it is proven that no plan exists."""
     reached: int
-    """Steps of the plan that the search got done."""
+    """Number of steps that the search completed."""
     steps: int
     """Steps of a whole plan."""
     disassembly: bool
-    """Whether the search took the structure apart; otherwise it put it together."""
+    """Whether the search ran in the order of disassembly."""
     moving: list[Motion]
-    """What moves in the states where the search broke off, the parts that move in most of them first."""
+    """Motions in the states where the search ended, the most frequent first."""
     reason: str
-    """Why the search is no proof, where it is none."""
+    """Reason why the search proves nothing, where it does not."""
     sliding: int
     """States that the search refused because they slide."""
     text: str
-    """All of it in one line."""
+    """Summary in one line."""
 
     def to_dict(self, assembly: Assembly) -> dict[str, Any]:
-        """As JSON."""
+        """Return the report as a JSON object."""
         return {
             "plan": None,
             "outcome": "no plan exists" if self.proven else "no plan was found",
@@ -85,7 +85,7 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
 
 
 def common_motions(assembly: Assembly, oracle: Stability, states: States) -> list[Motion]:
-    """What moves in some states that do not stand: each part once, those that move in most states first."""
+    """Return the motions of parts in unstable states, one per part, the most frequent first."""
     if not len(states):
         return []
     from falsework.stability.motion import motion_of

@@ -1,4 +1,4 @@
-"""`falsework graph`: the states that a search finds, with every action between them."""
+"""`falsework graph`: state graph with the stable states that a search finds and all actions between them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MakeGraph(Command):
-    """Search for states that stand, and save them with every action between them.
+    """Search for stable states, and save them with every action between them.
 
     If the search begins at the empty structure, every state of the graph is one from which the structure can be taken
     apart. Exit code 1 if the search does not reach its other end; the states found are saved all the same.
@@ -31,9 +31,9 @@ class MakeGraph(Command):
     task: TaskOptions
     search: SearchOptions
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts bring parts to rest, or forces in balance exist, as in the paper."""
+    """Stability criterion: compliant contacts bring parts to rest, or (paper) forces in balance exist."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
+    """Device of the search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
 
     def run(self, output: Output) -> Exit:
         """Search, connect, save."""

@@ -1,4 +1,4 @@
-"""Entry point of `falsework`: finds the subcommand, runs it, and turns errors into one line and an exit code."""
+"""Entry point of `falsework`: command dispatch, one-line error messages and exit codes."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _UsageError(Exception):
-    """The options do not make a command."""
+    """Options that do not make a command."""
 
 
 def _parse(arguments: list[str]) -> Command | None:
@@ -133,7 +133,7 @@ def _help_text(kind: type[Command]) -> str:
 
 
 def _one_line(box: str) -> str:
-    """What tyro draws as a box of several lines, with rules between sections, as one."""
+    """Turn the boxed error message of tyro into one line."""
     sections: list[list[str]] = [[]]
     for line in box.splitlines()[1:-1]:
         text = line.strip("│| \t")
@@ -146,7 +146,7 @@ def _one_line(box: str) -> str:
 
 
 def _explain(error: Exception) -> str:
-    """One line for an error: ours say what to do, others get their kind and a way to learn more."""
+    """Return one line for an error: ours say what to do, others get their kind and a way to learn more."""
     text = " ".join(str(error).split())
     if isinstance(error, FalseworkError):
         return text

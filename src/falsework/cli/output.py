@@ -1,4 +1,4 @@
-"""Where a subcommand prints: results to standard output, the rest to the error stream."""
+"""Output streams of a subcommand: results to standard output, progress and notes to standard error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LOG_EVERY = 30.0
 
 
 class Output:
-    """Prints for people or for machines, as `--json` says."""
+    """Printer of text or, with `--json`, of JSON."""
 
     def __init__(self, *, machine: bool) -> None:
         self.machine = machine

@@ -1,4 +1,4 @@
-"""`falsework picture`: a plan, a structure or a state graph as a picture, without a screen."""
+"""`falsework picture`: picture of a plan, a structure or a state graph without a display."""
 
 from __future__ import annotations
 
@@ -43,24 +43,24 @@ class MakePicture(Command):
     forces: bool = False
     """Draw the proof of a single state."""
     verdicts: bool = False
-    """Judge the states that are drawn, and show what does not stand."""
+    """Evaluate the stability of the states drawn, and mark unstable parts."""
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts without prestress bring every part to rest; or, as in the paper, contact
-    forces in balance exist."""
+    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
+    in balance exist."""
     policy: Annotated[str | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Run whose policy colours the parts of a single state, or whose states are marked in a state graph."""
     frames: int = 12
-    """Pictures of a contact sheet."""
+    """Number of pictures of a contact sheet."""
     columns: int = 4
-    """Pictures in a row."""
+    """Number of pictures in a row."""
     width: int = 0
-    """Pixels of a picture across; 0 chooses."""
+    """Width of a picture, pixels; 0: automatic."""
     azimuth: float = -58.0
-    """Degrees from which to look, about the vertical."""
+    """Azimuth of the camera, degrees."""
     elevation: float = 24.0
-    """Degrees above the horizon."""
+    """Elevation of the camera, degrees."""
     title: str = ""
-    """A line above."""
+    """Title line."""
 
     def run(self, output: Output) -> Exit:
         """Open, draw, write."""

@@ -1,4 +1,4 @@
-"""`falsework plan`: an order of hold and remove actions in which every state is proven stable."""
+"""`falsework plan`: sequence of hold and remove actions in which every state is proven stable."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MakePlan(Command):
-    """Plan how robots take a structure apart, and so, played backwards, how they build it.
+    """Plan the disassembly of a structure by robots and so, in reverse, its assembly.
 
     Narrow and quick searches come first, wider ones where they fail. Every state of the plan is proven stable, and the
     plan stands when it is replayed in the order of assembly with contact history. Exit code 1 if there is no plan or
@@ -46,20 +46,20 @@ class MakePlan(Command):
     direction: Literal["both", "assembly", "disassembly"] = "both"
     """Ends from which to search: the empty structure, the complete one, or both in turn."""
     seed: int = 0
-    """Same seed, same machine, same result."""
+    """Random seed; results are reproducible on one machine."""
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts without prestress bring every part to rest, and the whole plan stands when
-    it is replayed; or, as in the paper, contact forces in balance exist."""
+    """Stability criterion: compliant contacts without prestress bring every part to rest, in every state and in a
+    replay of the whole plan; or (paper) contact forces in balance exist."""
     cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
     """Friction cone: round, or eight-sided as in the paper."""
     solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
-    """Who judges; `auto` takes a GPU where there is one and it is faster."""
+    """Solver; `auto` takes a GPU where there is one and it is faster."""
     assembly_order: bool = False
     """Write the plan in the order of assembly: insert and release instead of hold and remove."""
     proofs: bool = False
-    """Write what proves each state into the plan too: displacements, or under `equilibrium` contact forces."""
+    """Write the proof of each state into the plan: displacements, or contact forces under `equilibrium`."""
     resume: bool = False
-    """Go on with the search that was interrupted."""
+    """Resume the interrupted search."""
 
     def run(self, output: Output) -> Exit:
         """Search, prove, save."""
@@ -107,7 +107,7 @@ class MakePlan(Command):
         return PlannerSettings(width=self.width, directions=directions, alternatives=self.alternatives, seed=self.seed)
 
     def _checkpoint(self) -> Path:
-        """Where the search is kept; an old one is in the way unless it is to be resumed."""
+        """Return the path of the search checkpoint; an old one is refused unless the search resumes."""
         path = self.out.with_name(f"{self.out.name}.search")
         if not self.resume:
             path.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""What `plan` and `graph` share: the options that say what is planned and how, and the checks before a search."""
+"""Task and search options that `plan` and `graph` share, and the checks before a search."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class TaskOptions:
     """Rules that a plan must keep to."""
 
     robots: int = 2
-    """Parts that can be held at a time."""
+    """Number of robots: parts that can be held at a time."""
     start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
     """State from which disassembly starts, where assembly ends: `complete`, digits such as 2110, or a file."""
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
@@ -36,7 +36,7 @@ class TaskOptions:
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts that are neither held nor removed, such as 7."""
     removable_only_if_clear: bool = False
-    """Remove a part only if it has a straight way out, in whatever direction."""
+    """Remove a part only if it has a collision-free straight exit in some direction."""
 
     def task(self, assembly: Assembly) -> Task:
         """Check the rules against a structure.
@@ -60,17 +60,17 @@ class TaskOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class SearchOptions:
-    """How the search goes about it."""
+    """Options of the search."""
 
     width: int = 64
     """States kept at each step; a wider search finds more and takes longer."""
     direction: Literal["assembly", "disassembly"] = "assembly"
     """End to begin at: the empty structure, or the complete one."""
     seed: int = 0
-    """Same seed, same machine, same result."""
+    """Random seed; results are reproducible on one machine."""
 
     def settings(self) -> BeamSettings:
-        """As the search takes them.
+        """Return the settings of the search.
 
         Raises:
             InputError: a width below one.

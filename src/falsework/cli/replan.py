@@ -1,4 +1,4 @@
-"""`falsework replan`: another plan from where things stand now."""
+"""`falsework replan`: new plan from the current state."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SHOWN = 8
 
 @dataclass(frozen=True, kw_only=True)
 class MakeReplan(Command):
-    """Plan again from where things stand: a part is late, a robot is down, somebody was faster.
+    """Plan again from the current state, such as when a part is late or a robot is down.
 
     STRUCTURE may also be a run, the folder that `falsework train` wrote: its policy then proposes the steps. Searches
     step in where it fails, and every state of the answer is proven stable. With --direction assembly the plan goes on
@@ -44,39 +44,39 @@ class MakeReplan(Command):
 
     structure: StructureOptions
     state: Annotated[str, arg(metavar="STATE")] = "complete"
-    """Where things stand: `complete`, `empty`, digits such as 2110 (0 removed, 1 installed, 2 held), or a file."""
+    """Current state: `complete`, `empty`, digits such as 2110 (0 removed, 1 installed, 2 held), or a file."""
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete or empty)")] = None
-    """Where they shall go; if not given, the complete structure in assembly, the empty one in disassembly."""
+    """Target state; if not given, the complete structure in assembly, the empty one in disassembly."""
     direction: Literal["auto", "assembly", "disassembly"] = "auto"
-    """`assembly` adds parts, `disassembly` takes them away; `auto` goes where the target is, builds on where parts are
-    missing that the state does not have, and takes down otherwise."""
+    """`assembly` adds parts, `disassembly` removes them; `auto` follows the target, else builds if the state lacks
+    the missing parts, else dismantles."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
-    """Parts that are not to be touched, such as 7."""
+    """Parts that must not be held or removed, such as 7."""
     robots: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2, or those of the run)")] = None
-    """Parts that can be held at a time."""
+    """Number of robots: parts that can be held at a time."""
     removable_only_if_clear: bool = False
-    """Move a part only if it has a straight way in or out; a run that was trained so does it anyway."""
+    """Move a part only if it has a collision-free straight exit; always on for a run trained with this rule."""
     alternatives: int = 1
     """Number of plans wanted, as different from each other as possible."""
     seed: int = 0
-    """Same seed, same machine, same answer, unless a deadline cuts the work short."""
+    """Random seed; results are reproducible on one machine unless the deadline is reached."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
-    """Hand back the best proven answer after so many seconds, loading not counted."""
+    """Seconds until the best proven answer is returned, loading not counted."""
     compare: Annotated[Path | None, arg(metavar="PLAN", help_behavior_hint=UNSET)] = None
-    """Old plan: say what changes."""
+    """Old plan to compare with."""
     confidences: bool = False
-    """Say what the policy thinks of the actions, with --json."""
+    """Report the action probabilities of the policy, with --json."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("replan.json")
     """File to write; alternatives get -2, -3, ... added to its name."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"
-    """Where the policy of a run is asked; `auto` takes a GPU if there is one."""
+    """Device of the policy; `auto` takes a GPU if there is one."""
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts without prestress bring every part to rest; or, as in the paper, contact
-    forces in balance exist."""
+    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
+    in balance exist."""
     solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
-    """Who judges; `auto` takes a GPU where there is one and it is faster."""
+    """Solver; `auto` takes a GPU where there is one and it is faster."""
 
     def run(self, output: Output) -> Exit:
         """Ask, prove, compare, save."""
@@ -213,7 +213,7 @@ class MakeReplan(Command):
 
 
 def _first_steps(plan: Plan) -> str:
-    """What to do next, in words."""
+    """Describe the first steps of a plan."""
     if len(plan) == 0:
         return "nothing is left to do"
     words = [plan.describe(step) for step in range(min(len(plan), SHOWN))]
@@ -222,7 +222,7 @@ def _first_steps(plan: Plan) -> str:
 
 
 def _probabilities(row: Any, assembly: Assembly) -> dict[str, float]:
-    """Actions that a policy may take in a state, with their probabilities."""
+    """Return actions that a policy may take in a state, with their probabilities."""
     parts = assembly.part_count
     words = ("hold", "remove")
     return {

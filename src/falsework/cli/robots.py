@@ -1,4 +1,4 @@
-"""`falsework robots`: motions of real arms for a plan, an independent check of them, and files for controllers."""
+"""`falsework robots`: arm motions for a plan, their independent verification, and export to controllers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanRobots(Command):
-    """Plan how the arms of a cell take a structure apart, and so, played backwards, how they build it.
+    """Plan arm motions that take a structure apart and so, in reverse, build it.
 
     Actions and motions are planned together: every state stands, and so does a replay of them in the order of assembly,
     every motion is free of collisions, one robot moves at a time. Exit code 1 if no plan was found; the report says
@@ -46,9 +46,9 @@ class PlanRobots(Command):
     policy: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Trained run whose policy proposes the actions."""
     robots_seed: int = 0
-    """Same seed, same machine, same result."""
+    """Random seed; results are reproducible on one machine."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
-    """Give up after so long."""
+    """Time limit."""
     start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
     """State to start from: `complete`, digits such as 2110, or a file. It must not have held parts."""
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
@@ -58,10 +58,10 @@ class PlanRobots(Command):
     assembly_order: bool = False
     """Write the motions in the order of assembly."""
     proofs: bool = False
-    """Write the contact forces that prove each state into the plan too."""
+    """Write the contact forces that prove each state into the plan."""
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts without prestress bring every part to rest, and the whole plan stands when
-    it is replayed; or, as in the paper, contact forces in balance exist."""
+    """Stability criterion: compliant contacts without prestress bring every part to rest, in every state and in a
+    replay of the whole plan; or (paper) contact forces in balance exist."""
 
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
@@ -155,7 +155,8 @@ class PlanRobots(Command):
 class CheckRobots(Command):
     """Verify all motions of a robot plan with libraries that share nothing with the planner, and every state.
 
-    Pinocchio moves the arms and Coal looks for collisions, every 0.01 rad; limits of position, velocity and
+    Pinocchio moves the arms and Coal looks for collisions, every 0.01 rad, of the meshes of parts and links; links of
+    built-in arms, which have none, are the convex pieces that they are described by. Limits of position, velocity and
     acceleration are checked, and that motions join. The stability of the states is decided by the exact solver. Exit
     code 1 if anything is wrong.
     """
@@ -173,11 +174,11 @@ class CheckRobots(Command):
     """Cell to check it in, instead of the one that the plan names."""
     reading: LoadOptions
     resolution: float = 0.01
-    """No joint moves farther between two samples, rad."""
+    """Largest joint step between two samples, rad."""
     motions_only: bool = False
-    """Leave the stability of the states out."""
+    """Skip the stability of the states."""
     steps: bool = False
-    """Print the steps in words as well."""
+    """Print the steps as text too."""
 
     def run(self, output: Output) -> Exit:
         """Load, compare, verify."""
@@ -207,6 +208,7 @@ class CheckRobots(Command):
                 "velocity_share": report.velocity_share,
                 "acceleration_share": report.acceleration_share,
                 "tolerance": report.tolerance,
+                "links": report.links,
                 "stable": None if stable is None else stable.good,
                 "problems": [
                     {
@@ -232,9 +234,10 @@ class CheckRobots(Command):
         if not report.good or (stable is not None and not stable.good):
             return Exit.NO
         states = "" if stable is None else f", all {stable.states} states are stable"
+        links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
         output.say(
-            f"{self.plan}: no collision in {report.samples} configurations of {report.trajectories} motions, limits "
-            f"kept{states}"
+            f"{self.plan}: no collision in {report.samples} configurations of {report.trajectories} motions (links of "
+            f"{links}), limits kept{states}"
         )
         return Exit.DONE
 
@@ -247,7 +250,7 @@ class CheckRobots(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class ExportRobots(Command):
-    """Write the motions of a robot plan for those who carry them out.
+    """Write the motions of a robot plan for robot controllers.
 
     ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file a step and one for the plan; ABB RAPID as
     one module a robot.
@@ -261,13 +264,13 @@ class ExportRobots(Command):
     plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
     """Plan to export, as `falsework robots plan` wrote it."""
     format: Literal["ros2-json", "ros2-yaml", "csv", "rapid"] = "ros2-json"
-    """What to write."""
+    """Output format."""
     out: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write into."""
     rate: float = 50.0
-    """Rows a second, for csv."""
+    """Rows per second, for csv."""
     assembly_order: bool = False
-    """Write the motions in the order of assembly, whichever order the plan is in."""
+    """Write the motions in the order of assembly, whatever the order of the plan."""
 
     def run(self, output: Output) -> Exit:
         """Load and write."""

@@ -36,16 +36,16 @@ class Serve(Command):
     policy: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Folder of a run for this structure, as `falsework train` wrote it."""
     host: str = "127.0.0.1"
-    """Address to listen on; any but this machine's own needs a token."""
+    """Address to listen on; a non-local address needs a token."""
     port: int = 8080
     """Port to listen on; 0 for any that is free."""
     token: Annotated[str | None, arg(metavar="TEXT", help_behavior_hint="(default: FALSEWORK_TOKEN)")] = None
-    """What clients must show. Others on this machine can read it here; better put it into the environment."""
+    """Token that clients must send. Other users of this machine can read it here; prefer the environment variable."""
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one a core)")] = None
-    """Processes that plan."""
+    """Number of planning processes."""
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts without prestress bring every part to rest; or, as in the paper, contact
-    forces in balance exist."""
+    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
+    in balance exist."""
 
     def run(self, output: Output) -> Exit:
         """Load, listen, serve."""
@@ -72,7 +72,7 @@ class Serve(Command):
         return settings if self.workers is None else replace(settings, workers=self.workers)
 
     def _load(self) -> tuple[Assembly, Path | None]:
-        """The structure, and the run if there is one."""
+        """Return the structure, and the run if there is one."""
         from falsework.utils.optional_packages import check_torch
 
         folder = Path(self.structure.spec)

@@ -1,4 +1,4 @@
-"""`falsework sheet`: a plan as a table for a crew on the site."""
+"""`falsework sheet`: assembly instructions for a crew."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MakeSheet(Command):
-    """Write a plan as a table for a crew: which part to place, which to hold, which to release.
+    """Write a plan as assembly instructions: which part to place, which to hold, which to release.
 
     As a PDF to print, with a picture and a box to tick for every step, or as CSV. Always in the order of assembly; what
     a plan calls a robot is a support here: a robot, a prop or a pair of hands.
@@ -36,9 +36,9 @@ class MakeSheet(Command):
     """Structure, instead of the one that the plan names."""
     reading: LoadOptions
     azimuth: float = -58.0
-    """Degrees about the vertical from which pictures look; 0 looks along +y."""
+    """Azimuth of the camera, degrees; 0 looks along +y."""
     elevation: float = 24.0
-    """Degrees above the horizon."""
+    """Elevation of the camera, degrees."""
 
     def run(self, output: Output) -> Exit:
         """Load, lay out, write."""

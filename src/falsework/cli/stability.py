@@ -1,4 +1,4 @@
-"""`falsework stability`: is a structure, or a state of it, stable?"""
+"""`falsework stability`: stability of a structure, or of states of it."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class CheckStability(Command):
     states: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
     """JSON list of states, or a .npy array; the complete structure if not given."""
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts without prestress bring every part to rest, or, as in the paper, contact
-    forces in balance exist."""
+    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
+    in balance exist."""
     cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
     """Friction cone: round, or eight-sided as in the paper."""
     solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
-    """Who judges; `auto` takes a GPU where there is one and it is faster."""
+    """Solver; `auto` takes a GPU where there is one and it is faster."""
 
     def run(self, output: Output) -> Exit:
         """Judge the states and say how the unstable ones fail."""

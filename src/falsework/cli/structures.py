@@ -1,4 +1,4 @@
-"""`falsework structures`: the built-in structures and their parameters."""
+"""`falsework structures`: built-in structures and their parameters."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SubjectOptions(LoadOptions):
-    """Options that say what to look at."""
+    """Options that name the file or structure to show."""
 
     spec: Annotated[Positional[str], arg(metavar="WHAT")]
     """Plan, run, robot plan, state graph, or a structure: built-in, folder or file of meshes."""

@@ -1,4 +1,4 @@
-"""`falsework train`: a policy for one structure, which knows what to do next in any state."""
+"""`falsework train`: policy that proposes the next action in any state of one structure."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class Train(Command):
     out: Annotated[Path, arg(metavar="RUN")] = Path("run")
     """Folder to write."""
     robots: int = 2
-    """Parts that can be held at a time."""
+    """Number of robots: parts that can be held at a time."""
     minutes: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: by structure and device)")] = None
-    """Time for everything, data and earlier pieces included."""
+    """Total time, data and earlier sessions included."""
     steps: Annotated[int | None, arg(metavar="N", help_behavior_hint=UNSET)] = None
-    """Steps in place of a time: the run then depends on the seed alone."""
+    """Optimizer steps in place of a time limit, for a reproducible run."""
     resume: bool = False
-    """Go on with the run in the folder; of the other options only --minutes, --steps, --device and --log count."""
+    """Resume the run in the folder; of the other options only --minutes, --steps, --device and --log apply."""
     method: Method = _DEFAULTS.method
     """Way to learn: imitation of searches, then policy gradients (`refine`) or searches where the policy fails
     (`search`) or neither (`imitation`); `ppo` as in the paper, `imitation+ppo`, `ppo-complete` without curriculum."""
@@ -57,19 +57,19 @@ class Train(Command):
     """Network: quick layers over the state (`residual`), attention between parts (`parts`), the paper's force-torque
     graph (`graph`) or its baseline (`mlp`). Those of parts and graph carry over to other structures."""
     two_states: bool = False
-    """Tell the policy a target state."""
+    """Train a goal-conditioned policy."""
     removable_only_if_clear: bool = False
-    """Remove a part only if it has a straight way out."""
+    """Remove a part only if it has a collision-free straight exit."""
     criterion: Criterion = _DEFAULTS.criterion
-    """What stable means: compliant contacts bring parts to rest, or forces in balance exist, as in the paper."""
+    """Stability criterion: compliant contacts bring parts to rest, or (paper) forces in balance exist."""
     data: Literal["wide", "width64"] = "wide"
-    """Learn from wide searches, or from the paper's training set alone."""
+    """Training data: wide searches, or the paper's training set alone."""
     seed: int = 0
-    """Of weights, batches and rollouts."""
+    """Random seed of weights, batches and rollouts."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to train; `auto` takes a GPU if there is one."""
+    """Device; `auto` takes a GPU if there is one."""
     log: tuple[Literal["tensorboard", "wandb"], ...] = ("tensorboard",)
-    """Where numbers go, beside progress.jsonl in the folder."""
+    """Loggers beside progress.jsonl in the folder."""
 
     def run(self, output: Output) -> Exit:
         """Search, learn, save."""

@@ -1,4 +1,4 @@
-"""How parts of an unstable structure move, in plain words."""
+"""Text about the motion of parts in an unstable structure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STEEP = 0.9
 
 @dataclass(frozen=True)
 class Motion:
-    """How one part moves; lengths are relative, since a mechanism has a direction but no size."""
+    """Motion of one part; lengths are relative, since a mechanism has a direction but no size."""
 
     part: int
     speed: float
@@ -47,12 +47,12 @@ class Motion:
         return ", ".join(texts)
 
     def to_dict(self, assembly: Assembly) -> dict[str, Any]:
-        """As JSON."""
+        """Return the motion as a JSON object."""
         return {"name": assembly.names[self.part], **asdict(self), "words": self.words}
 
 
 def motions(assembly: Assembly, velocity: NDArray[np.float64]) -> list[Motion]:
-    """The parts that a velocity moves, the fastest first.
+    """Return the parts that a velocity moves, the fastest first.
 
     Args:
         assembly: the structure.
@@ -75,7 +75,7 @@ def motions(assembly: Assembly, velocity: NDArray[np.float64]) -> list[Motion]:
 
 
 def describe(assembly: Assembly, moving: list[Motion], limit: int = 6) -> str:
-    """One line for the parts that move, such as `part 3 falls; part 4 turns about +y; and 2 more`."""
+    """Return one line for the parts that move, such as `part 3 falls; part 4 turns about +y; and 2 more`."""
     texts = [f"{subject(assembly, motion.part)} {motion.words}" for motion in moving[:limit]]
     if len(moving) > limit:
         texts.append(f"and {len(moving) - limit} more")
@@ -83,7 +83,7 @@ def describe(assembly: Assembly, moving: list[Motion], limit: int = 6) -> str:
 
 
 def subject(assembly: Assembly, part: int) -> str:
-    """A part at the beginning of a clause, such as `part 3` or `voussoir-3`."""
+    """Return a part at the beginning of a clause, such as `part 3` or `voussoir-3`."""
     name = part_name(assembly, part)
     return f"part {name}" if name[0].isdecimal() else name
 

@@ -1,4 +1,4 @@
-"""`falsework view`: look at a plan in the browser, and steer it."""
+"""`falsework view`: interactive view of a plan in the browser."""
 
 from __future__ import annotations
 
@@ -31,16 +31,20 @@ class View(Command):
     policy: Annotated[str | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Run whose policy colours the parts and proposes new plans."""
     host: Annotated[str | None, arg(metavar="HOST", help_behavior_hint=UNSET)] = None
-    """Address to serve at; this machine alone if not given. Others then see and steer the page, without a password."""
+    """Address to serve at; local only if not given. Any other client can then view and control the page without a
+    password."""
+    allow_host: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint=UNSET)] = None
+    """Further names under which browsers may open the page, such as plans.example or a proxy's, separated by commas.
+    Requests for other names, and those that pages of other sites send, are refused."""
     port: int = 8080
     """Port to serve at; the next free one is taken if it is not free."""
     robots: int = 2
-    """Robots, where no plan says how many."""
+    """Number of robots where the file does not give one."""
     deadline: float = 60.0
-    """Seconds that a new plan may take."""
+    """Time limit of replanning."""
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """What stable means: compliant contacts without prestress bring every part to rest; or, as in the paper, contact
-    forces in balance exist."""
+    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
+    in balance exist."""
     browser: bool = False
     """Open the page in the browser."""
 
@@ -59,6 +63,7 @@ class View(Command):
             deadline=self.deadline,
             host=host,
             port=self.port,
+            allowed_hosts=(self.allow_host or "").split(","),
             browser=self.browser,
             wait=False,
         )

@@ -1,4 +1,4 @@
-"""A plan for a crew: step by step which part to place, which to hold and which to let go.
+"""Assembly instructions for a crew: parts to place, to hold and to release in each step.
 
 What a plan calls a robot is a support here: a robot, a prop, or a pair of hands that keeps a part exactly where it is
 until the sheet says that it may be released. The table is always in the order of assembly.
@@ -52,7 +52,7 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 @dataclass(frozen=True, eq=False)
 class SiteStep:
-    """One line of the sheet."""
+    """One step of the assembly instructions."""
 
     number: int
     """From 1."""
@@ -78,7 +78,7 @@ class SiteStep:
 
 @dataclass(frozen=True, eq=False)
 class SiteSheet:
-    """A plan as a crew follows it."""
+    """Plan as instructions for a crew."""
 
     timeline: Timeline
     steps: tuple[SiteStep, ...]
@@ -97,17 +97,17 @@ class SiteSheet:
         return tuple(np.flatnonzero((state != REMOVED) & ~self.assembly.boundary).tolist())
 
     def name(self, part: int) -> str:
-        """Number and name of a part; one of them if that says as much."""
+        """Return the number and name of a part; one of them if that says as much."""
         name = self.assembly.names[part]
         return name if name == str(part) or name.endswith((f"-{part}", f"_{part}")) else f"{part} {name}"
 
     def holding(self, place: int) -> tuple[tuple[int, int], ...]:
-        """Part and support of everything that is held after so many steps."""
+        """Return the part and support of everything that is held after so many steps."""
         return _holding(self.timeline, place)
 
 
 def site_sheet(plan: Plan, assembly: Assembly) -> SiteSheet:
-    """The sheet of a plan, in the order of assembly.
+    """Return the sheet of a plan, in the order of assembly.
 
     Args:
         plan: in either direction.
@@ -139,7 +139,7 @@ def site_sheet(plan: Plan, assembly: Assembly) -> SiteSheet:
 
 
 def way_in_words(way: NDArray[np.float64]) -> str:
-    """Where a part comes from, such as `from above` or `from +x and above`; `way` is where it goes, shape (3,)."""
+    """Describe the insertion direction, such as `from above`; `way` is the exit direction, shape (3,)."""
     sides = [f"{'-' if way[axis] > 0 else '+'}{'xy'[axis]}" for axis in (0, 1) if abs(way[axis]) > _LEANS]
     if abs(way[2]) > _LEANS:
         sides.append("above" if way[2] < 0 else "below")
@@ -147,7 +147,7 @@ def way_in_words(way: NDArray[np.float64]) -> str:
 
 
 def sheet_csv(sheet: SiteSheet) -> str:
-    """The table as CSV with a line of headings, one step a line."""
+    """Return the table as CSV with a line of headings, one step a line."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(COLUMNS)
@@ -187,12 +187,12 @@ def _rows(sheet: SiteSheet) -> Iterator[dict[str, Any]]:
 
 
 def _harmless(text: str) -> str:
-    """A text that no spreadsheet takes for a formula."""
+    """Return a text that no spreadsheet takes for a formula."""
     return f"'{text}" if text.startswith(_FORMULA) else text
 
 
 def _holding(timeline: Timeline, place: int) -> tuple[tuple[int, int], ...]:
-    """Part and support of everything that is held after so many steps, by support."""
+    """Return the part and support of everything that is held after so many steps, by support."""
     robots = timeline.holders[timeline.row(place)]
     held = np.flatnonzero(robots != NOBODY)
     return tuple(sorted(((int(part), int(robots[part])) for part in held), key=lambda pair: pair[1]))

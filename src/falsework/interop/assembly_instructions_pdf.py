@@ -1,4 +1,4 @@
-"""The sheet for the site as a PDF to print: a picture, what to do, and a box to tick for every step."""
+"""Printable PDF of assembly instructions: a picture, the action and a check box for every step."""
 
 from __future__ import annotations
 
@@ -32,6 +32,8 @@ _TOP = 16.0 * _POINT
 _PICTURE = (60.0 * _POINT, 38.0 * _POINT)
 _COLUMNS = (0.0, 13.0 * _POINT, 76.0 * _POINT, 126.0 * _POINT)
 """Where number, picture, what to do and what to hold begin."""
+_LISTED_PARTS = 12
+"""Names of parts in one line; the rest is a number."""
 CAMERA = Camera(width=480, height=304, zoom=0.96)
 """How the pictures look at the structure."""
 _REGULAR, _BOLD = "FalseworkSans", "FalseworkSans-Bold"
@@ -39,7 +41,7 @@ _GREY = "#77797d"
 
 
 def sheet_pdf(sheet: SiteSheet, *, camera: Camera = CAMERA, progress: Progress | None = None) -> bytes:
-    """A PDF of A4 pages.
+    """Return a PDF of A4 pages.
 
     Args:
         sheet: what is to be done.
@@ -77,7 +79,7 @@ def sheet_pdf(sheet: SiteSheet, *, camera: Camera = CAMERA, progress: Progress |
 
 
 def _pages(sheet: SiteSheet) -> Iterator[tuple[SiteStep, ...]]:
-    """Steps of each page; the first has room for fewer."""
+    """Yield steps of each page; the first has room for fewer."""
     room = _PAGE[1] - _MARGIN
     first, rest = int((room - _FIRST_TOP) // _ROW), int((room - _TOP) // _ROW)
     yield sheet.steps[:first]
@@ -179,7 +181,7 @@ def _foot(canvas: Canvas, sheet: SiteSheet, number: int, pages: int) -> None:
 
 
 def _picture(sheet: SiteSheet, step: SiteStep, camera: Camera) -> Any:
-    """The state after a step, as an image for the page."""
+    """Return the state after a step, as an image for the page."""
     from PIL import Image
     from reportlab.lib.utils import ImageReader
 
@@ -215,9 +217,9 @@ def _text(
     return x + canvas.stringWidth(text, font, size)
 
 
-def _shortened(sheet: SiteSheet, parts: tuple[int, ...], most: int = 12) -> str:
-    names = ", ".join(sheet.name(part) for part in parts[:most])
-    return names if len(parts) <= most else f"{names} and {len(parts) - most} more"
+def _shortened(sheet: SiteSheet, parts: tuple[int, ...]) -> str:
+    names = ", ".join(sheet.name(part) for part in parts[:_LISTED_PARTS])
+    return names if len(parts) <= _LISTED_PARTS else f"{names} and {len(parts) - _LISTED_PARTS} more"
 
 
 def _register_fonts() -> None:

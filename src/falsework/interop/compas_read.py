@@ -1,4 +1,4 @@
-"""Read COMPAS data: lists of meshes, assemblies of compas_assembly, models of compas_dem.
+"""Reader of COMPAS data: lists of meshes, assemblies of compas_assembly, models of compas_dem.
 
 COMPAS writes every object as JSON with the name of its class, `{"dtype": "compas.datastructures/Mesh", "data": ...}`.
 The classes that hold blocks are few and plain, so they are read here without COMPAS; `model.json` from an architect
@@ -7,7 +7,6 @@ needs nothing but this package.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.repair import check_mesh
+from falsework.utils.json_text import parse_json
 
 LARGEST_FILE = 512 * 1024 * 1024
 """Bytes; a file beyond that is refused rather than read into memory."""
@@ -34,7 +34,7 @@ _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """What the file says of one part."""
+    """Data of one part in a COMPAS file."""
 
     name: str
     vertices: NDArray[np.float64]
@@ -45,7 +45,7 @@ class _Block:
 
 
 def is_compas(path: Path | str) -> bool:
-    """Whether a path is a file that looks like COMPAS data: JSON that names the class of an object."""
+    """Return whether a path is a file that looks like COMPAS data: JSON that names the class of an object."""
     path = Path(path)
     if path.suffix.lower() != ".json" or not path.is_file():
         return False
@@ -104,7 +104,7 @@ def load_compas(
 
 
 class _Reader:
-    """Finds the blocks in COMPAS data and complains about what is not as it must be."""
+    """Reader of the blocks in COMPAS data, with precise errors."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -115,11 +115,11 @@ class _Reader:
         if self._path.stat().st_size > LARGEST_FILE:
             self._fail(f"it is larger than {LARGEST_FILE // 2**20} MiB", "write fewer or coarser meshes")
         try:
-            data = json.loads(self._path.read_text(encoding="utf-8"))
+            data = parse_json(self._path.read_text(encoding="utf-8"))
             found = list(self._find(data))
         except UnicodeDecodeError:
             self._fail("it is no text")
-        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
             if isinstance(error, InputError):
                 raise
             self._fail(f"something in it is not as COMPAS writes it ({type(error).__name__})")
@@ -130,7 +130,7 @@ class _Reader:
         return found
 
     def _find(self, data: Any) -> Iterator[_Block]:
-        """All blocks in a value, in their order."""
+        """Yield all blocks in a value, in their order."""
         if isinstance(data, list):
             for item in data:
                 yield from self._find(item)
@@ -156,7 +156,7 @@ class _Reader:
             yield from self._find(content)
 
     def _assembly(self, content: dict[str, Any]) -> Iterator[_Block]:
-        """Blocks of a compas_assembly `Assembly`: the nodes of its graph."""
+        """Yield blocks of a compas_assembly `Assembly`: the nodes of its graph."""
         graph = content["graph"]
         graph = graph.get("data", graph)
         default = graph.get("default_node_attributes") or {}
@@ -170,7 +170,7 @@ class _Reader:
                 )
 
     def _model(self, content: dict[str, Any]) -> Iterator[_Block]:
-        """Elements of a compas_model `Model`, such as a `BlockModel`, where their places in its tree put them."""
+        """Yield elements of a compas_model `Model`, such as a `BlockModel`, where their places in its tree put them."""
         elements = content["elements"]
 
         def walk(node: dict[str, Any], above: NDArray[np.float64]) -> Iterator[_Block]:
@@ -194,7 +194,7 @@ class _Reader:
         yield from walk(root, _matrix(content.get("transformation")))
 
     def _block(self, data: dict[str, Any], place: NDArray[np.float64], fallback: str = "") -> _Block:
-        """One mesh, polyhedron or box."""
+        """Return one mesh, polyhedron or box."""
         content: dict[str, Any] = _content(data)
         name = data.get("name") or (content.get("attributes") or {}).get("name") or fallback
         attributes = dict(content.get("attributes") or {})
@@ -222,7 +222,7 @@ class _Reader:
 
 
 def _named(blocks: list[_Block]) -> list[_Block]:
-    """Blocks with names that tell them apart: their own, or numbers if those do not."""
+    """Return blocks with names that tell them apart: their own, or numbers if those do not."""
     names = [block.name for block in blocks]
     if all(names) and len(set(names)) == len(names):
         return blocks
@@ -230,7 +230,7 @@ def _named(blocks: list[_Block]) -> list[_Block]:
 
 
 def _solid(block: _Block, scale: float) -> TriangleMesh:
-    """A block as a checked mesh of triangles, in metres."""
+    """Return a block as a checked mesh of triangles, in metres."""
     faces: list[list[int]] = []
     for face in block.faces:
         if len(face) < 3 or min(face) < 0 or max(face) >= len(block.vertices):
@@ -243,7 +243,7 @@ def _solid(block: _Block, scale: float) -> TriangleMesh:
 
 
 def _box(content: dict[str, Any]) -> NDArray[np.float64]:
-    """Corners of a box, shape (8, 3)."""
+    """Return corners of a box, shape (8, 3)."""
     size = np.array([content["xsize"], content["ysize"], content["zsize"]], dtype=float) / 2
     frame = content["frame"]
     frame = frame.get("data", frame)
@@ -254,7 +254,7 @@ def _box(content: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def _matrix(transformation: Any) -> NDArray[np.float64]:
-    """A COMPAS transformation as a matrix, shape (4, 4); the identity for none."""
+    """Return a COMPAS transformation as a matrix, shape (4, 4); the identity for none."""
     if not transformation:
         return _IDENTITY
     content = transformation.get("data", transformation)
@@ -265,7 +265,7 @@ def _matrix(transformation: Any) -> NDArray[np.float64]:
 
 
 def _content(data: dict[str, Any]) -> Any:
-    """What an object holds; the first version of COMPAS called it `value`."""
+    """Return the content of an object; the first version of COMPAS called it `value`."""
     return data["data"] if "data" in data else data["value"]
 
 

@@ -1,4 +1,4 @@
-"""Write COMPAS data: a list of meshes, an assembly of compas_assembly, or a model of compas_dem."""
+"""Writer of COMPAS data: a list of meshes, an assembly of compas_assembly, or a model of compas_dem."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _XYZ = {"x": 0.0, "y": 0.0, "z": 0.0}
 
 
 def compas_of(assembly: Assembly, kind: CompasKind = "meshes") -> Any:
-    """A structure as JSON values that `compas.json_load` reads.
+    """Return a structure as JSON values that `compas.json_load` reads.
 
     Args:
         assembly: the structure.
@@ -55,7 +55,7 @@ def write_compas(path: Path | str, assembly: Assembly, kind: CompasKind = "meshe
 
 
 class _guids:
-    """Guids of the things in one structure, by name."""
+    """Guids of the objects of one structure, by name."""
 
     def __init__(self, assembly: Assembly) -> None:
         self._identity = assembly.identity
@@ -65,7 +65,7 @@ class _guids:
 
 
 def _data(dtype: str, content: Mapping[str, Any], guid: str, name: str = "", parents: tuple[str, ...] = ()) -> dict:
-    """An object as COMPAS writes it."""
+    """Return an object as COMPAS writes it."""
     return {
         "dtype": dtype,
         "data": dict(content),
@@ -102,7 +102,7 @@ def _mesh(assembly: Assembly, part: int, guid: _guids, dtype: str = _MESH, role:
 
 
 def _assembly(assembly: Assembly, guid: _guids) -> dict[str, Any]:
-    """A compas_assembly `Assembly`: blocks at the nodes of a graph, interfaces at its edges."""
+    """Return a compas_assembly `Assembly`: blocks at the nodes of a graph, interfaces at its edges."""
     centers = assembly.mass.center.tolist()
     nodes = {
         str(part): {
@@ -149,7 +149,7 @@ def _assembly(assembly: Assembly, guid: _guids) -> dict[str, Any]:
 
 
 def _model(assembly: Assembly, guid: _guids) -> dict[str, Any]:
-    """A compas_dem `BlockModel`; it finds its contacts itself."""
+    """Return a compas_dem `BlockModel`; it finds its contacts itself."""
     elements, children, nodes = {}, [], {}
     for part, name in enumerate(assembly.names):
         block = {

@@ -1,4 +1,4 @@
-"""glTF 2.0: a structure, and a plan as an animation with one node a part.
+"""glTF 2.0 export: a structure, and a plan as an animation with one node per part.
 
 glTF has metres and y up, as the standard demands; whoever reads it turns it to his own axes. Each part is a node that
 sits at its centre of mass, so that positions keep their digits however far from the origin the structure is modelled.
@@ -37,7 +37,7 @@ _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
 
 def gltf_of(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb", step_seconds: float = 1.0) -> bytes:
-    """A glTF file, whole in itself.
+    """Return a glTF file, whole in itself.
 
     Without a plan every part is a node with its mesh. With a plan there is an animation besides: each part is a node
     that moves out along a straight way, or in; it carries one mesh for when the part stands by itself and one for
@@ -78,7 +78,7 @@ def write_gltf(
 
 
 class _Document:
-    """A glTF document that grows: its JSON, and its buffer."""
+    """glTF document under construction: its JSON and its buffer."""
 
     def __init__(self, assembly: Assembly) -> None:
         self._assembly = assembly
@@ -96,7 +96,7 @@ class _Document:
         self._geometry: dict[int, dict[str, int]] = {}
 
     def still(self, part: int) -> int:
-        """A node with the part's mesh, in the scene."""
+        """Return a node with the part's mesh, in the scene."""
         material = "boundary" if self._assembly.boundary[part] else NOBODY
         node = self._part_node(part)
         self._json["nodes"][node]["mesh"] = self._mesh(part, material, self._assembly.names[part])
@@ -227,7 +227,7 @@ class _Document:
         return len(entries) - 1
 
     def packed(self, kind: Kind) -> bytes:
-        """The document with its buffer as the bytes of a file."""
+        """Return the document with its buffer as the bytes of a file."""
         buffer: dict[str, Any] = {"byteLength": len(self._buffer)}
         if kind == "gltf":
             buffer["uri"] = "data:application/octet-stream;base64," + base64.b64encode(self._buffer).decode()
@@ -242,7 +242,7 @@ class _Document:
 
 
 def _visible(track: Track, robot: int) -> list[tuple[float, float]]:
-    """When a part looks as it does in the hands of a robot: seconds and scale, 1 to be seen and 0 not to be."""
+    """Return times and scales at which a part is shown as held: seconds, and 1 for shown or 0 for hidden."""
     times = sorted({time for time, _ in (*track.shown, *track.holder)})
     keys: list[tuple[float, float]] = []
     for time in times:
@@ -258,18 +258,18 @@ def _at(keys: Sequence[tuple[float, Any]], time: float) -> Any:
 
 
 def _indices(mesh: TriangleMesh) -> NDArray:
-    """Corners of all faces, in the smallest type that holds them; the largest value of a type is reserved."""
+    """Return corners of all faces, in the smallest type that holds them; the largest value of a type is reserved."""
     small = len(mesh.vertices) < 65535
     return mesh.faces.ravel().astype("<u2" if small else "<u4")
 
 
 def _y_up(points: ArrayLike) -> NDArray[np.float64]:
-    """Points of a world with z up in one with y up; shape (..., 3)."""
+    """Return points of a world with z up in one with y up; shape (..., 3)."""
     points = np.asarray(points, dtype=np.float64)
     return points[..., [0, 2, 1]] * (1.0, 1.0, -1.0)
 
 
 def _linear(color: str) -> list[float]:
-    """Red, green, blue as renderers compute with them, from a colour as screens show it (sRGB)."""
+    """Return red, green, blue as renderers compute with them, from a colour as screens show it (sRGB)."""
     values = np.array(unit_rgb(color))
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).round(4).tolist()

@@ -1,4 +1,4 @@
-"""A plan as motion: when each part shows, who holds it, and where it is on its way."""
+"""Keyframe tracks of a plan: visibility, holder and position of each part over time."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PAUSE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What happens to one part, as keys in time; a value holds from its key to the next."""
+    """Keyframes of one part; a value holds from its key to the next."""
 
     shown: tuple[tuple[float, bool], ...]
     """Seconds and whether the part is to be seen from then on; the first key is at 0."""
@@ -57,7 +57,7 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """A plan as motion of its parts, one step after the other."""
+    """Keyframe tracks of all parts of a plan, one step after the other."""
 
     tracks: tuple[Track, ...]
     """One a part."""
@@ -115,7 +115,7 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
 
 
 def _clean(keys: list[tuple[float, Value]]) -> tuple[tuple[float, Value], ...]:
-    """Keys without those that change nothing; of two at one time the later one counts."""
+    """Return keys without those that change nothing; of two at one time the later one counts."""
     last = dict(keys)
     kept: list[tuple[float, Value]] = []
     for time, value in last.items():

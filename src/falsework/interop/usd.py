@@ -1,4 +1,4 @@
-"""USD with physics: bodies, masses, friction and supports for a robot simulator, and a plan as time samples.
+"""USD export with physics: bodies, masses, friction and supports, and a plan as time samples.
 
 Written as text (`.usda`), which needs no package and shows in a difference what changed; `usdcat` makes it binary. Why
 USD and not URDF: docs/decisions/0071.
@@ -34,7 +34,7 @@ _CONVEX = 1e-3
 
 
 def usd_of(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float = 1.0) -> str:
-    """A structure as a USD stage in text form, in metres, kilograms and z up.
+    """Return a structure as a USD stage in text form, in metres, kilograms and z up.
 
     Every part is an `Xform` at its centre of mass with mass, inertia and a collision mesh; boundary parts are fixed
     colliders, the others rigid bodies. One physics material carries the friction. With a plan, parts follow it as
@@ -112,7 +112,7 @@ def _material(friction: float) -> list[str]:
 
 
 def _body(assembly: Assembly, part: int, name: str, root: str, track: Track | None) -> list[str]:
-    """One part: where it is and how heavy, and its surface."""
+    """Return one part: where it is and how heavy, and its surface."""
     fixed = bool(assembly.boundary[part])
     schemas = "" if fixed else '    prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]\n'
     center = assembly.mass.center[part]
@@ -163,7 +163,7 @@ def _surface(assembly: Assembly, part: int, root: str, track: Track | None) -> l
 
 
 def _colors(track: Track) -> Iterable[tuple[float, str]]:
-    """Colour by who holds the part; a key just before each change keeps it from fading."""
+    """Yield the colour by who holds the part; a key just before each change keeps it from fading."""
     before = None
     for time, robot in track.holder:
         value = f"[{_tuple(unit_rgb(INSTALLED if robot == NOBODY else robot_color(robot)))}]"
@@ -179,7 +179,7 @@ def _samples(attribute: str, keys: Iterable[tuple[float, str]]) -> list[str]:
 
 
 def _principal(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Principal moments, shape (3,), and the rotation to their axes as a quaternion `wxyz`, shape (4,)."""
+    """Return principal moments, shape (3,), and the rotation to their axes as a quaternion `wxyz`, shape (4,)."""
     from scipy.spatial.transform import Rotation
 
     moments, axes = np.linalg.eigh(inertia)
@@ -196,7 +196,7 @@ def _convex(mesh: TriangleMesh) -> bool:
 
 
 def _identifiers(names: Sequence[str]) -> list[str]:
-    """Names as USD allows them, each once and none like the prims beside the parts."""
+    """Return names as USD allows them, each once and none like the prims beside the parts."""
     taken, found = {"physics", "surface"}, []
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", name) or "part"
@@ -215,7 +215,7 @@ def _indent(lines: Iterable[str]) -> list[str]:
 
 
 def _text(text: str) -> str:
-    """A text in quotes; JSON's escapes are a part of USD's."""
+    """Return a text in quotes; JSON's escapes are a part of USD's."""
     return json.dumps("".join(letter for letter in text if letter.isprintable()), ensure_ascii=False)
 
 

@@ -1,4 +1,4 @@
-"""Deadlines that are kept, and where the time goes."""
+"""Deadlines, and accounts of the time spent on the way."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SLICE = 0.02
 
 
 class TimeUp(KeyboardInterrupt):
-    """The clock has run out in the middle of a batch of verdicts.
+    """Deadline exceeded in the middle of a batch of verdicts.
 
     Searches take it like an interruption from the keyboard: they stop where they are, in good order, and hand back
     what they have.
@@ -32,7 +32,7 @@ class TimeUp(KeyboardInterrupt):
 
 
 class Clock:
-    """Says when to stop, and keeps account of what the time went into."""
+    """Deadline of a request, with an account of the time spent."""
 
     def __init__(self, deadline: float | None = None) -> None:
         """Start counting; stop after `deadline` seconds, or never."""
@@ -78,7 +78,7 @@ class Clock:
 
 
 class TimedOracle:
-    """An oracle that looks at the clock between small batches; anything that searches can be stopped with it."""
+    """Oracle that checks the deadline between small batches, so that any search with it can be interrupted."""
 
     def __init__(
         self,
@@ -103,7 +103,7 @@ class TimedOracle:
         self._between = between or (lambda: None)
 
     def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """As `falsework.search.problem.oracle.Oracle`.
+        """Judge states as `falsework.search.problem.oracle.Oracle`.
 
         Raises:
             TimeUp: the clock has run out.
@@ -125,13 +125,13 @@ class TimedOracle:
         return verdicts
 
     def rules_out(self, states: States) -> Mask:
-        """Which states replays have ruled out, shape (batch,)."""
+        """Return whether replays have ruled out each state, shape (batch,)."""
         known = () if self.replayer is None else self.replayer.ruled_out
         return np.array([bool(known) and state.tobytes() in known for state in states], dtype=bool)
 
 
 class Pace:
-    """How many states to judge between two looks at the clock."""
+    """Batch size between two checks of the deadline, adapted to the time that a state takes."""
 
     def __init__(self, *, limited: bool) -> None:
         """Begin small where there is a deadline; take all at once where there is none."""

@@ -1,4 +1,4 @@
-"""How a new plan differs from an old one: for people who have prepared the old one, and as JSON."""
+"""Difference between an old plan and a new one, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NAMED = 5
 
 @dataclass(frozen=True)
 class Move:
-    """A part whose place in the order has changed."""
+    """Part whose position in the order has changed."""
 
     part: int
     name: str
@@ -35,7 +35,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Difference:
-    """What changes for somebody who had prepared for the old plan."""
+    """Changes between an old plan and a new one."""
 
     direction: Direction
     """In which both plans are compared: that of the new one."""
@@ -95,7 +95,7 @@ class Difference:
         return "; ".join(pieces)
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON."""
+        """Return the difference as a JSON object."""
         moved = [
             {"part": move.part, "name": move.name, "before": move.before, "now": move.now, "places": move.places}
             for move in self.moved
@@ -119,7 +119,7 @@ class Difference:
 
 
 def difference(old: Plan, new: Plan) -> Difference:
-    """What changes when a new plan takes the place of an old one.
+    """Compare a new plan with the plan that it replaces.
 
     The old plan is read in the direction of the new one, from the state on in which the new one begins, if it passes
     through that.
@@ -166,7 +166,7 @@ def difference(old: Plan, new: Plan) -> Difference:
 
 
 def _placed(actions: NDArray[np.int64], plan: Plan) -> list[int]:
-    """Parts in the order in which they are inserted, or removed."""
+    """Return parts in the order in which they are inserted, or removed."""
     parts = len(plan.boundary)
     return (actions[actions >= parts] - parts).tolist()
 

@@ -1,4 +1,4 @@
-"""A policy as the guide of a search, and as the source of rollouts: probabilities on arrays, torch behind the door."""
+"""Policy as an action heuristic of a search and as a sampler of rollouts, on NumPy arrays."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BATCH = 4096
 
 
 class PolicyGuide:
-    """Scores actions by the logarithm of the probability that a policy gives them; a `falsework.search.Guide`.
+    """Action heuristic by the log-probabilities of a policy; a `falsework.search.Guide`.
 
     In disassembly that is the probability of the action in the state. In assembly an action is undone, and what counts
     is the probability with which the policy would take it from the state before: summed up along a way, both are the
@@ -60,7 +60,7 @@ class PolicyGuide:
         self._seconds: dict[int, float] = {}
 
     def for_task(self, task: Task) -> PolicyGuide:
-        """The same policy as the guide of another task."""
+        """Return the same policy as the guide of another task."""
         return PolicyGuide(self.policy, task=task)
 
     def practise(self, state: States, rows: int) -> None:
@@ -77,7 +77,7 @@ class PolicyGuide:
             self._ask(states, states if self.two_states else None)
 
     def seconds_for(self, rows: int) -> float:
-        """How long the network may take for so many states at once, from what it took before; 0 if nothing is known."""
+        """Estimate the network's time for a number of states from earlier calls, s; 0 if nothing is known."""
         if not self._seconds:
             return 0.0
         nearest = min(self._seconds, key=lambda known: abs(known - rows.bit_length()))
@@ -103,7 +103,7 @@ class PolicyGuide:
         return np.maximum(scores, _FLOOR)
 
     def log_probabilities(self, states: States, legal: Mask, targets: States | None = None) -> NDArray[np.float64]:
-        """Logarithms of the probabilities of all actions, minus infinity where they are not legal.
+        """Return logarithms of the probabilities of all actions, minus infinity where they are not legal.
 
         Args:
             states: shape (batch, parts).
@@ -122,7 +122,7 @@ class PolicyGuide:
         return shifted - np.log(np.where(total > 0, total, 1.0))
 
     def _logits(self, states: States, targets: States | None) -> NDArray[np.float64]:
-        """What the network says, each distinct question asked once. Shape (batch, 2 parts)."""
+        """Evaluate the network on distinct inputs. Shape (batch, 2 parts)."""
         targets = targets if self.two_states else None
         questions = states if targets is None else np.concatenate([states, targets], axis=1)
         questions = np.ascontiguousarray(questions)

@@ -1,4 +1,4 @@
-"""The stages of a replanner in which the policy decides: its most probable actions, then samples."""
+"""Policy stages of a replanner: greedy rollouts, then sampled rollouts."""
 
 from __future__ import annotations
 
@@ -95,14 +95,14 @@ def follow_samples(jobs: Sequence[Job], kit: Kit) -> None:
 
 
 def _late(job: Job) -> bool:
-    """Whether the clock of a job has run out; if so, it need not wait for the others any longer."""
+    """Return whether the clock of a job has run out; if so, it need not wait for the others any longer."""
     if job.clock.passed:
         job.others()
     return job.clock.passed
 
 
 def with_time(wanted: Sequence[tuple[Job, int]], guide: PolicyGuide) -> list[Job]:
-    """Jobs whose deadline leaves time for rollouts, and as much again for a search if they fail.
+    """Return jobs whose deadline leaves time for rollouts, and as much again for a search if they fail.
 
     Args:
         wanted: jobs and the number of their rollouts.
@@ -122,7 +122,7 @@ def with_time(wanted: Sequence[tuple[Job, int]], guide: PolicyGuide) -> list[Job
 
 
 def _hopes(job: Job) -> list[Task]:
-    """The task, and where parts are missing, with them later and later."""
+    """Return the task, and where parts are missing, with them later and later."""
     task = job.task
     if not task.missing:
         return [task]
@@ -132,7 +132,7 @@ def _hopes(job: Job) -> list[Task]:
 
 
 def _branches(job: Job, count: int) -> list[States]:
-    """Proven ways that samples go on from."""
+    """Return proven ways that samples go on from."""
     ways = [job.prefix[:1]] * ((count + 1) // 2)
     length, back = len(job.prefix), _BACK
     while len(ways) < count:
@@ -143,7 +143,7 @@ def _branches(job: Job, count: int) -> list[States]:
 
 
 def _proven_steps(owners: Sequence[Job], rollouts: Sequence[Rollout]) -> list[int]:
-    """For each rollout how many of its steps lead to states that stand, judged a piece of all at a time."""
+    """Count the leading steps of each rollout whose states are proven stable."""
     proven = np.array([len(rollout.states) - 1 for rollout in rollouts])
     steps = [(s, n) for n, r in enumerate(rollouts) for s in _judged_steps(r, owners[n].task)]
     steps.sort()
@@ -163,13 +163,13 @@ def _proven_steps(owners: Sequence[Job], rollouts: Sequence[Rollout]) -> list[in
 
 
 def _judged_steps(rollout: Rollout, task: Task) -> list[int]:
-    """Steps of a rollout after which a verdict is needed."""
+    """Return steps of a rollout after which a verdict is needed."""
     actions = Route.through(rollout.states).actions
     return (np.flatnonzero(task.needs_verdict(actions, Direction.DISASSEMBLY)) + 1).tolist()
 
 
 def _judge(owners: Sequence[Job], states: States, parents: States) -> NDArray[np.int8]:
-    """Verdicts for several jobs in one batch; 0 for those whose clock has run out."""
+    """Return verdicts for several jobs in one batch; 0 for those whose clock has run out."""
     verdict = np.zeros(len(states), dtype=np.int8)
     pace = Pace(limited=any(job.clock.limited for job in owners))
     oracle = owners[0].kit.prover.oracle

@@ -1,4 +1,4 @@
-"""Proves the states of a route by certificates, each state once in the life of a replanner."""
+"""Certificates for the states of a route; each state is proven once in the life of a replanner."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PIECE = 64
 
 
 class Prover:
-    """Turns routes into plans of which every state is proved stable by a certificate that the checker accepts."""
+    """Converter of routes into plans whose every state has a certificate that the checker accepts."""
 
     def __init__(self, assembly: Assembly, oracle: Stability) -> None:
         """Prove with `oracle`, which must be one of `assembly`."""
@@ -36,11 +36,11 @@ class Prover:
         self._per_state = 1e-3
 
     def states_to_prove(self, steps: int) -> int:
-        """States of a plan of so many steps that need a proof of their own."""
+        """Return states of a plan of so many steps that need a proof of their own."""
         return steps // 2 + 2 if self.oracle.holds_keep_stable else steps + 1
 
     def seconds_for(self, states: int) -> float:
-        """How long proving so many states may take, from the proofs so far."""
+        """Estimate the time to prove a number of states from the proofs so far, s."""
         return states * self._per_state
 
     def practise(self) -> None:
@@ -54,7 +54,7 @@ class Prover:
         self._per_state = (time.perf_counter() - begun) / max(len(movable), 1)
 
     def plan(self, route: Route, task: Task, *, forces: bool = False, seconds: float = np.inf) -> Plan:
-        """A plan for disassembly along a route.
+        """Return a plan for disassembly along a route.
 
         Args:
             route: states and actions.
@@ -75,12 +75,12 @@ class Prover:
         return Plan.of(route, self.assembly, task, verdicts, self.oracle.settings.claim)
 
     def _unproven(self, route: Route) -> int:
-        """States of a route that need a proof and have none yet."""
+        """Return states of a route that need a proof and have none yet."""
         needed = self._needed(route.actions, route.states.shape[1])
         return sum(state.tobytes() not in self._residual for state in route.states[needed])
 
     def _needed(self, actions: NDArray[np.int64], parts: int) -> Mask:
-        """Which states of a route need a proof of their own, shape (steps + 1,)."""
+        """Return whether each state of a route needs its own proof, shape (steps + 1,)."""
         return np.concatenate([[True], (actions >= parts) | (not self.oracle.holds_keep_stable)])
 
     def prove(self, states: States, actions: NDArray[np.int64]) -> Verdicts:

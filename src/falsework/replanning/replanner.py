@@ -1,4 +1,4 @@
-"""Another plan, now: a policy proposes, searches back it up, and every state of the answer is proved stable.
+"""Replanner: a policy proposes plans, searches back it up, and every state of an answer is proven stable.
 
 First the policy's most probable actions, then actions drawn from its probabilities, then beam searches that it
 guides, then the search that needs no policy, at last all states there are. Nothing that a policy says is believed:
@@ -35,7 +35,7 @@ Finished = Callable[[int, Replan], None]
 
 
 class Replanner:
-    """Answers requests about one structure, and keeps all that serves the next one: kernels, verdicts, proofs.
+    """Replanner of one structure; kernels, verdicts and proofs are kept for later requests.
 
     One object serves one structure and one policy; requests of several threads wait for each other. Hand requests
     that come together to `replan_many`, which asks network and oracle about all of them at once.
@@ -115,7 +115,7 @@ class Replanner:
 
 
 class _Round:
-    """Works on requests that came together until all have their answers."""
+    """Requests answered together until all have their results."""
 
     def __init__(self, jobs: Sequence[Job], kit: Kit, support: Guide, finished: Finished | None) -> None:
         self._jobs = jobs
@@ -142,7 +142,7 @@ class _Round:
         return [self._answers[number] for number in range(len(self._jobs))]
 
     def _open(self) -> list[Job]:
-        """Jobs on which work goes on; the others get their answers."""
+        """Return jobs on which work goes on; the others get their answers."""
         for number, job in enumerate(self._jobs):
             if job.settled:
                 self._answer(number)

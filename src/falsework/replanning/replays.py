@@ -1,4 +1,4 @@
-"""Replays of the routes that a request may be answered with, as far as its deadline allows."""
+"""Contact replays of candidate routes within the deadline of a request."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PIECE = 8
 
 @dataclass(frozen=True)
 class Replayed:
-    """How a plan went when it was replayed in the order of assembly, with contact history."""
+    """Result of a replay of a plan in the order of assembly, with contact history."""
 
     stands: bool | None
     """True if every state comes to rest, False if one does not, None if the deadline came first."""
@@ -33,13 +33,13 @@ class Replayed:
     """Largest movement of a part in these steps since it was placed, m."""
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON."""
+        """Return the replay as a JSON object."""
         return {"stands": self.stands, "steps": self.steps, "of": self.of, "largest_movement": self.moved}
 
 
 @dataclass(eq=False)
 class _Progress:
-    """A replay that can be gone on with."""
+    """Replay that can be continued."""
 
     result: np.ndarray
     moved: np.ndarray
@@ -60,7 +60,7 @@ class _Progress:
 
 
 class TimedReplayer:
-    """A replayer that looks at the clock between a few steps, and replays no sequence twice.
+    """Replayer that checks the deadline between steps and replays no sequence twice.
 
     Searches use it like a `Replayer`. They rule the state out in which a sequence falls, which makes no sense of the
     two ends, since every sequence has them: where an end falls, its neighbour is ruled out.
@@ -87,7 +87,7 @@ class TimedReplayer:
         return self._replayer.problem
 
     def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
-        """As `Replayer.replay`, without histories unless a single state is replayed.
+        """Replay as `Replayer.replay`, without histories unless a single state is replayed.
 
         Raises:
             TimeUp: the clock ran out; `unfinished` then is this sequence.
@@ -108,7 +108,7 @@ class TimedReplayer:
         return Replay(result, progress.moved, progress.part, progress.residual, 0.0)
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """As `Replayer.step`.
+        """Replay a step as `Replayer.step`.
 
         Raises:
             TimeUp: the clock ran out.

@@ -1,4 +1,4 @@
-"""What is asked when a plan must change: where things stand, where they shall go, and what has changed."""
+"""Replanning request: current state, target, and what has changed on site."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_PLANS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """One question to a `Replanner`.
+    """Request to a `Replanner`.
 
     A plan leads from `state` to `target`. In assembly parts are added: that is the building site, the target is the
     complete structure unless another is given, and the plan says what to insert and to release from here on. In
@@ -51,7 +51,7 @@ class Request:
     """Hand back what the policy thinks of every action in every state of the plan."""
 
     def way(self, assembly: Assembly) -> Direction:
-        """Whether parts are added or taken away.
+        """Return whether parts are added or taken away.
 
         Raises:
             StateError: malformed states, or a target that neither leads to.

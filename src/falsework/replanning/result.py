@@ -1,4 +1,4 @@
-"""What a replanner answers: proven plans or an honest no, who decided, and where the time went."""
+"""Replanning result: proven plans or the reason for none, the deciding stage, and a time account."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from falsework.stability.verdict import Criterion
 
 
 class Decider(StrEnum):
-    """Who found the first plan, or proved that there is none."""
+    """Stage that found the first plan, or proved that there is none."""
 
     NOBODY = "nobody"
     """The question is open."""
@@ -38,7 +38,7 @@ class Decider(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Replan:
-    """Answer to one request."""
+    """Result of one request."""
 
     plans: tuple[Plan, ...]
     """Proven plans from the state to the target, in the direction that was asked for; the first is the best."""
@@ -85,7 +85,7 @@ class Replan:
         return self.plans[0] if self.plans else None
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON, without the plans themselves."""
+        """Return the result as a JSON object, without the plans themselves."""
         record: dict[str, Any] = {
             "outcome": self.outcome.value,
             "decided_by": self.decided_by.value,

@@ -1,4 +1,4 @@
-"""What a replanner does where rollouts of the policy are not enough: searches, a slice of time each in turn."""
+"""Search stages of a replanner, which take turns in time slices."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ _TURN_LEVELS = 8
 
 class _Search(Protocol):
     def run(self, *, stop: Stop | None = None) -> SearchResult:
-        """As of `BeamSearch`."""
+        """Run as `BeamSearch.run`."""
         ...
 
 
 class _Census:
-    """A search through all states, run like the others."""
+    """Exhaustive search behind the interface of the other searches."""
 
     def __init__(self, job: Job) -> None:
         self._job = job
@@ -62,7 +62,7 @@ class _Census:
 
 
 class _TimedGuide:
-    """A guide whose time is put to the policy's account."""
+    """Action heuristic whose time counts as the policy's."""
 
     def __init__(self, guide: PolicyGuide, clock: Clock) -> None:
         self._guide = guide
@@ -106,7 +106,7 @@ def _first_plan(job: Job, guide: Guide) -> Iterator[None]:
 
 
 def _affordable(job: Job, policy: PolicyGuide) -> bool:
-    """Whether there is time for a beam that the policy guides beside the plain search."""
+    """Return whether there is time for a beam that the policy guides beside the plain search."""
     widths = job.kit.settings.widths
     if not widths:
         return False
@@ -153,7 +153,7 @@ def _finish(rivals: list[_Turns], job: Job) -> Iterator[None]:
 
 
 class _Turns:
-    """A search that stops after some levels, to go on in its next turn."""
+    """Search that runs some levels per turn."""
 
     def __init__(self, search: _Search, decider: Decider, levels: int) -> None:
         self.search = search

@@ -1,4 +1,4 @@
-"""One request on its way to an answer: its task, its clock, and what was found for it so far."""
+"""Session of one replanning request: its task, its deadline, and the candidates found so far."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class Job:
         self.outcome = Outcome.FOUND
 
     def stands(self, route: Route, by: Decider = Decider.SEARCH) -> bool:
-        """Whether a replay of a route stands, as far as there is time for it.
+        """Return whether a replay of a route stands, as far as there is time for it.
 
         The state in which it falls is ruled out: the oracle of this job from then on says that it slides.
         """
@@ -156,7 +156,7 @@ class Job:
             self.busy = before
 
     def choose(self, task: Task, states: States, given: Sequence[Route]) -> list[Route]:
-        """As many routes through some states as are wanted, as different as possible, of which no replay falls.
+        """Choose the wanted number of diverse routes through some states, of which no replay falls.
 
         Args:
             task: what they are routes of.
@@ -259,7 +259,7 @@ class Job:
         )
 
     def _choose(self) -> Alternatives:
-        """As many of the plans that were found as are wanted."""
+        """Choose the wanted number of the plans found."""
         wanted, routes = self.request.alternatives, self.routes
         if wanted == 1 or len(routes) <= wanted or self._chosen or self.task.missing:
             return Alternatives.of(routes[:wanted])
@@ -286,7 +286,7 @@ class Job:
         return self.result.limit if self.result is not None and self.result.limit else "the search was limited"
 
     def _moving(self) -> tuple[int, ...]:
-        """Parts that move where the search broke off; not looked at once the deadline has passed."""
+        """Return parts that move where the search broke off; not looked at once the deadline has passed."""
         rejected = self._unstable
         if rejected is None and self.result is not None:
             rejected = self.result.rejected[:_LOOKED_AT]

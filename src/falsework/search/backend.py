@@ -1,4 +1,4 @@
-"""Which beam search runs where: arrays on the processor, or tensors on a GPU and in several processes."""
+"""Choice of the beam search backend: arrays on the CPU, or tensors on a GPU and in several processes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def beam_search(
     task: Task, oracle: Stability, settings: BeamSettings = BeamSettings(), device: str = "auto"
 ) -> Iterator[tuple[BeamSearch | DeviceBeam, bool]]:
-    """A beam search on the device asked for, shared with the other processes if `torchrun` started several.
+    """Yield a beam search on the device asked for, shared with the other processes if `torchrun` started several.
 
     Args:
         task: rules between start and target.

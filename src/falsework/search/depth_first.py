@@ -21,12 +21,12 @@ from falsework.utils.archive import read_archive, write_archive
 
 FORMAT = "falsework.depth-first/1"
 
-_REPORTED = 64
+_REPORTED_STATES = 64
 
 
 @dataclass(frozen=True)
 class DepthFirstSettings:
-    """How a depth-first search walks."""
+    """Settings of a depth-first search."""
 
     direction: Direction = Direction.DISASSEMBLY
     """Which end to begin at."""
@@ -41,7 +41,7 @@ class DepthFirstSettings:
 
 
 class DepthFirstSearch:
-    """Goes on from the newest state, and back where no untried stable move is left.
+    """Depth-first search with backtracking that can be saved and resumed.
 
     A state is entered once: one that was left behind without success cannot succeed on another way. Moves that free a
     robot come first, since holding more is nearly always possible and rarely of use by itself.
@@ -209,7 +209,7 @@ class DepthFirstSearch:
         order = np.lexsort((rng.random(len(rows)), preference))
         if len(self._path) > self._reached or not len(self._deepest):
             self._reached, self._deepest = len(self._path), level
-            self._rejected = frontier.states(asked[~stable[asked]])[:_REPORTED]
+            self._rejected = frontier.states(asked[~stable[asked]])[:_REPORTED_STATES]
         self._path.append(state)
         self._untried.append(frontier.action[rows[order]].tolist())
         self._entered.add(state.tobytes())

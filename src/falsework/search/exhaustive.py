@@ -1,4 +1,4 @@
-"""Exhaustive search for small structures: proves that there is no plan, or counts them all."""
+"""Exhaustive search for small structures: proof that no plan exists, or the count of all plans."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from falsework.search.problem.task import Direction, Task
 
 @dataclass(frozen=True, eq=False)
 class Census:
-    """End of an exhaustive search."""
+    """Result of an exhaustive search."""
 
     result: SearchResult
     complete: bool

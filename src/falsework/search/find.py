@@ -47,7 +47,7 @@ class TaskRules(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False)
 class Planning:
-    """What came out of `find_plans`."""
+    """Result of `find_plans`."""
 
     result: SearchResult
     """How the search ended, and if it found nothing, how far it came."""
@@ -127,7 +127,7 @@ def find_plans(
 
 
 def task_of(assembly: Assembly, robots: int = 2, **rules: Unpack[TaskRules]) -> Task:
-    """Make the task of taking a structure apart.
+    """Return the task of taking a structure apart.
 
     Args:
         assembly: the structure.
@@ -175,7 +175,7 @@ def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, 
 def choose_plans(
     planner: Planner, settings: PlannerSettings, name: str = "", *, stop: Stop | None = None
 ) -> Alternatives:
-    """Of all that a planner has found, as many plans as the settings ask for, as different as possible.
+    """Choose the requested number of plans, as different as possible, from all that a planner has found.
 
     Args:
         planner: with at least one route.

@@ -1,4 +1,4 @@
-"""Finds plans: beams that widen where they must, from both ends; then later missing parts; then other plans."""
+"""Planner: adaptive beams from both ends, postponement of missing parts, and alternative plans."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _NOVEL_WIDTH = 4
 
 @dataclass(frozen=True)
 class PlannerSettings:
-    """How hard to look for plans."""
+    """Settings of the planner."""
 
     width: int = 64
     """Widest beam that is tried before giving up."""
@@ -57,7 +57,7 @@ class PlannerSettings:
             raise InputError(f"{self.alternatives} alternatives is no number of plans; ask for at least 1")
 
     def attempts(self, stage: str = "plan") -> tuple[tuple[Direction, int], ...]:
-        """Ends to search from, and how wide a beam may become there, in the order in which they are tried.
+        """Return ends to search from, and how wide a beam may become there, in the order in which they are tried.
 
         Args:
             stage: `plan`, `postpone` or `alternatives`.
@@ -74,7 +74,7 @@ class PlannerSettings:
 
 
 class Planner:
-    """Looks for a plan, then postpones missing parts, then gathers states for alternative plans.
+    """Planner of first plans, of plans with postponed parts, and of alternatives.
 
     Where parts are missing, plans are compared by the steps of assembly before the first of them goes in, then before
     the second, and so on; each of these numbers in turn is driven up by bisection, with searches in which the parts
@@ -270,7 +270,7 @@ class Planner:
         return False
 
     def _stands(self, route: Route) -> bool:
-        """Whether a replay of a route in the order of assembly stands; if not, note the state in which it falls."""
+        """Return whether the replay of a route comes to rest in every state; note the first state that falls."""
         if self._replayer is None:
             return True
         replay = self._replayer.replay(route.states[::-1])
@@ -418,7 +418,7 @@ class Planner:
 
 
 def insertion_steps(route: Route, task: Task) -> tuple[int, ...]:
-    """Steps of assembly that a route does before the first, second, ... missing part goes in. Ascending."""
+    """Return steps of assembly that a route does before the first, second, ... missing part goes in. Ascending."""
     present = route.states[::-1][:, list(task.missing)] != REMOVED
     return tuple(sorted(int(steps) for steps in present.argmax(axis=0) - 1))
 

@@ -1,4 +1,4 @@
-"""What there is to ask, as a FastAPI application."""
+"""FastAPI application and routes."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _add_questions(
 
 
 def _add_reports(app: FastAPI, assembly: Assembly, pool: Pool, metrics: Metrics) -> None:
-    """What costs nothing to say."""
+    """Add the routes for health, structure and metrics."""
     written: list[bytes] = []
 
     async def structure() -> Response:
@@ -168,7 +168,7 @@ def _add_pages(app: FastAPI) -> None:
 
 
 def _route(method: str, summary: str, answer: str | None, question: str | None = None) -> dict[str, Any]:
-    """How a route is to be described."""
+    """Return the OpenAPI options of a route."""
     content = {_JSON: {"schema": _ref(answer)}} if answer else {"text/plain": {"schema": {"type": "string"}}}
     refused = (400, 401, 431, 500, 503) if question is None else (400, 401, 408, 413, 415, 422, 431, 500, 503)
     responses: dict[int | str, dict[str, Any]] = {

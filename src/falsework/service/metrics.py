@@ -1,4 +1,4 @@
-"""What the service counts, for Prometheus."""
+"""Prometheus metrics of the service."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Metrics:
         self._restarts.labels(kind).inc()
 
     def text(self, queue: int, workers: int) -> bytes:
-        """All of it, as Prometheus reads it."""
+        """Return all of it, as Prometheus reads it."""
         self._queue.set(queue)
         self._workers.set(workers)
         return generate_latest(self._registry)

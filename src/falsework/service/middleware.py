@@ -1,4 +1,4 @@
-"""The outermost layer: who may come in, how much they may bring, and that nothing leaks out."""
+"""ASGI middleware: authentication, size and rate limits, and error masking."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ log = logging.getLogger("falsework.service")
 
 
 class _Refused(Exception):
-    """The request goes no further."""
+    """Refusal of a request."""
 
     def __init__(self, status: int, text: str, headers: tuple[tuple[bytes, bytes], ...] = ()) -> None:
         super().__init__(text)
@@ -43,7 +43,7 @@ class _Refused(Exception):
 
 
 class Guard:
-    """Checks host, token and size, hands on requests that are whole, and turns what goes wrong into one line.
+    """Middleware that checks host, token and size, buffers whole requests, and masks errors.
 
     Without a token only this machine can connect, but a page in its browser could be made to do so under another name
     for 127.0.0.1; hence the look at the host.
@@ -154,5 +154,5 @@ async def _respond(send: Send, status: int, text: str, headers: tuple[tuple[byte
 
 
 def _digest(token: bytes) -> bytes:
-    """Of one length whatever the token's, so that comparing takes the same time."""
+    """Hash a token to a fixed length, so that a comparison takes the same time for every token."""
     return hashlib.sha256(token).digest()

@@ -1,4 +1,4 @@
-"""Shares requests among worker processes: batches, deadlines, and workers that are lost.
+"""Worker pool: batching, deadlines, and recovery of lost workers.
 
 Everything here runs in the event loop of the process that talks to clients; nothing in it takes long. A request that
 waits is answered at its deadline whatever the workers do. A worker that dies takes at most one try of its requests with
@@ -44,7 +44,7 @@ log = logging.getLogger("falsework.service")
 
 @dataclass(frozen=True)
 class Reply:
-    """An answer on its way to a client."""
+    """Answer to a client."""
 
     status: int
     body: bytes
@@ -53,7 +53,7 @@ class Reply:
 
 @dataclass(eq=False)
 class Ticket:
-    """A request that waits for its answer."""
+    """Request that waits for its answer."""
 
     kind: Kind
     payload: Any
@@ -71,7 +71,7 @@ class Ticket:
 
 @dataclass(eq=False)
 class _Worker:
-    """A process and what it is busy with."""
+    """Worker process and the requests that it works on."""
 
     kind: Kind
     process: Any
@@ -83,7 +83,7 @@ class _Worker:
 
 
 class Pool:
-    """Workers, and the requests that wait for them."""
+    """Worker processes and their request queues."""
 
     def __init__(
         self, assembly: Assembly, settings: ServiceSettings, metrics: Metrics, *, run: Path | None = None
@@ -119,11 +119,6 @@ class Pool:
     def ready(self) -> dict[Kind, int]:
         """Workers of each kind that take requests."""
         return {kind: sum(worker.ready for worker in self._workers if worker.kind == kind) for kind in KINDS}
-
-    @property
-    def pids(self) -> dict[Kind, list[int]]:
-        """Process ids of the workers."""
-        return {kind: [worker.process.pid for worker in self._workers if worker.kind == kind] for kind in KINDS}
 
     async def start(self) -> None:
         """Start all workers and wait until each has loaded the structure.
@@ -209,7 +204,7 @@ class Pool:
             self._send(worker, batch)
 
     def _take(self, kind: Kind, limit: int, share: int) -> list[Ticket]:
-        """The most urgent requests for one of `share` idle workers; one that was tried before goes by itself."""
+        """Return the most urgent requests for one of `share` idle workers; one that was tried before goes by itself."""
         queue = self._queues[kind]
         limit = min(limit, -(-len(queue) // share))
         batch: list[Ticket] = []
@@ -347,7 +342,7 @@ class Pool:
 
 
 def not_yet(seconds: float, criterion: Criterion) -> bytes:
-    """The answer to a request for a plan whose time is up: neither a plan nor a no."""
+    """Return the answer to a request for a plan whose time is up: neither a plan nor a no."""
     record = {
         "criterion": criterion,
         "outcome": NOT_YET,

@@ -1,4 +1,4 @@
-"""What requests and answers look like: checked on the way in, written down for the OpenAPI page."""
+"""Request validation and the OpenAPI schema."""
 
 from __future__ import annotations
 
@@ -36,26 +36,26 @@ def _whole_values(value: Any) -> Any:
 
 
 def whole(least: int, most: int) -> Any:
-    """A whole number between two bounds; the bounds come first, or the description would not have them."""
+    """Return a whole number between two bounds; the bounds come first, or the description would not have them."""
     return Annotated[int, Field(ge=least, le=most), BeforeValidator(_whole)]
 
 
 class Strict(BaseModel):
-    """Takes nothing that its description does not say."""
+    """Base of request models that forbid unknown fields."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
 @dataclass(frozen=True)
 class Models:
-    """Requests about one structure."""
+    """Request models for one structure."""
 
     replan: type[BaseModel]
     stability: type[BaseModel]
 
 
 def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
-    """Requests as they must be for a structure and the bounds of a service.
+    """Return requests as they must be for a structure and the bounds of a service.
 
     Args:
         assembly: says how long a state is.
@@ -88,7 +88,7 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
             numbers,
             Field(default=[], description="parts not delivered yet; they go in as late as can be"),
         ),
-        "fixed": (numbers, Field(default=[], description="parts that nobody must touch")),
+        "fixed": (numbers, Field(default=[], description="parts that must not be held or removed")),
         "robots": (whole(1, MOST_ROBOTS), Field(default=2, description="parts that can be held at a time")),
         "alternatives": (whole(1, MOST_ALTERNATIVES), Field(default=1, description="plans wanted")),
         "removable_only_if_clear": (
@@ -120,7 +120,7 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
 
 
 def read_state(value: Any, assembly: Assembly) -> States:
-    """A state in a request as an array, shape (parts,).
+    """Return a state in a request as an array, shape (parts,).
 
     Raises:
         StateError: a boundary part that is not 2.
@@ -133,7 +133,7 @@ def read_state(value: Any, assembly: Assembly) -> States:
 
 
 def read_states(values: list[Any], assembly: Assembly) -> States:
-    """States in a request as an array, shape (states, parts).
+    """Return states in a request as an array, shape (states, parts).
 
     Raises:
         StateError: a boundary part that is not 2.
@@ -148,7 +148,7 @@ def read_states(values: list[Any], assembly: Assembly) -> States:
 
 
 def complaint(error: ValidationError, parts: int) -> str:
-    """The first thing that is wrong with a request, in one line."""
+    """Return the first thing that is wrong with a request, in one line."""
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
     place = [str(piece) for piece in first["loc"]]
     if not place:
@@ -162,7 +162,7 @@ def complaint(error: ValidationError, parts: int) -> str:
 
 
 def components(models: Models) -> dict[str, Any]:
-    """Schemas of everything that goes in and out, by name, for the OpenAPI description."""
+    """Return schemas of everything that goes in and out, by name, for the OpenAPI description."""
     _, generated = models_json_schema(
         [(models.replan, "validation"), (models.stability, "validation")], ref_template=_REF
     )
@@ -180,7 +180,7 @@ def components(models: Models) -> dict[str, Any]:
             "of a state that slides or that is stable under the criterion equilibrium",
         },
         "residual": {"description": "share of gravity", "anyOf": [{"type": "number"}, {"type": "null"}]},
-        "moving": {**numbers, "description": "parts that move, the fastest first; only where asked for"},
+        "moving": {**numbers, "description": "parts that move, the fastest first; only on request"},
     }
     criterion = {
         "enum": list(get_args(Criterion)),
@@ -230,7 +230,7 @@ def components(models: Models) -> dict[str, Any]:
 
 
 def structure_record(assembly: Assembly, *, policy: bool) -> dict[str, Any]:
-    """What `GET /structure` says."""
+    """Return the answer to `GET /structure`."""
     return {
         "name": assembly.name,
         "identity": assembly.identity,
@@ -251,7 +251,7 @@ def structure_record(assembly: Assembly, *, policy: bool) -> dict[str, Any]:
 
 
 def _plan_components() -> dict[str, Any]:
-    """The published schema of plans, its definitions among the components."""
+    """Return the published schema of plans, its definitions among the components."""
     schema = plan_schema()
     text = json.dumps({name: value for name, value in schema.items() if name not in ("$schema", "$id", "$defs")})
     found: dict[str, Any] = {"Plan": text}

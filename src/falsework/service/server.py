@@ -1,4 +1,4 @@
-"""Listens, and hangs up on those who take too long."""
+"""HTTP server with limits on slow connections."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def run_service(
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A socket that listens.
+    """Return a socket that listens.
 
     Raises:
         InputError: no such address, or it is taken.
@@ -68,7 +68,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def server_of(assembly: Assembly, pool: Pool, settings: ServiceSettings, metrics: Metrics) -> uvicorn.Server:
-    """A server that is not running yet; it keeps clients to the bounds of the settings.
+    """Return a server that is not running yet; it keeps clients to the bounds of the settings.
 
     Args:
         assembly: the structure.
@@ -126,7 +126,7 @@ def _protocol(settings: ServiceSettings) -> type[H11Protocol]:
     longest = settings.longest_deadline + settings.body_seconds + settings.stuck_seconds
 
     class PatientNoLonger(H11Protocol):
-        """One connection."""
+        """Connection with time limits."""
 
         _hang_up: asyncio.TimerHandle | None = None
 

@@ -1,4 +1,4 @@
-"""What a service listens to, and the bounds on everything that comes in."""
+"""Service settings: addresses, and bounds on requests and time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SHORTEST_TOKEN = 16
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach a host's address."""
+    """Return whether only this machine can reach a host's address."""
     if host == "localhost":
         return True
     try:

@@ -1,4 +1,4 @@
-"""The processes that do the work: each loads the structure once and then answers batches until its pipe closes.
+"""Worker processes: each loads the structure once and answers batches until its pipe closes.
 
 A worker knows nothing of HTTP. It takes `(kind, items)` from its pipe and puts back one `Done` an item, as soon as it
 has it, and `None` after the last. What it sends is the text of the answer, so that nobody has to look at it again.
@@ -46,7 +46,7 @@ log = logging.getLogger("falsework.service")
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """What a worker needs to begin."""
+    """Initial data of a worker."""
 
     assembly: Assembly
     kind: Kind
@@ -58,7 +58,7 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Ready:
-    """A worker can take requests now."""
+    """Message: the worker accepts requests."""
 
     policy: str
     """What proposes actions, in words; empty for none."""
@@ -66,7 +66,7 @@ class Ready:
 
 @dataclass(frozen=True)
 class Failed:
-    """A worker cannot begin; somebody must do something about it."""
+    """Message: the worker cannot start, and a user must act."""
 
     reason: str
 
@@ -114,17 +114,17 @@ def work(pipe: Connection, recipe: Recipe) -> None:
 
 
 def refusal(text: str) -> bytes:
-    """An error as JSON, one line."""
+    """Return an error as JSON, one line."""
     return json.dumps({"error": " ".join(text.split())}, ensure_ascii=True).encode()
 
 
 def one_thread(criterion: Criterion) -> StabilitySettings:
-    """Settings of an oracle in a worker: the processes share the cores already."""
+    """Return settings of an oracle in a worker: the processes share the cores already."""
     return StabilitySettings(criterion=criterion, cpu=CpuSettings(threads=1))
 
 
 class _Judge:
-    """Answers what stands."""
+    """Worker loop for stability requests."""
 
     policy = ""
 
@@ -170,7 +170,7 @@ class _Judge:
 
 
 class _Planner:
-    """Answers with plans."""
+    """Worker loop for replanning requests."""
 
     def __init__(self, recipe: Recipe) -> None:
         os.nice(_BACKGROUND)
@@ -222,7 +222,7 @@ class _Planner:
 
 
 def replan_record(answer: Replan, criterion: Criterion) -> dict[str, Any]:
-    """An answer as JSON values, its plans as in plan files; `criterion` says what stable means in it."""
+    """Return an answer as JSON values, its plans as in plan files; `criterion` says what stable means in it."""
     cut = answer.outcome is Outcome.NOT_FOUND and answer.deadline_passed
     return {
         "criterion": criterion,
@@ -241,7 +241,7 @@ def replan_record(answer: Replan, criterion: Criterion) -> dict[str, Any]:
 
 
 def _load_policy(recipe: Recipe) -> tuple[Any, str]:
-    """The policy of a run and what it is in words."""
+    """Return the policy of a run and what it is in words."""
     if recipe.run is None:
         return None, ""
     from falsework.utils.optional_packages import check_torch

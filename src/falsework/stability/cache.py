@@ -1,4 +1,4 @@
-"""Verdicts that are known already, and those that follow from them by two rules.
+"""Cache of verdicts, and inference of further verdicts by two monotonicity rules.
 
 Among states with the same parts present, holding more keeps a state in equilibrium in equilibrium, and holding less
 keeps an unstable one unstable. The proofs carry over too: forces that balance a part balance it whichever others are
@@ -18,7 +18,7 @@ from falsework.stability.verdict import Verdict
 
 
 class VerdictCache:
-    """Remembers verdicts by the set of parts present and the set of parts held, as bit sets."""
+    """Cache of verdicts by the sets of present and of held parts, as bit sets."""
 
     def __init__(self, limit: int = 2_000_000, *, holds_keep_stable: bool = True) -> None:
         """Begin with nothing.
@@ -36,7 +36,7 @@ class VerdictCache:
         return self._size
 
     def look_up(self, states: States) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.bool_]]:
-        """Verdicts and residuals of the states that are known or follow, 0 and NaN elsewhere.
+        """Return verdicts and residuals of the states that are known or follow, 0 and NaN elsewhere.
 
         Returns:
             Verdict, residual, and whether it followed by a rule; each of shape (batch,).

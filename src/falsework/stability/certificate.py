@@ -1,4 +1,4 @@
-"""Checks a proof in float64 from the assembly alone; it trusts no solver and shares no code with them.
+"""Certificate checker: verifies a proof in float64 from the assembly alone, without code of the solvers.
 
 A displacement proves that a state is stable under the criterion `contact`: the check evaluates the contact law, which
 keeps forces inside the friction cones, and asks what they leave. It also proves equilibrium.
@@ -33,7 +33,7 @@ _CHUNK = 256
 
 @dataclass(frozen=True)
 class Claim:
-    """What is claimed of every verdict."""
+    """Criterion, cone, gravity, tolerance and bounds that a verdict refers to."""
 
     cone: str = "octagon"
     """Friction cone, `octagon` or `quadratic`."""
@@ -52,7 +52,7 @@ class Claim:
 def verify_certificates(
     assembly: Assembly, states: States, verdicts: Verdicts, claim: Claim = Claim()
 ) -> NDArray[np.bool_]:
-    """Whether each verdict is proven by the certificate that comes with it.
+    """Return whether each verdict is proven by the certificate that comes with it.
 
     Args:
         assembly: the structure.
@@ -128,7 +128,7 @@ def residual_of_displacement(assembly: Assembly, states: States, displacement: A
 
 
 def forces_of_displacement(assembly: Assembly, states: States, displacement: Array, claim: Claim) -> Array:
-    """Contact forces `(n, t1, t2)` in N that the law gives at a displacement, shape (batch, points, 3)."""
+    """Return the contact forces `(n, t1, t2)` in N that the law gives at a displacement, shape (batch, points, 3)."""
     relative = _relative(assembly, displacement)
     stiffness = normal_stiffness(assembly, claim.gravity)
     normal = np.maximum(-stiffness * relative[..., 0], 0.0)
@@ -140,7 +140,7 @@ def forces_of_displacement(assembly: Assembly, states: States, displacement: Arr
 
 
 def residual_of_forces(assembly: Assembly, states: States, forces: Array, claim: Claim = Claim()) -> Array:
-    """Residual that contact forces leave, or infinity where they are not admissible.
+    """Return the residual that contact forces leave, or infinity where they are not admissible.
 
     Args:
         assembly: the structure.
@@ -182,7 +182,7 @@ def residual_of_forces(assembly: Assembly, states: States, forces: Array, claim:
 
 
 def residual_bound_of_velocity(assembly: Assembly, states: States, velocity: Array, claim: Claim = Claim()) -> Array:
-    """Residual that every admissible set of contact forces leaves at least, as a velocity proves it.
+    """Return the residual that every admissible set of contact forces leaves at least, as a velocity proves it.
 
     For forces with sum of normals at most `B`, the power of all forces on velocity `w` is at least
     `w . gravity - B max_c s_c`, where `s_c` is the most power that contact point `c` can take out per newton of
@@ -219,7 +219,7 @@ def residual_bound_of_velocity(assembly: Assembly, states: States, velocity: Arr
 
 
 def _relative(assembly: Assembly, motion: Array) -> Array:
-    """Motion of part `b` against part `a` at every contact point in its frame, shape (batch, points, 3)."""
+    """Return the motion of part `b` against part `a` at every contact point in its frame, shape (batch, points, 3)."""
     contacts, mass = assembly.contacts, assembly.mass
     owner = contacts.contact_of_point
     relative = np.zeros((len(motion), len(owner), 3))
@@ -230,12 +230,12 @@ def _relative(assembly: Assembly, motion: Array) -> Array:
 
 
 def _acts(states: States, a: NDArray, b: NDArray) -> NDArray[np.bool_]:
-    """Contact points with both parts present and at least one that can move. Shape (batch, points)."""
+    """Return the contact points with both parts present and at least one that can move. Shape (batch, points)."""
     return (states[:, a] > 0) & (states[:, b] > 0) & ((states[:, a] == 1) | (states[:, b] == 1))
 
 
 def _into_cone(forces: Array, friction: float, cone: str) -> tuple[Array, Array]:
-    """Forces with tangents shrunk until they are in the cone, and how far they stood outside in N.
+    """Return forces with tangents shrunk until they are in the cone, and how far they stood outside in N.
 
     Shapes (batch, points, 3) and (batch, points).
     """
@@ -253,7 +253,7 @@ def _into_cone(forces: Array, friction: float, cone: str) -> tuple[Array, Array]
 
 
 def _most_power_taken(relative: Array, friction: float, cone: str) -> Array:
-    """Most power that a contact point can take out of a relative velocity, per newton of normal force."""
+    """Return the most power that a contact point can take out of a relative velocity, per newton of normal force."""
     tangent = relative[..., 1:]
     if cone == "quadratic":
         slip = np.hypot(tangent[..., 0], tangent[..., 1])

@@ -1,4 +1,4 @@
-"""Motion of the parts of a state that does not stand, as its certificate shows it."""
+"""Motion of the parts in an unstable state, from its certificate."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SLIDING_SHARE = 0.1
 
 
 def motion_of(assembly: Assembly, verdicts: Verdicts, row: int) -> NDArray[np.float64] | None:
-    """How the parts of one state begin to move; the size means nothing.
+    """Return the initial motion of the parts of one state, up to scale.
 
     Of an unstable state it is the virtual velocity that proves it. Of a state that slides it is the displacement at
     which the iterations were ended, without the parts that move less than `SLIDING_SHARE` of the farthest.

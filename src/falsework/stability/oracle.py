@@ -1,4 +1,4 @@
-"""The oracle that everything calls: batches, cache, warm starts, and the exact solver for what is left."""
+"""Stability oracle: batches, cache, warm starts, and the exact solver for undecided states."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _WORTH_A_GPU = 8
 
 @dataclass
 class Counters:
-    """What the oracle was asked, and who answered."""
+    """Numbers of queries to the oracle, by the solver that answered."""
 
     asked: int = 0
     """States asked about, repetitions included."""
@@ -61,7 +61,7 @@ class Counters:
 
 
 class Stability:
-    """Says of partial structures whether they stand, with proofs.
+    """Stability oracle of one structure, with proofs.
 
     One object serves one structure under one set of settings. It keeps what it learns: ask the same object
     again rather than making a new one.
@@ -168,7 +168,7 @@ class Stability:
         return verdicts
 
     def stable(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> NDArray[np.bool_]:
-        """Which states are proven stable; arguments as for `judge`. Shape (batch,)."""
+        """Return whether states are proven stable; arguments as for `judge`. Shape (batch,)."""
         return self.judge(states, parents=parents).stable
 
     def settle(self, states: States, residual: NDArray[np.float64]) -> Verdicts:
@@ -196,13 +196,13 @@ class Stability:
         return verdicts.without_certificates()
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
-        """Which verdicts the checker accepts; the others are counted."""
+        """Return whether the checker accepts each verdict; the others are counted."""
         accepted = verify_certificates(self.assembly, states, verdicts, self.settings.claim)
         self.counters.rejected += int((~accepted & ~verdicts.undecided).sum())
         return accepted
 
     def _make_cpu(self) -> CpuSolver | ContactSolver | None:
-        """The solver on the processor if the settings ask for it, and always under `contact`."""
+        """Return the solver on the processor if the settings ask for it, and always under `contact`."""
         if self.settings.criterion == "contact":
             return ContactSolver(self.assembly, self.problem, self.settings)
         return CpuSolver(self.problem, self.settings) if self.settings.solver in ("auto", "cpu") else None
@@ -231,7 +231,7 @@ class Stability:
         return decided
 
     def _make_gpu(self) -> GpuSolver | None:
-        """The solver on the GPU if the settings ask for it; with `auto`, only where there is one."""
+        """Return the solver on the GPU if the settings ask for it; with `auto`, only where there is one."""
         if self.settings.solver not in ("auto", "gpu"):
             return None
         try:
@@ -247,7 +247,7 @@ class Stability:
         return 8 * self._guess_shape[0] * self._guess_shape[1]
 
     def _choose(self, count: int) -> CpuSolver | ContactSolver | GpuSolver | None:
-        """Who judges a batch of this size; None for the exact solver."""
+        """Choose the solver for a batch of this size; None for the exact solver."""
         if self._gpu is not None and (self.settings.solver == "gpu" or count >= _WORTH_A_GPU):
             return self._gpu
         return self._cpu
@@ -306,7 +306,7 @@ class Stability:
 
 
 def _unique_rows(states: States) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First row of every distinct state, and which of them each row is."""
+    """Return the first row of every distinct state, and which of them each row is."""
     keys = np.ascontiguousarray(states).view(np.dtype((np.void, states.shape[1]))).ravel()
     _, first, back = np.unique(keys, return_index=True, return_inverse=True)
     return first, back

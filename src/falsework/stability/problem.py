@@ -1,4 +1,4 @@
-"""What all solvers share: wrench maps, masses, scalings, and the masks that a state implies."""
+"""Equilibrium problem of a structure: wrench maps, masses, scalings, and the masks that a state implies."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TOLERANCE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The equilibrium problem of one structure, computed once and read by every solver.
+    """Equilibrium problem of one structure, computed once and shared by all solvers.
 
     Contact point `c` acts between part `a` and part `b` with a force in the frame `(n, t1, t2)`; the force
     acts on `b`, its opposite on `a`. Wrenches are `(force, moment about the centre of mass)`.
@@ -94,17 +94,17 @@ class Problem:
         return len(self.pair_parts)
 
     def free(self, states: States) -> Mask:
-        """Parts that can move: installed and not held. Shape (batch, parts)."""
+        """Return parts that can move: installed and not held. Shape (batch, parts)."""
         return states == INSTALLED
 
     def active(self, states: States) -> Mask:
-        """Contact points that act: both parts present, not both fixed. Shape (batch, points)."""
+        """Return the contact points that act: both parts present, not both fixed. Shape (batch, points)."""
         a, b = states[:, self.part_a], states[:, self.part_b]
         return (a != REMOVED) & (b != REMOVED) & ((a != HELD) | (b != HELD))
 
 
 def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float = 9.81) -> Problem:
-    """Set up the equilibrium problem of an assembly (paper, equations 2 to 6; DESIGN, section 4).
+    """Set up the equilibrium problem of an assembly (paper, equations 2 to 6; docs/how-it-works).
 
     Args:
         assembly: parts, contacts, masses and friction.
@@ -198,13 +198,13 @@ def _mass_factors(assembly: Assembly) -> tuple[Array, Array]:
 
 
 def _unit_wrenches(axes: Array, arms: Array) -> Array:
-    """Force and moment of unit forces along the columns of `axes` at `arms`. Shape (points, 6, 3)."""
+    """Return the force and moment of unit forces along the columns of `axes` at `arms`. Shape (points, 6, 3)."""
     moments = np.cross(arms[:, None, :], axes.transpose(0, 2, 1)).transpose(0, 2, 1)
     return np.concatenate([axes, moments], axis=1)
 
 
 def _shift(arms: Array) -> Array:
-    """Matrices that turn (force, moment) at a point into (force, moment) about a point `-arm` away."""
+    """Return matrices that turn (force, moment) at a point into (force, moment) about a point `-arm` away."""
     shift = np.zeros((len(arms), 6, 6))
     shift[:] = np.eye(6)
     x, y, z = arms.T
@@ -217,7 +217,7 @@ def _shift(arms: Array) -> Array:
 def _largest_singular_value(
     basis: Array, pair_of_point: NDArray, pair_parts: NDArray, transfer_a: Array, transfer_b: Array, parts: int
 ) -> float:
-    """Largest singular value of the wrench map over the parts that can move, by power iteration."""
+    """Return the largest singular value of the wrench map over the parts that can move, by power iteration."""
     if not len(basis):
         return 1.0
     stiffness = np.zeros((len(pair_parts), 6, 6))

@@ -18,7 +18,7 @@ SolverName = Literal["auto", "cpu", "gpu", "exact", "gurobi"]
 
 @dataclass(frozen=True)
 class CpuSettings:
-    """Numbers that steer the solver on the processor; the defaults were tuned on the nine real structures."""
+    """Numerical settings of the CPU solver; the defaults were tuned on the nine real structures."""
 
     rho: float = 1e-3
     """Penalty of ADMM, relative to the scaled problem."""
@@ -54,7 +54,7 @@ class CpuSettings:
 
 @dataclass(frozen=True)
 class GpuSettings:
-    """Numbers that steer the solver on a GPU."""
+    """Numerical settings of the GPU solver."""
 
     rho: float = 1e-3
     """Penalty of ADMM, relative to the scaled problem."""
@@ -70,14 +70,11 @@ class GpuSettings:
     """Steps of the interior point method before a state is left to the exact solver."""
     contact_steps: int = 400
     """Newton iterations under the criterion `contact` before a state is left undecided."""
-    admm_shares: tuple[float, ...] = (0.5, 1.0)
-    """Sizes of state, as shares of the whole structure, that ADMM has a launch for: small states leave room on
-    a multiprocessor for more of them."""
 
 
 @dataclass(frozen=True)
 class StabilitySettings:
-    """What stable means, and who decides."""
+    """Stability criterion and choice of solver."""
 
     criterion: Criterion = "contact"
     """`contact`: compliant contacts without prestress bring a part to rest. `equilibrium`: forces in balance exist,

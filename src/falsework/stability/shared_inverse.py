@@ -1,4 +1,4 @@
-"""The paper's method as a baseline: ADMM on its quadratic program with one constant inverse, in torch.
+"""Baseline after the paper: ADMM on its quadratic program with one constant inverse, in torch.
 
 Eight tangential variables and one normal variable a contact point, and a slack wrench a part that takes up
 everything on parts that are removed or held, make the matrix of the program the same for every state (paper,
@@ -41,7 +41,7 @@ VARIABLES = 1 + TANGENTS
 
 @dataclass(frozen=True)
 class SharedInverseSettings:
-    """The paper's parameters, and how to compute with them."""
+    """Parameters of the paper, and settings of the computation."""
 
     iterations: int = 3000
     """Iterations after which a state counts as unsolved."""
@@ -80,7 +80,7 @@ class SharedInverseSettings:
 
 
 class SharedInverse:
-    """Judges batches of states of one structure as the paper does."""
+    """Solver of batches of states of one structure by the paper's method."""
 
     def __init__(
         self,
@@ -233,7 +233,7 @@ class SharedInverse:
         return x, z, y, z_row, y_row
 
     def _solve(self, right: Any) -> Any:
-        """The constant inverse times a batch of right-hand sides, shape (variables, batch)."""
+        """Return the constant inverse times a batch of right-hand sides, shape (variables, batch)."""
         torch = self._torch
         if self.method.inverse == "dense":
             return self._inverse @ right

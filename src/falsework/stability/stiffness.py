@@ -1,4 +1,4 @@
-"""Contact stiffness of a structure, and how far a standing structure may move under it.
+"""Contact stiffness of a structure, and the limit on displacements of a stable structure.
 
 Both are part of the criterion, as friction is: solvers, certificate checker and judges read them from here.
 """
@@ -39,7 +39,7 @@ def normal_stiffness(assembly: Assembly, gravity: float = 9.81) -> NDArray[np.fl
 
 
 def structure_size(assembly: Assembly) -> float:
-    """Diagonal of the bounding box of the parts that are not boundary, m."""
+    """Return the diagonal of the bounding box of the parts that are not boundary, m."""
     meshes = [mesh for mesh, fixed in zip(assembly.meshes, assembly.boundary, strict=True) if not fixed]
     vertices = np.concatenate([mesh.vertices for mesh in meshes or assembly.meshes])
     return float(np.linalg.norm(np.ptp(vertices, axis=0)))

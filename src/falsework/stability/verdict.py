@@ -1,4 +1,4 @@
-"""What a stability check answers: verdicts, and the proofs that they rest on."""
+"""Stability verdicts and their proofs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ prestress bring such forces about."""
 
 
 class Verdict(IntEnum):
-    """Does a partial structure stand?"""
+    """Stability of a partial structure."""
 
     SLIDES = -2
     """Forces in equilibrium exist, but no displacement was found that brings them about: the iterations follow parts
@@ -26,7 +26,7 @@ class Verdict(IntEnum):
 
 
 class Proof(IntEnum):
-    """What proves a verdict."""
+    """Kind of proof behind a verdict."""
 
     NONE = 0
     FORCES = 1
@@ -38,7 +38,7 @@ class Proof(IntEnum):
 
 
 class Solver(IntEnum):
-    """Who found the proof."""
+    """Solver that found a proof."""
 
     NONE = 0
     CPU = 1
@@ -81,7 +81,7 @@ class Verdicts:
     def blank(
         cls, batch: int, *, points: int | None = None, parts: int | None = None, displaced: bool = False
     ) -> Verdicts:
-        """Undecided verdicts to be filled in.
+        """Return undecided verdicts to be filled in.
 
         Args:
             batch: number of states.
@@ -145,7 +145,7 @@ class Verdicts:
                 mine[rows] = theirs
 
     def without_certificates(self) -> Verdicts:
-        """The same verdicts without forces, velocity and displacement."""
+        """Return the same verdicts without forces, velocity and displacement."""
         return replace(self, forces=None, velocity=None, displacement=None)
 
     def _fields(self) -> tuple[NDArray | None, ...]:
@@ -162,7 +162,7 @@ class Verdicts:
 
 
 def proof_of(verdict: NDArray[np.int8], criterion: Criterion = "equilibrium") -> NDArray[np.int8]:
-    """The kind of proof that belongs to each verdict; for `SLIDES` the forces that prove equilibrium."""
+    """Return the kind of proof that belongs to each verdict; for `SLIDES` the forces that prove equilibrium."""
     stable = Proof.DISPLACEMENT if criterion == "contact" else Proof.FORCES
     return np.select(
         [verdict == Verdict.STABLE, verdict == Verdict.UNSTABLE, verdict == Verdict.SLIDES],

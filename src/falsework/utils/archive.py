@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import secrets
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.utils.json_text import parse_json
 
 _HEADER = "header"
 
@@ -69,10 +69,10 @@ def read_archive(
     try:
         with np.load(path, allow_pickle=False) as data:
             arrays = {name: data[name] for name in data.files}
-        header = json.loads(str(arrays.pop(_HEADER)[()]))
+        header = parse_json(str(arrays.pop(_HEADER)[()]))
     except FileNotFoundError:
         raise InputError(f"there is no file {path}") from None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+    except Exception as error:  # NumPy and the unpackers below it fail in many ways on a damaged file
         raise InputError(f"{path} is damaged or not a {form} file ({type(error).__name__}); write it again") from None
     found = header.get("format") if isinstance(header, dict) else None
     if found != form:

@@ -1,4 +1,4 @@
-"""Sets as words of 64 bits."""
+"""Bit sets in 64-bit words."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Words = NDArray[np.uint64]
 
 
 def pack(rows: NDArray[np.bool_]) -> Words:
-    """Rows of flags as sets, lowest bit first, shape (rows, words)."""
+    """Return rows of flags as sets, lowest bit first, shape (rows, words)."""
     words = -(-rows.shape[1] // 64)
     padded = np.zeros((len(rows), words * 8), dtype=np.uint8)
     packed = np.packbits(rows, axis=1, bitorder="little")
@@ -19,14 +19,14 @@ def pack(rows: NDArray[np.bool_]) -> Words:
 
 
 def unpack(words: Words) -> NDArray[np.bool_]:
-    """Flags of sets, shape (rows, 64 words)."""
+    """Return flags of sets, shape (rows, 64 words)."""
     little = np.ascontiguousarray(words).astype("<u8", copy=False)
     return np.unpackbits(little.view(np.uint8), axis=1, bitorder="little").astype(bool)
 
 
 @numba.njit(cache=True)
 def intersect(one: Words, two: Words) -> NDArray[np.bool_]:  # pragma: no cover - compiled
-    """Whether each set of `one` shares a member with each of `two`, shape (len(one), len(two))."""
+    """Return whether each set of `one` shares a member with each of `two`, shape (len(one), len(two))."""
     found = np.zeros((len(one), len(two)), dtype=np.bool_)
     for i in range(len(one)):
         for j in range(len(two)):

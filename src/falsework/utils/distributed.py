@@ -1,4 +1,4 @@
-"""Several processes at one search: who does which share, and how the shares come together."""
+"""Process groups for a search in several processes: shares of work, and reductions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Shards:
-    """One process among the processes of one search.
+    """Process group of one search, seen from one of its processes.
 
     Whatever is combined is combined exactly, as integers or unchanged, so that the number of processes does not show
     in the result.
@@ -31,7 +31,7 @@ class Shards:
 
     @classmethod
     def of_group(cls, group: Any = None) -> Shards:
-        """The processes of a group of `torch.distributed`, or this process alone where that is not set up."""
+        """Return the processes of a group of `torch.distributed`, or this process alone where that is not set up."""
         import_torch()
         import torch.distributed as dist
 
@@ -45,16 +45,16 @@ class Shards:
         return self.rank == 0
 
     def interleaved(self) -> slice:
-        """Every `size`-th of some items: similar neighbours are spread over the processes."""
+        """Return every `size`-th of some items: similar neighbours are spread over the processes."""
         return slice(self.rank, None, self.size)
 
     def block(self, count: int) -> tuple[slice, int]:
-        """One stretch of `count` items for this process, and how long the longest stretch is."""
+        """Return one stretch of `count` items for this process, and how long the longest stretch is."""
         each = -(-count // self.size)
         return slice(min(self.rank * each, count), min((self.rank + 1) * each, count)), each
 
     def add(self, tensor: torch.Tensor) -> torch.Tensor:
-        """Sum over the processes, in place; only ever of integers, so that the order does not matter."""
+        """Return the sum over the processes, in place; only ever of integers, so that the order does not matter."""
         if self.size > 1:
             import torch.distributed as dist
 
@@ -62,7 +62,7 @@ class Shards:
         return tensor
 
     def gather(self, tensor: torch.Tensor) -> torch.Tensor:
-        """The tensors of all processes, which have the same shape, one after the other."""
+        """Return the tensors of all processes, which have the same shape, one after the other."""
         if self.size == 1:
             return tensor
         torch = import_torch()

@@ -1,4 +1,4 @@
-"""Versioned JSON files that may come damaged: how they are written, and how they are taken apart with clear errors."""
+"""Versioned JSON files: atomic writing, and strict reading with precise errors."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NoReturn
 
 from falsework.errors import PlanError
 from falsework.utils.archive import write_whole
+from falsework.utils.json_text import parse_json
 
 
 def write_json(path: Path | str, data: Mapping[str, Any], spread: Container[str]) -> None:
@@ -34,7 +35,7 @@ def _dump(value: Any) -> str:
 
 
 class Reader:
-    """Takes JSON values apart and complains about the first thing that is not as it must be.
+    """Strict reader of JSON values with precise errors.
 
     A class for one kind of file says what messages call it, which format is read, and which command writes it.
     """
@@ -48,20 +49,22 @@ class Reader:
 
     @classmethod
     def load(cls, path: Path | str) -> Any:
-        """The JSON values in a file.
+        """Return the JSON values in a file.
 
         Raises:
             PlanError: no such file, or no JSON.
         """
         path = Path(path)
         try:
-            return json.loads(path.read_text(encoding="utf-8"))
+            return parse_json(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise PlanError(f"there is no {cls.kind} file {path}") from None
         except (OSError, UnicodeDecodeError) as error:
             raise PlanError(f"{path} cannot be read as a {cls.kind} ({type(error).__name__}); plan again") from None
-        except (ValueError, RecursionError):
+        except json.JSONDecodeError:
             raise PlanError(f"{path} is not valid JSON; it may be truncated; plan again") from None
+        except ValueError as error:
+            raise PlanError(f"{path} cannot be read as a {cls.kind}: {error}; plan again") from None
 
     def _header(self, data: Any, keys: set[str], optional: frozenset[str] = frozenset()) -> None:
         """The format comes first: of a file of another version it is all there is to say."""
@@ -97,8 +100,10 @@ def read_format(path: Path | str) -> str:
         PlanError: it is no JSON.
     """
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, ValueError, RecursionError):
+        content = parse_json(Path(path).read_text(encoding="utf-8"))
+    except json.JSONDecodeError:
         raise PlanError(f"{path} is not valid JSON; it may be truncated; write it again") from None
+    except (OSError, ValueError) as error:
+        raise PlanError(f"{path} cannot be read: {error}; write it again") from None
     form = content.get("format") if isinstance(content, dict) else None
     return form if isinstance(form, str) else ""

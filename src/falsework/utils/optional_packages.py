@@ -1,4 +1,4 @@
-"""The door to this room: says in one line what is missing before modules that need it are imported."""
+"""Checks for optional packages, with a one-line error that names the extra to install."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Torch at the boundary, and exact arithmetic on tensors that gives the same bits on every device."""
+"""Torch imports on demand, and integer arithmetic on tensors that gives the same bits on every device."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def import_torch() -> Any:
-    """The module torch.
+    """Return the module torch.
 
     Raises:
         DependencyError: it is not installed.
@@ -26,7 +26,7 @@ def import_torch() -> Any:
 
 
 def choose_device(name: str = "auto") -> torch.device:
-    """The device that a name such as `auto`, `cpu`, `cuda` or `cuda:1` means here; `auto` is a GPU if there is one.
+    """Return the device of a name such as `auto`, `cpu`, `cuda` or `cuda:1`; `auto` is a GPU if there is one.
 
     Raises:
         DependencyError: torch is not installed.
@@ -45,7 +45,7 @@ def choose_device(name: str = "auto") -> torch.device:
     if device.type != "cuda":
         raise InputError(f"device {name!r} is not supported; choose auto, cpu or cuda")
     if (device.index or 0) >= count:
-        raise InputError(f"device {name!r} was asked for, but {count} CUDA devices were found; choose auto or cpu")
+        raise InputError(f"device {name!r} is not available: {count} CUDA devices were found; choose auto or cpu")
     return torch.device("cuda", torch.cuda.current_device()) if device.index is None else device
 
 
@@ -57,7 +57,7 @@ def put(array: np.ndarray, device: torch.device) -> torch.Tensor:
 
 
 def mix(keys: torch.Tensor, salt: int) -> torch.Tensor:
-    """Random words that depend on nothing but each key and the salt: the finaliser of SplitMix64.
+    """Return random words that depend on nothing but each key and the salt: the finaliser of SplitMix64.
 
     A state's random numbers are made from its hash, not drawn in turn, so that they are the same wherever the state
     stands in a list and whichever process looks at it.
@@ -76,7 +76,7 @@ def mix(keys: torch.Tensor, salt: int) -> torch.Tensor:
 
 
 def uniform(words: torch.Tensor) -> torch.Tensor:
-    """Numbers strictly between 0 and 1 from random words, float64; exact, so the same on every device."""
+    """Return numbers strictly between 0 and 1 from random words, float64; exact, so the same on every device."""
     return (_shifted(words, 12).double() + 0.5) * 2.0**-52
 
 
@@ -90,7 +90,7 @@ def place_in_group(groups: torch.Tensor) -> torch.Tensor:
 
 
 def in_sorted(ordered: torch.Tensor, words: torch.Tensor) -> torch.Tensor:
-    """Which words are in an ascending list; no size leaves the device. Shape of `words`."""
+    """Return whether words are in an ascending list; no size leaves the device. Shape of `words`."""
     torch = import_torch()
     if len(ordered) == 0:
         return torch.zeros_like(words, dtype=torch.bool)

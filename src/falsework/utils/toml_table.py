@@ -1,9 +1,10 @@
-"""Reading values out of a TOML file so that every error names the file and the key."""
+"""TOML table reader whose errors name the file and the key."""
 
 from __future__ import annotations
 
 import difflib
 import math
+import sys
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -29,31 +30,33 @@ class Table:
 
     @staticmethod
     def parse(source: str, text: str) -> Table:
-        """A whole file.
+        """Return a whole file.
 
         Raises:
             CellError: not TOML; the message has the line.
         """
         try:
             return Table(source, "", tomllib.loads(text))
-        except tomllib.TOMLDecodeError as error:
+        except RecursionError:
+            raise CellError(f"{source} is nested too deeply; write it with tables") from None
+        except ValueError as error:  # of its syntax, or a number with thousands of digits
             raise CellError(f"{source} is no TOML: {' '.join(str(error).split())}") from error
 
     def name(self, key: str) -> str:
-        """A key as messages call it, such as `robots[0].base`."""
+        """Return a key as messages call it, such as `robots[0].base`."""
         return f"{self.where}.{key}" if self.where else key
 
     def fail(self, key: str, problem: str) -> CellError:
-        """An error about a key."""
+        """Return an error about a key."""
         return CellError(f"{self.source}: {self.name(key)} {problem}")
 
     def has(self, key: str) -> bool:
-        """Whether a key is there."""
+        """Return whether a key is there."""
         self._known.append(key)
         return key in self._values
 
     def take(self, key: str) -> Any:
-        """The value of a key that must be there.
+        """Return the value of a key that must be there.
 
         Raises:
             CellError: it is not.
@@ -63,7 +66,7 @@ class Table:
         return self._values[key]
 
     def text(self, key: str, default: str | None = None) -> str:
-        """A string."""
+        """Return a string."""
         if default is not None and not self.has(key):
             return default
         value = self.take(key)
@@ -74,11 +77,11 @@ class Table:
     def number(
         self, key: str, default: float | None = None, *, low: float = -math.inf, high: float = math.inf
     ) -> float:
-        """A number between bounds."""
+        """Return a number between bounds."""
         if default is not None and not self.has(key):
             return default
         value = self.take(key)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        if not _is_number(value):
             raise self.fail(key, f"is {value!r}; give a number")
         if not low <= value <= high:
             wanted = f"at least {low:g}" if high == math.inf else f"between {low:g} and {high:g}"
@@ -86,30 +89,27 @@ class Table:
         return float(value)
 
     def numbers(self, key: str, count: int, default: Iterable[float] | None = None) -> Array:
-        """A list of numbers of a given length."""
+        """Return a list of numbers of a given length."""
         if default is not None and not self.has(key):
             return np.array(list(default), float)
         value = self.take(key)
-        good = isinstance(value, list) and len(value) == count
-        if not good or any(
-            isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in value
-        ):
+        if not isinstance(value, list) or len(value) != count or not all(map(_is_number, value)):
             raise self.fail(key, f"is {value!r}; give {count} numbers in brackets")
         return np.array(value, float)
 
     def table(self, key: str) -> Table:
-        """A table inside; empty where it is not there."""
+        """Return a table inside; empty where it is not there."""
         return Table(self.source, self.name(key), self._values[key] if self.has(key) else {})
 
     def tables(self, key: str) -> list[Table]:
-        """An array of tables; empty where it is not there."""
+        """Return an array of tables; empty where it is not there."""
         value = self._values[key] if self.has(key) else []
         if not isinstance(value, list):
             raise self.fail(key, f"is no list; write each as [[{self.name(key)}]]")
         return [Table(self.source, f"{self.name(key)}[{index}]", entry) for index, entry in enumerate(value)]
 
     def names(self) -> list[str]:
-        """All keys."""
+        """Return all keys."""
         return list(self._values)
 
     def done(self) -> None:
@@ -121,8 +121,14 @@ class Table:
                 raise self.fail(key, f"is not known{hint}")
 
 
+def _is_number(value: Any) -> bool:
+    """Whether a value is a finite number that a float holds."""
+    known = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return known and abs(value) <= sys.float_info.max
+
+
 def read_text(path: Path) -> str:
-    """The text of a cell file.
+    """Return the text of a cell file.
 
     Raises:
         CellError: it is not there or no text.

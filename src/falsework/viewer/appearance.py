@@ -1,4 +1,4 @@
-"""What is seen at a place of a timeline: colour, opacity and position of every part."""
+"""Appearance of a timeline position: colour, opacity and displacement of every part."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TRAVEL = 0.45
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """All parts as they are to be drawn."""
+    """Appearance of all parts."""
 
     state: States
     """State that is shown, shape (parts,)."""
@@ -59,7 +59,7 @@ def look_at(
     marks: Mapping[int, str] | None = None,
     travelling: bool = True,
 ) -> Look:
-    """What is seen at a place.
+    """Return the appearance of all parts at a timeline position.
 
     Args:
         timeline: states and who holds what.
@@ -102,18 +102,18 @@ def look_at(
 
 
 def bounds_of(assembly: Assembly) -> Array:
-    """Lowest and highest coordinates of all parts, shape (2, 3), metres."""
+    """Return the lowest and highest coordinates of all parts, shape (2, 3), metres."""
     boxes = np.array([mesh.bounds for mesh in assembly.meshes])
     return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
 
 def diagonal(assembly: Assembly) -> float:
-    """Length of the diagonal of the box around all parts, metres."""
+    """Return the length of the diagonal of the box around all parts, metres."""
     return float(np.linalg.norm(np.ptp(bounds_of(assembly), axis=0)))
 
 
 def pick(assembly: Assembly, look: Look, origin: Array, direction: Array) -> int | None:
-    """The part that a ray hits first, or None.
+    """Return the part that a ray hits first, or None.
 
     Args:
         assembly: the structure.

@@ -1,4 +1,4 @@
-"""Arms, grippers and the part that they carry at any moment of a robot plan, in the frame of the structure.
+"""Poses of arms, grippers and carried parts at any time of a robot plan, in the frame of the structure.
 
 A cell may build a structure at another size and place; here everything is taken back to the structure as it is, so
 that arms can be drawn beside parts that never move.
@@ -51,7 +51,7 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """Where all arms are."""
+    """Poses of all arms at one time."""
 
     poses: Array
     """Of every link in the frame of the structure, rotation and translation, shape (links, 4, 4)."""
@@ -87,11 +87,11 @@ class Arms:
         self.links = [link for number, robot in enumerate(cell.robots) for link in _links(number, robot, 1 / scale)]
 
     def turned(self, direction: Direction) -> Arms:
-        """The same in the other order."""
+        """Return the same in the other order."""
         return self if direction is self.direction else Arms(self._plan, self.cell, direction)
 
     def holders(self) -> NDArray[np.int64]:
-        """Robot that holds each part in each state, in the order of disassembly; shape (steps + 1, parts)."""
+        """Return robot that holds each part in each state, in the order of disassembly; shape (steps + 1, parts)."""
         frames = self._plan.keyframes
         who = np.full((len(frames), len(self._plan.plan.boundary)), NOBODY, dtype=np.int64)
         for row, frame in enumerate(frames):
@@ -101,11 +101,11 @@ class Arms:
         return who if self.direction is Direction.DISASSEMBLY else who[::-1]
 
     def seconds(self, step: int) -> float:
-        """How long a step takes, counted from 0 in the order shown."""
+        """Return the duration of a step, counted from 0 in the order shown."""
         return self._plan.steps[step].seconds
 
     def at(self, place: float) -> Moment:
-        """Where everything is at a place, in steps in the order shown; a step passes evenly in its own time."""
+        """Return the poses at a position, in steps in the order shown."""
         steps = len(self._plan)
         place = min(max(place, 0.0), float(steps))
         step = min(int(place), steps - 1) if steps else 0
@@ -167,7 +167,7 @@ class Arms:
 
 
 def look_with_arms(look: Look, moment: Moment) -> Look:
-    """The parts without the one that is carried, and with those that have come or gone within the step."""
+    """Return the parts without the one that is carried, and with those that have come or gone within the step."""
     opacity = look.opacity.copy()
     for part in (moment.carried, moment.gone):
         if part is not None:
@@ -178,7 +178,7 @@ def look_with_arms(look: Look, moment: Moment) -> Look:
 
 
 def solids_of_arms(arms: Arms, moment: Moment, assembly: Assembly) -> list[Solid]:
-    """Arms, and the part that they carry, as meshes.
+    """Return arms, and the part that they carry, as meshes.
 
     Args:
         arms: the robots.
@@ -207,7 +207,7 @@ def bounds_with_arms(arms: Arms, box: Array) -> Array:
 
 
 def wxyz_of(rotation: Array) -> tuple[float, float, float, float]:
-    """Unit quaternion, w first, of a rotation matrix of shape (3, 3)."""
+    """Return the unit quaternion, w first, of a rotation matrix of shape (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
@@ -215,7 +215,7 @@ def wxyz_of(rotation: Array) -> tuple[float, float, float, float]:
 
 
 def _similar(pose: Array, scale: float) -> Array:
-    """From the world of the cell to the frame of the structure, shape (4, 4)."""
+    """Return the transform from the world of the cell to the frame of the structure, shape (4, 4)."""
     made = np.eye(4)
     made[:3, :3] = pose[:3, :3].T / scale
     made[:3, 3] = -pose[:3, :3].T @ pose[:3, 3] / scale
@@ -223,7 +223,7 @@ def _similar(pose: Array, scale: float) -> Array:
 
 
 def _links(number: int, robot: CellRobot, size: float) -> list[Link]:
-    """Links that have a shape, base first, gripper last."""
+    """Return links that have a shape, base first, gripper last."""
     from scipy.spatial import ConvexHull
 
     links = []

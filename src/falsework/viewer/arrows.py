@@ -1,4 +1,4 @@
-"""Arrows that show a proof: contact forces, friction and weight of a stable state, motion of one that is not."""
+"""Arrows that show a proof: contact forces, friction and weight of a stable state, motion of an unstable one."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Arrows:
         return len(self.ends)
 
     def solids(self, thickness: float) -> list[Solid]:
-        """The arrows as meshes.
+        """Return the arrows as meshes.
 
         Args:
             thickness: diameter of a shaft, metres.
@@ -49,7 +49,7 @@ class Arrows:
 
 
 def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[str, Arrows]:
-    """Contact forces, friction and gravity in one state, all on one scale.
+    """Return the contact forces, friction and gravity in one state, all on one scale.
 
     The force of each contact is drawn as it acts on the part of the two that is free to move (on the second if both
     are), split into what presses and what rubs, at the point where the pressure acts in total.
@@ -87,7 +87,7 @@ def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[s
 
 
 def arrows_of_motion(assembly: Assembly, state: States, velocity: Array, kind: str = "motion") -> Arrows:
-    """How the centres of mass of the free parts move in a state that does not stand; the size means nothing.
+    """Return arrows of the motion of the free parts in an unstable state, up to scale.
 
     Args:
         assembly: the structure.
@@ -103,7 +103,7 @@ def arrows_of_motion(assembly: Assembly, state: States, velocity: Array, kind: s
 
 
 def moved_parts(assembly: Assembly, state: States, velocity: Array, share: float = 0.06) -> dict[int, Array]:
-    """Vertices of the free parts that move, a little further along their motion.
+    """Return vertices of the free parts that move, a little further along their motion.
 
     Args:
         assembly: the structure.
@@ -131,7 +131,7 @@ def moved_parts(assembly: Assembly, state: States, velocity: Array, share: float
 
 
 def arrow_mesh(tail: Array, tip: Array, thickness: float, sides: int = 8) -> tuple[Array, NDArray[np.int64]]:
-    """A closed arrow: shaft and head. Vertices of shape (count, 3), faces of shape (count, 3)."""
+    """Return a closed arrow: shaft and head. Vertices of shape (count, 3), faces of shape (count, 3)."""
     tail, tip = np.asarray(tail, dtype=float), np.asarray(tip, dtype=float)
     along = tip - tail
     length = float(np.linalg.norm(along))
@@ -155,7 +155,7 @@ def arrow_mesh(tail: Array, tip: Array, thickness: float, sides: int = 8) -> tup
 
 
 def merged(solids: Sequence[Solid]) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices and faces of several meshes as one."""
+    """Return vertices and faces of several meshes as one."""
     if not solids:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
     first = np.cumsum([0, *(len(solid.vertices) for solid in solids)])

@@ -1,12 +1,10 @@
-"""One colour scheme for page and pictures, told apart by colour-blind people too.
+"""Colour scheme of page and pictures, safe for colour-blind viewers.
 
 The robots' colours are those of Okabe and Ito (2008). `difference` measures how far two colours stay apart for eyes
 without the medium-wave or the long-wave cones, by the matrices of Machado, Oliveira and Fernandes (2009).
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +21,6 @@ MISSING = "#b2182b"
 FIXED = "#14241c"
 """Not to be touched: darker than boundary."""
 INK = "#22252a"
-PAPER = "#ffffff"
 
 FORCE = "#1f4fd8"
 FRICTION = "#d7263d"
@@ -48,28 +45,28 @@ _PROTANOPE = np.array(
 
 
 def rgb(color: str) -> tuple[int, int, int]:
-    """Red, green, blue from 0 to 255 of a colour such as `#0072b2`."""
+    """Return red, green, blue from 0 to 255 of a colour such as `#0072b2`."""
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
 
 
 def hex_of(color: ArrayLike) -> str:
-    """A colour such as `#0072b2` of red, green, blue from 0 to 255."""
+    """Return a colour such as `#0072b2` of red, green, blue from 0 to 255."""
     return "#" + "".join(f"{int(channel):02x}" for channel in np.asarray(color))
 
 
 def unit_rgb(color: str) -> tuple[float, float, float]:
-    """Red, green, blue from 0 to 1."""
+    """Return red, green, blue from 0 to 1."""
     red, green, blue = rgb(color)
     return red / 255, green / 255, blue / 255
 
 
 def robot_color(robot: int) -> str:
-    """Colour of a robot, counted from 0."""
+    """Return the colour of a robot, counted from 0."""
     return ROBOTS[robot % len(ROBOTS)]
 
 
 def ramp(values: ArrayLike) -> NDArray[np.uint8]:
-    """Colours on the scale of probabilities.
+    """Return colours on the scale of probabilities.
 
     Args:
         values: from 0 to 1, any shape; what lies outside counts as the end.
@@ -85,39 +82,34 @@ def ramp(values: ArrayLike) -> NDArray[np.uint8]:
 
 
 def ramp_in_steps(values: ArrayLike) -> NDArray[np.uint8]:
-    """As `ramp`, in seventeen colours only: parts of one colour are drawn together."""
+    """Quantize `ramp` to seventeen colours, so that parts of one colour are drawn together."""
     return ramp(np.rint(np.asarray(values, dtype=float) * STEPS) / STEPS)
 
 
 def mix(color: str, other: str, share: float) -> str:
-    """A colour with a share of another in it."""
+    """Return a colour with a share of another in it."""
     mixed = (1 - share) * np.array(rgb(color)) + share * np.array(rgb(other))
     return hex_of(np.rint(mixed))
 
 
 def seen_by_deuteranope(color: ArrayLike) -> Array:
-    """Linear RGB that somebody without medium-wave cones sees; `color` is red, green, blue from 0 to 255."""
+    """Return the linear RGB that somebody without medium-wave cones sees; `color` is red, green, blue from 0 to 255."""
     return np.clip(_DEUTERANOPE @ _linear(color), 0.0, 1.0)
 
 
 def seen_by_protanope(color: ArrayLike) -> Array:
-    """Linear RGB that somebody without long-wave cones sees; `color` is red, green, blue from 0 to 255."""
+    """Return the linear RGB that somebody without long-wave cones sees; `color` is red, green, blue from 0 to 255."""
     return np.clip(_PROTANOPE @ _linear(color), 0.0, 1.0)
 
 
 def difference(one: str, other: str) -> float:
-    """How far apart two colours are for the eyes that tell them apart least (CIE 1976, about 2 is just visible)."""
+    """Return the distance of two colours for the least discerning eyes (CIE 1976, about 2 is just visible)."""
     eyes = (_linear, seen_by_deuteranope, seen_by_protanope)
     return min(float(np.linalg.norm(_lab(eye(rgb(one))) - _lab(eye(rgb(other))))) for eye in eyes)
 
 
-def lightness(color: Sequence[int] | NDArray[np.uint8]) -> float:
-    """CIE lightness from 0 to 100 of red, green, blue from 0 to 255."""
-    return float(_lab(_linear(color))[0])
-
-
 def _linear(color: ArrayLike) -> Array:
-    """Linear RGB from 0 to 1 of sRGB from 0 to 255."""
+    """Return the linear RGB from 0 to 1 of sRGB from 0 to 255."""
     value = np.asarray(color, dtype=float) / 255
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 

@@ -1,4 +1,4 @@
-"""The verdict on states with their proofs, in words, as arrows and as marks."""
+"""Verdicts on states with their proofs, as text, arrows and marks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _AT_ONCE = 64
 
 @dataclass(frozen=True, eq=False)
 class StateProof:
-    """Whether a state stands, and why."""
+    """Stability of a state, with its proof."""
 
     stable: bool
     decided: bool
@@ -67,7 +67,7 @@ def proof_of_state(oracle: Stability, state: States) -> StateProof:
 
 
 def proofs_of_states(oracle: Stability, states: States) -> list[StateProof]:
-    """As `proof_of_state` for several states.
+    """Prove several states as `proof_of_state`.
 
     Args:
         oracle: decides stability.
@@ -110,6 +110,6 @@ def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int) -> S
 
 
 def _named(assembly: Assembly, parts: Sequence[int]) -> str:
-    """The first parts by name, and how many more there are."""
+    """Return the first parts by name, and how many more there are."""
     more = f" and {len(parts) - _NAMED} more" if len(parts) > _NAMED else ""
     return ", ".join(assembly.names[part] for part in parts[:_NAMED]) + more

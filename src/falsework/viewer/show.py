@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -55,6 +55,7 @@ def view(
     deadline: float | None = 60.0,
     host: str = "127.0.0.1",
     port: int = 8080,
+    allowed_hosts: Sequence[str] = (),
     browser: bool = True,
     wait: bool = True,
     **options: Any,
@@ -70,6 +71,7 @@ def view(
         deadline: seconds that a new plan may take; None for as long as it takes.
         host: address to serve at. Beyond this machine, everybody who can reach it can see and steer the page.
         port: port to serve at; the next free one is taken if it is not free.
+        allowed_hosts: names other than `host` under which browsers may open the page.
         browser: open the page in the browser.
         wait: serve until interrupted by the keyboard; else return at once and serve until `Page.close`.
         options: as for `viewable_of`.
@@ -82,7 +84,9 @@ def view(
 
     check_view(robots, host, port, deadline)
     shown = viewable_of(subject, structure, robots=robots, **options).with_policy(policy)
-    page = Page(_model(shown, criterion=criterion, deadline=deadline), host=host, port=port)
+    page = Page(
+        _model(shown, criterion=criterion, deadline=deadline), host=host, port=port, allowed_hosts=allowed_hosts
+    )
     if browser:
         webbrowser.open(page.address)
     if wait:

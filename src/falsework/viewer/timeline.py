@@ -1,4 +1,4 @@
-"""A plan as something to look at: states, who holds what, and where each part travels."""
+"""Timeline of a plan: states, holders, and the displacement of each part."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ UPWARDS = 0.35
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """States one action apart with all that a picture of them needs.
+    """States one action apart, with the data that a picture of them needs.
 
     Everything is kept in the order of disassembly; `at` turns a place in the order shown into one here.
     """
@@ -56,7 +56,7 @@ class Timeline:
         direction: Direction | None = None,
         who: NDArray[np.int64] | None = None,
     ) -> Timeline:
-        """Timeline of a plan.
+        """Return the timeline of a plan.
 
         Args:
             plan: the plan.
@@ -78,7 +78,7 @@ class Timeline:
 
     @classmethod
     def still(cls, assembly: Assembly, state: ArrayLike, robots: int = 2) -> Timeline:
-        """Timeline of one state, shape (parts,), in which nothing happens."""
+        """Return the timeline of one state, shape (parts,), in which nothing happens."""
         states = as_states(state, assembly.boundary)[:1]
         who = holders(states, assembly.boundary)
         return cls(assembly, states, np.empty(0, dtype=np.int64), who, Direction.ASSEMBLY, robots)
@@ -87,11 +87,11 @@ class Timeline:
         return len(self.actions)
 
     def turned(self, direction: Direction) -> Timeline:
-        """The same, shown in the order of assembly or disassembly."""
+        """Return the same, shown in the order of assembly or disassembly."""
         return Timeline(self.assembly, self.states, self.actions, self.holders, direction, self.robots, self.forces)
 
     def at(self, place: float) -> float:
-        """Steps of disassembly done at a place in the order shown; whole numbers are states."""
+        """Return steps of disassembly done at a place in the order shown; whole numbers are states."""
         place = min(max(float(place), 0.0), float(len(self)))
         return place if self.direction is Direction.DISASSEMBLY else len(self) - place
 
@@ -102,7 +102,7 @@ class Timeline:
         return int(np.ceil(self.at(place)))
 
     def words(self, step: int) -> str:
-        """What step `step`, counted from 0 in the order shown, does, such as `hold block-3`."""
+        """Describe a step, counted from 0 in the order shown, such as `hold block-3`."""
         apart = self.direction is Direction.DISASSEMBLY
         action = int(self.actions[step if apart else len(self) - 1 - step])
         parts = self.assembly.part_count
@@ -127,7 +127,7 @@ class Timeline:
         return ways
 
     def held_when(self, part: int) -> list[tuple[int, int, int]]:
-        """Robot, first and last state, in the order shown, of every time that the part is held."""
+        """Return robot, first and last state, in the order shown, of every time that the part is held."""
         column = self.holders[:, part]
         if self.direction is Direction.ASSEMBLY:
             column = column[::-1]
@@ -164,7 +164,7 @@ def holders(states: States, boundary: Mask) -> NDArray[np.int64]:
 
 
 def way_out(assembly: Assembly, state: States, part: int) -> Array:
-    """Unit vector along which a part can leave a state; shape (3,).
+    """Return the unit vector along which a part can leave a state; shape (3,).
 
     From the clearance table, or where that is not made (many parts) or knows no way: away from what it touches.
     """
@@ -186,7 +186,7 @@ def way_out(assembly: Assembly, state: States, part: int) -> Array:
 
 
 def interesting(timeline: Timeline, frames: int) -> Sequence[int]:
-    """Places spread evenly, each moved to a neighbour where the robots hold most."""
+    """Return places spread evenly, each moved to a neighbour where the robots hold most."""
     steps = len(timeline)
     chosen = set()
     for place in np.linspace(0, steps, min(frames, steps + 1)).round().astype(int).tolist():

@@ -1,4 +1,4 @@
-"""What generators return, and the solids that they put together."""
+"""Convex blocks and assemblies of them, as the generators of built-in structures return them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """One block before it has its number: a closed polyhedron with flat faces that look outwards."""
+    """Closed polyhedron with flat faces that look outwards, not yet numbered."""
 
     kind: str
     """What the block is, such as `voussoir`; parts are named `voussoir-0`, `voussoir-1`, ..."""
@@ -37,7 +37,7 @@ class Blocks:
 
 
 def gather(solids: Iterable[Solid]) -> Blocks:
-    """Number solids, free ones first, and cut their faces into triangles."""
+    """Return the number solids, free ones first, and cut their faces into triangles."""
     ordered = sorted(solids, key=lambda solid: solid.fixed)
     meshes = tuple(
         TriangleMesh.from_arrays(f"{solid.kind}-{number}", solid.vertices, _triangles(solid.rings))
@@ -52,7 +52,7 @@ def _triangles(rings: Iterable[Sequence[int]]) -> NDArray[np.int32]:
 
 
 def box(kind: str, low: ArrayLike, high: ArrayLike, *, fixed: bool = False) -> Solid:
-    """Box between two corners, metres."""
+    """Return the box between two corners, metres."""
     (x0, y0, z0), (x1, y1, z1) = np.asarray(low, float), np.asarray(high, float)
     base = np.array([(x0, y0, z0), (x1, y0, z0), (x1, y1, z0), (x0, y1, z0)])
     return prism(kind, base, (0.0, 0.0, z1 - z0), fixed=fixed)
@@ -94,7 +94,7 @@ def loft(kind: str, bottom: Array, top: Array, *, fixed: bool = False) -> Solid:
 
 
 def ground(low: ArrayLike, high: ArrayLike, *, margin: float, depth: float) -> Solid:
-    """Fixed slab whose top is the plane z = 0.
+    """Return the fixed slab whose top is the plane z = 0.
 
     Args:
         low: lowest x and y of what stands on it, metres.

@@ -1,4 +1,4 @@
-"""What a built-in structure is: a generator, its parameters with their ranges, and the words for both."""
+"""Catalogue of built-in structures: generators, parameter ranges and descriptions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Number = int | float
 
 @dataclass(frozen=True)
 class Range:
-    """Annotation of a generator's parameter: what it means and which values make sense."""
+    """Annotation of a generator's parameter: its meaning and its valid range."""
 
     minimum: Number
     maximum: Number

@@ -54,7 +54,7 @@ def dome(
 
 
 def _voussoir(inner: NDArray[np.float64], outer: NDArray[np.float64]) -> Solid:
-    """Block between two levels and over two facets; `inner` and `outer` have shape (2, 3, 3)."""
+    """Return the block between two levels and over two facets; `inner` and `outer` have shape (2, 3, 3)."""
     vertices = np.concatenate([inner.reshape(6, 3), outer.reshape(6, 3)])
     facets = ((0, 1, 4, 3), (1, 2, 5, 4))
     rings = [tuple(reversed(facet)) for facet in facets]

@@ -1,4 +1,4 @@
-"""A shell of flat-faced blocks from the tangent planes of a concave surface."""
+"""Shell of flat-faced blocks from the tangent planes of a concave surface."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _clip(
 def shell_solids(
     planes: Array, edges: Array, groups: Sequence[tuple[str, Sequence[Cell], bool]], thickness: float
 ) -> list[Solid]:
-    """Solids of cells between the planes shifted by half a thickness down and up.
+    """Return solids of cells between the planes shifted by half a thickness down and up.
 
     The three planes of a node, shifted by the same distance, meet on one line, which lies in all joints that
     meet there. So neighbours share their corners exactly and every joint is flat.
@@ -115,7 +115,7 @@ def shell_solids(
 
 
 def _outlines(cells: Sequence[Cell], index: dict, count: int) -> list[tuple[int, ...]]:
-    """Faces of joined cells: lower and upper faces first, then the joints that no two of them share."""
+    """Return faces of joined cells: lower and upper faces first, then the joints that no two of them share."""
     lower = [[index[node] for node, _ in cell] for cell in cells]
     rings = [tuple(reversed(corners)) for corners in lower]
     rings += [tuple(k + count for k in corners) for corners in lower]
@@ -125,7 +125,7 @@ def _outlines(cells: Sequence[Cell], index: dict, count: int) -> list[tuple[int,
 
 
 def _convex(corners: Array, *, upward: bool) -> bool:
-    """Whether a face is convex and looks the right way; else the joints around it cross before they reach it."""
+    """Return whether a face is convex and looks the right way; else the joints around it cross before they reach it."""
     along = np.roll(corners, -1, axis=0) - corners
     turn = np.cross(along, np.roll(along, -1, axis=0))
     normal = turn.sum(axis=0)

@@ -11,6 +11,9 @@ from scipy.optimize import root_scalar
 
 Array = NDArray[np.float64]
 
+_SAMPLES = 2001
+"""Radii at which the form is computed."""
+
 
 @dataclass(frozen=True, eq=False)
 class Funicular:
@@ -30,7 +33,7 @@ class Funicular:
     """dz/dr, shape (samples,)."""
 
     def tangent_planes(self, sites: Array) -> Array:
-        """Planes that touch the surface over given points in plan.
+        """Return planes that touch the surface over given points in plan.
 
         Args:
             sites: shape (planes, 2), metres.
@@ -48,12 +51,12 @@ class Funicular:
         return np.column_stack([normals, offset])
 
 
-def find_form(rim: float, rise: float, samples: int = 2001) -> Funicular:
+def find_form(rim: float, rise: float) -> Funicular:
     """Find the thrust for which the form rises by `rise` above a circle of radius `rim`, both in metres."""
-    radius = np.linspace(0.0, rim, samples)
+    radius = np.linspace(0.0, rim, _SAMPLES)
 
     def solve(ratio: float) -> Array:
-        """Depth below the crown and slope at all samples for a ratio weight / thrust (1/m)."""
+        """Return depth below the crown and slope at all samples for a ratio weight / thrust (1/m)."""
 
         def change(r: float, state: Array) -> list[float]:
             depth_slope = state[1]

@@ -1,4 +1,4 @@
-"""House of slotted plates, which comes apart along clear ways, and a shelf that locks itself."""
+"""House of slotted plates that can be taken apart, and a shelf that interlocks."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def house(
 
 
 def _cross_wall(y: float, heights: Interval, length: float, outer: float, thickness: float, slope: float) -> Solid:
-    """Front or back: slots open above where the side walls cross; with a slope, a gable that follows the roof."""
+    """Return the front or back wall: slots open above at the side walls; a gable under a sloped roof."""
     base, top = heights
     inner_edge, outer_edge = length / 2 - thickness / 2, length / 2 + thickness / 2
     middle = (base + top) / 2
@@ -77,7 +77,7 @@ def _cross_wall(y: float, heights: Interval, length: float, outer: float, thickn
 
 
 def _side_wall(x: float, heights: Interval, width: float, across: float, thickness: float) -> Solid:
-    """A side wall: slots open below where front and back cross."""
+    """Return a side wall: slots open below where front and back cross."""
     base, top = heights
     middle = (base + top) / 2
     near, far = width / 2 - thickness / 2, width / 2 + thickness / 2
@@ -90,7 +90,7 @@ def _side_wall(x: float, heights: Interval, width: float, across: float, thickne
 def _columns(
     kind: str, columns: Sequence[tuple[float, float, float, float]], base: float, middle: float, depth: Interval
 ) -> Solid:
-    """Plate in the xz-plane out of columns side by side, each from `base` to a top that may slope.
+    """Return the plate in the xz-plane out of columns side by side, each from `base` to a top that may slope.
 
     Args:
         kind: name of the solid.
@@ -180,7 +180,7 @@ def shelf(
 
 
 def _top_board(rows: range, low: int) -> list[Cell]:
-    """One board of the top: its body between the uprights, and at either end a tenon with neck and head."""
+    """Return one board of the top: its body between the uprights, and at either end a tenon with neck and head."""
     middle = rows[1] + (1 if rows[0] == 0 else 0)
     cells = []
     for z in range(low, low + 3):
@@ -195,7 +195,7 @@ def _column_cells(x: int, levels: int) -> list[Cell]:
 
 
 def _on_grid(kind: str, cells: Iterable[Cell], lines: Sequence[Sequence[float] | np.ndarray]) -> Solid:
-    """Surface of a piece made of cells between grid lines along x, y and z."""
+    """Return the surface of a piece made of cells between grid lines along x, y and z."""
     solid = surface(kind, frozenset(cells), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
     index = np.rint(solid.vertices).astype(int)
     vertices = np.stack([np.asarray(lines[axis])[index[:, axis]] for axis in range(3)], axis=1)

@@ -33,7 +33,7 @@ def bottle(
 
 
 def bottle_outline(width: int, height: int) -> list[Cell]:
-    """Squares of the bottle as cubes `(x, 0, z)`: a body, shoulders that step in, and a neck."""
+    """Return squares of the bottle as cubes `(x, 0, z)`: a body, shoulders that step in, and a neck."""
     neck = max(width - 2 * (width // 3), 1)
     body = max(height - height // 4 - (width - neck) // 2, 1)
     cells = []

@@ -1,4 +1,4 @@
-"""From the words of the command line to a built-in structure."""
+"""Parser of built-in structure specifications such as `arch:blocks=15`."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ _MATERIAL = ("density", "friction")
 
 
 def structures() -> tuple[Structure, ...]:
-    """All built-in structures, with their parameters as data."""
+    """Return all built-in structures, with their parameters as data."""
     return _STRUCTURES
 
 
 def is_built_in(spec: str) -> bool:
-    """Whether a text names a built-in structure, with or without parameters."""
+    """Return whether a text names a built-in structure, with or without parameters."""
     return any(entry.name == spec.partition(":")[0].strip() for entry in _STRUCTURES)
 
 

@@ -1,4 +1,4 @@
-"""Stack of blocks that reach over an edge."""
+"""Stack of blocks that overhangs an edge."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class Grid:
         return [[other for other in others if other != cell] for cell, others in enumerate(close)]
 
     def corners(self, support: float) -> NDArray[np.int64]:
-        """Corner (0 to 3) whose springer each cell belongs to, -1 for none; the corner cells always do.
+        """Return the corner (0 to 3) whose springer each cell belongs to, -1 for none; the corner cells always do.
 
         Args:
             support: reach along an edge, as a share of the span.
@@ -103,12 +103,12 @@ class Grid:
         return np.where((np.abs(sites) > 0.5 - reach).all(axis=1), number, -1)
 
     def part_count(self, support: float) -> int:
-        """Blocks and four springers."""
+        """Return blocks and four springers."""
         return int((self.corners(support) < 0).sum()) + 4
 
 
 def nearest_grid(parts: int, support: float) -> Grid:
-    """Grid whose number of parts is near `parts` and whose cells are near `SLENDERNESS`.
+    """Return the grid whose number of parts is near `parts` and whose cells are near `SLENDERNESS`.
 
     Args:
         parts: wanted.

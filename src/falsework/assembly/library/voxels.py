@@ -1,4 +1,4 @@
-"""Solids made of unit cubes: cutting a region at random into connected pieces, and their surfaces."""
+"""Random connected pieces of a region of unit cubes, and their surface meshes."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _grow(cells: Sequence[Cell], pieces: int, random: np.random.Generator) -> li
 
 
 def neighbours(cell: Cell) -> list[Cell]:
-    """The six cells that share a face with a cell."""
+    """Return the six cells that share a face with a cell."""
     x, y, z = cell
     return [(x + dx, y + dy, z + dz) for dx, dy, dz in STEPS]
 
@@ -86,7 +86,7 @@ def _height(piece: Piece) -> tuple[float, list[Cell]]:
 
 
 def _pinches(cell: Cell, piece: Set[Cell]) -> bool:
-    """Whether a cube meets another of a piece along an edge with no cube of the piece beside both."""
+    """Return whether a cube meets another of a piece along an edge with no cube of the piece beside both."""
     x, y, z = cell
     for across in _ACROSS:
         if (x + across[0], y + across[1], z + across[2]) in piece:
@@ -100,7 +100,7 @@ def _pinches(cell: Cell, piece: Set[Cell]) -> bool:
 
 
 def _comes_apart(pieces: Sequence[Piece]) -> bool:
-    """Whether pieces can leave one after the other straight along an axis, never downwards.
+    """Return whether pieces can leave one after the other straight along an axis, never downwards.
 
     A piece that can leave can still leave when others have gone, so taking any that can is no loss.
     """
@@ -127,7 +127,7 @@ def _can_leave(piece: Piece, present: Sequence[Piece]) -> bool:
 
 
 def surface(kind: str, piece: Piece, size: Sequence[float], origin: Sequence[float]) -> Solid:
-    """Boundary of a piece: one square a cube face that no other cube of the piece covers.
+    """Return the boundary of a piece: one square a cube face that no other cube of the piece covers.
 
     Args:
         kind: name of the solid.
@@ -146,7 +146,7 @@ def surface(kind: str, piece: Piece, size: Sequence[float], origin: Sequence[flo
 
 
 def _square(cell: Cell, step: Cell) -> list[Cell]:
-    """Corners of the face of a cube that looks along `step`, counter-clockwise from outside."""
+    """Return corners of the face of a cube that looks along `step`, counter-clockwise from outside."""
     axis = next(k for k in range(3) if step[k])
     u, v = (axis + 1) % 3, (axis + 2) % 3  # u, v and the axis are right-handed
     start = list(cell)

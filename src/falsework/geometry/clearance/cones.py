@@ -1,4 +1,4 @@
-"""Cones of directions in which one part runs into another: what proves that there is no way out between them.
+"""Cones of blocked directions between parts, which prove that no exit direction lies between those found.
 
 A convex piece of a part, moved along a direction without end, meets a convex piece of another part if and only if
 the direction lies in the cone over the Minkowski difference of the two. That cone is convex and has flat
@@ -30,7 +30,7 @@ _CROSSES = 1_000
 
 @dataclass(frozen=True, eq=False)
 class Cones:
-    """Convex cones of directions; in each, one part is in the way.
+    """Convex cones of directions in which one part blocks another.
 
     A direction `d` of unit length lies in cone `k` if `facets @ d > offset` for all its facets
     `start[k]:start[k + 1]`. All offsets are zero or positive, so a cone holds with some directions all
@@ -51,7 +51,7 @@ class Cones:
 
     @classmethod
     def half_spaces(cls, normals: Array, offset: float, parts: Sequence[int] | NDArray[np.integer]) -> Cones:
-        """Cones of one facet each: all directions with more than `offset` along a normal, shape (cones, 3)."""
+        """Return cones of one facet each: all directions with more than `offset` along a normal, shape (cones, 3)."""
         count = len(normals)
         return cls(
             np.asarray(normals, dtype=np.float64).reshape(-1, 3),
@@ -62,7 +62,7 @@ class Cones:
 
     @classmethod
     def joined(cls, several: Sequence[Cones]) -> Cones:
-        """All cones of several sets."""
+        """Return all cones of several sets."""
         sizes = np.concatenate([np.zeros(0, np.int64), *(np.diff(cones.start) for cones in several)])
         return cls(
             np.concatenate([np.zeros((0, 3)), *(cones.facets for cones in several)]),
@@ -72,7 +72,7 @@ class Cones:
         )
 
     def of(self, parts: NDArray[np.integer]) -> Cones:
-        """The cones of some parts alone."""
+        """Return the cones of some parts alone."""
         kept = np.isin(self.part, parts)
         rows = np.repeat(kept, np.diff(self.start))
         start = np.concatenate([[0], np.cumsum(np.diff(self.start)[kept])]).astype(np.int64)
@@ -128,7 +128,7 @@ class Pieces:
 
 
 def cones_between(moving: Pieces, obstacle: Pieces, part: int) -> Cones:
-    """Cones of directions in which pieces of one part run into pieces of another, `part`.
+    """Return cones of directions in which pieces of one part run into pieces of another, `part`.
 
     A pair of pieces that no plane was found to separate is left out, which makes the cones fewer but not wrong.
     """
@@ -145,7 +145,7 @@ def _cones(
     p: Array, p_start: NDArray[np.int64], p_normals: Array, p_edges: Array,
     q: Array, q_start: NDArray[np.int64], q_normals: Array, q_edges: Array,
 ) -> tuple[Array, NDArray[np.int64]]:  # fmt: skip # pragma: no cover - compiled
-    """Facets of the cones of all pairs of pieces, and how many each cone has."""
+    """Return facets of the cones of all pairs of pieces, and how many each cone has."""
     facets = np.empty((64, 3))
     sizes = np.empty(len(p_normals) * len(q_normals), dtype=np.int64)
     used = cones = 0
@@ -174,7 +174,7 @@ def _cones(
 
 @numba.njit(cache=True)
 def _gap(a: Array, b: Array, x: float, y: float, z: float) -> float:  # pragma: no cover - compiled
-    """How far `b` lies ahead of `a` along an axis."""
+    """Return the distance by which `b` lies ahead of `a` along an axis."""
     far, near = -np.inf, np.inf
     for k in range(len(a)):
         far = max(far, x * a[k, 0] + y * a[k, 1] + z * a[k, 2])
@@ -189,7 +189,7 @@ def _gap(a: Array, b: Array, x: float, y: float, z: float) -> float:  # pragma: 
 def _separating(
     a: Array, b: Array, a_normals: Array, b_normals: Array, a_edges: Array, b_edges: Array
 ) -> tuple[bool, Array]:  # pragma: no cover - compiled
-    """Axis along which `b` lies wholly ahead of `a`: of planes of faces the best, else one across two edges."""
+    """Return an axis along which `b` lies wholly ahead of `a`: the best face normal, else a product of two edges."""
     best, axis = 1e-9, np.zeros(3)
     for normals in (a_normals, b_normals):
         for k in range(len(normals)):
@@ -218,7 +218,7 @@ def _separating(
 
 @numba.njit(cache=True)
 def _facets(a: Array, b: Array, axis: Array) -> Array:  # pragma: no cover - compiled
-    """Inward normals of the cone over `b - a`, all of which lies ahead along the axis; shape (facets, 3).
+    """Return inward normals of the cone over `b - a`, all of which lies ahead along the axis; shape (facets, 3).
 
     The cone is cut by the plane at one along the axis, and the convex hull of the section is found by Andrew's
     chain. A corner that hardly stands out is left out, which makes the cone smaller.

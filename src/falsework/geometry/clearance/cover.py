@@ -1,4 +1,4 @@
-"""Proof that no direction does better than known ways out: triangles that cover the sphere of directions."""
+"""Proof by a triangulation of the sphere that no exit direction beats those found."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Triangles:
 
     @classmethod
     def sphere(cls) -> Triangles:
-        """Eight triangles that make up the sphere, turned so that no usual direction is a corner."""
+        """Return eight triangles that make up the sphere, turned so that no usual direction is a corner."""
         turn, _ = np.linalg.qr(np.array([[0.61, 0.23, -0.42], [0.18, 0.71, 0.33], [-0.37, 0.29, 0.83]]))
         signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)], dtype=float)
         return cls(signs[:, :, None] * turn[None], np.zeros(8, dtype=np.int64))
@@ -45,11 +45,11 @@ class Triangles:
         return total / np.linalg.norm(total, axis=1, keepdims=True)
 
     def chosen(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Triangles:
-        """Some of them."""
+        """Return some of them."""
         return Triangles(self.corners[rows], self.cut[rows])
 
     def quartered(self) -> Triangles:
-        """Each one cut into four, at the middles of its edges."""
+        """Return each one cut into four, at the middles of its edges."""
         a, b, c = self.corners[:, 0], self.corners[:, 1], self.corners[:, 2]
         ab, bc, ca = (middle / np.linalg.norm(middle, axis=1, keepdims=True) for middle in (a + b, b + c, c + a))
         pieces = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
@@ -64,7 +64,7 @@ class Triangles:
 def uncovered(
     triangles: Triangles, cones: Cones, ways: NDArray[np.bool_], limit: int
 ) -> tuple[Triangles, NDArray[np.bool_]] | None:
-    """Triangles in which a direction may be better than the known ways.
+    """Return triangles in which a direction may be better than the known ways.
 
     A triangle is settled if for some way each of its blockers has a cone that holds the whole triangle: then
     whatever set of parts leaves a direction in it open leaves that way open too. Others are cut until they are

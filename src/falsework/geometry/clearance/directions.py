@@ -1,4 +1,4 @@
-"""Directions along which a part may leave: those that its contacts suggest, then all over the sphere."""
+"""Candidate exit directions of a part: those that its contacts suggest, then a sphere covering."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NORMALS = 128
 
 
 def sphere_directions(count: int) -> Array:
-    """The first `count` of an endless even sequence of unit vectors, shape (count, 3); always the same.
+    """Return the first `count` of an endless even sequence of unit vectors, shape (count, 3); always the same.
 
     Height and longitude follow the two-dimensional sequence of multiples of the inverse powers of the
     plastic number, which leaves no large gaps at any length.
@@ -30,7 +30,7 @@ def sphere_directions(count: int) -> Array:
 
 
 def exit_directions(contacts: Contacts, part: int, count: int) -> Array:
-    """Directions to try for one part, most promising first, shape (count, 3), unit length.
+    """Return directions to try for one part, most promising first, shape (count, 3), unit length.
 
     First the normals of its contacts, away from the neighbour, and their mean; then the lines along which it can
     slide on two contacts at once, both ways, those first that push into the fewest neighbours: they are the
@@ -59,7 +59,7 @@ def exit_directions(contacts: Contacts, part: int, count: int) -> Array:
 
 
 def _distinct(directions: Array) -> Array:
-    """Each direction once, at its first place."""
+    """Return each direction once, at its first place."""
     if not len(directions):
         return directions
     same = directions @ directions.T > _SAME

@@ -1,4 +1,4 @@
-"""Search for ways out until none can be missing."""
+"""Search for exit directions until none can be missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a part hits when it is moved along a straight line without end."""
+"""Sweep test: parts hit by a part that moves along a straight line to infinity."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _BATCH = 125
 
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """Ways out of one part, with what is in the way."""
+    """Exit directions of one part, with the parts that block them."""
 
     directions: Array
     """Unit vectors, shape (ways, 3)."""
@@ -42,7 +42,7 @@ class Ways:
 
 
 class Sweeper:
-    """Straight moves of single parts through all the others."""
+    """Straight sweeps of single parts through all others."""
 
     def __init__(self, meshes: Sequence[TriangleMesh], contacts: Contacts, tolerance: float) -> None:
         """Shrink the parts, and find planes that keep pairs of them apart.
@@ -69,7 +69,7 @@ class Sweeper:
         self._level = self._tangled(np.minimum.reduceat(points, first), np.maximum.reduceat(points, first))
 
     def blocked(self, part: int, directions: Array) -> Mask:
-        """Which parts are in the way of a part, shape (directions, parts).
+        """Return whether each part blocks a part in each direction, shape (directions, parts).
 
         Most pairs are decided without a collision. A plane that has the part on one side and the other part
         on the other leaves all directions away from the other open; a contact closes all directions into it.
@@ -83,7 +83,7 @@ class Sweeper:
         return hit
 
     def least_blocked(self, part: int, directions: Array, known: Ways | None = None) -> Ways:
-        """The directions that no other beats: those whose blockers do not include all blockers of another.
+        """Return the directions that no other beats: those whose blockers do not include all blockers of another.
 
         A direction is given up as soon as the blockers that are known include those of one already found, so
         that most sweeps are never made; of directions with the same blockers one is kept.
@@ -127,7 +127,7 @@ class Sweeper:
         return Ways(ways[order], rows[order])
 
     def cones(self, part: int, others: NDArray[np.integer]) -> Cones:
-        """Cones of directions in which the part is blocked by some of the other parts.
+        """Return cones of directions in which the part is blocked by some of the other parts.
 
         In each direction of a cone the part moves into a contact, or collides with the shrunken other part; a
         direction in no cone need not be free.
@@ -152,7 +152,7 @@ class Sweeper:
         return self._convex[part, level]
 
     def _known(self, part: int, directions: Array) -> tuple[Mask, Mask]:
-        """Pairs known to be free and known to be blocked, each of shape (directions, parts)."""
+        """Return pairs known to be free and known to be blocked, each of shape (directions, parts)."""
         ahead = self._low[part] >= self._high
         away = np.einsum("ki,pi->kp", directions, self._planes) >= 0
         free = intersect(pack(away), pack(ahead))
@@ -169,7 +169,7 @@ class Sweeper:
         return free, hit & ~free
 
     def _meets(self, part: int, other: int, direction: Array, walls: dict[int, Body]) -> bool:
-        """Whether the part hits the other on its way along the direction; `walls` keeps its walls for that way.
+        """Return whether the part hits the other on its way along the direction; `walls` keeps its walls for that way.
 
         The swept volume is bounded by the wall that the outline of the part sweeps, apart from its two
         ends. Another part that it meets either crosses that wall or is enclosed by the volume; then the
@@ -183,7 +183,7 @@ class Sweeper:
         return walls[level].hits(obstacle.body) or obstacle.edge_wall(-move).hits(shape.body)
 
     def _shape(self, part: int, level: int) -> _Shape:
-        """A part shrunk by its share of the tolerance, doubled `level` times."""
+        """Return a part shrunk by its share of the tolerance, doubled `level` times."""
         if (part, level) not in self._shapes:
             distance = _SHARE * self._tolerance * 2**level
             self._shapes[part, level] = _Shape(self._meshes[part], distance, self._edges[part])
@@ -193,7 +193,7 @@ class Sweeper:
         return self._shape(a, level).body.hits(self._shape(b, level).body)
 
     def _separating_contacts(self, points: Array, first: NDArray[np.integer]) -> Mask:
-        """Contacts whose plane has one part wholly on one side and the other on the other, shape (contacts,)."""
+        """Return contacts whose plane has one part wholly on one side and the other on the other, shape (contacts,)."""
         ends = np.append(first[1:], len(points))
         apart = np.zeros(len(self._contacts), dtype=bool)
         for contact, (a, b) in enumerate(self._contacts.parts.tolist()):
@@ -202,7 +202,7 @@ class Sweeper:
         return apart
 
     def _tangled(self, low: Array, high: Array) -> dict[tuple[int, int], int]:
-        """How often the shrinking must double for pairs whose corners cut into each other.
+        """Count the doublings of the shrinking for pairs whose corners cut into each other.
 
         It stops at a quarter of the thickness of the thinner part; what then still collides is never free.
         """
@@ -220,12 +220,12 @@ class Sweeper:
 
 
 def includes_one(row: NDArray[np.bool_], rows: Mask) -> bool:
-    """Whether a set includes at least one of the others."""
+    """Return whether a set includes at least one of the others."""
     return bool((~rows | row).all(axis=1).any())
 
 
 class _Shape:
-    """A shrunken part, ready to be hit and to be swept."""
+    """Shrunken part, as obstacle and as swept body."""
 
     def __init__(self, mesh: TriangleMesh, distance: float, edges: _Edges) -> None:
         self.vertices = shrink(mesh, distance)
@@ -235,12 +235,12 @@ class _Shape:
         self._normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
     def wall(self, move: Array) -> Body:
-        """What the outline of the part, seen along the move, sweeps over the move."""
+        """Return the surface that the silhouette of the part sweeps."""
         front = self._normals @ move > 0
         return self._swept(self._edges.ends[front[self._edges.one] != front[self._edges.two]], move)
 
     def edge_wall(self, move: Array) -> Body:
-        """What one edge of every surface of the part sweeps over the move."""
+        """Return the surface that one edge of every component of the part sweeps."""
         return self._swept(self._edges.samples, move)
 
     def _swept(self, ends: NDArray[np.integer], move: Array) -> Body:

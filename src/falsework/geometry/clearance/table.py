@@ -1,4 +1,4 @@
-"""Which part can leave along which direction: a lookup table, computed once per structure."""
+"""Clearance table: exit directions of every part and the parts that block them, computed once per structure."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from falsework.geometry.clearance.exhaustion import all_ways
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.utils.bits import pack, unpack
+from falsework.utils.bits import pack
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class ClearanceTable:
-    """For every part the ways out, each with the set of parts that block it.
+    """Exit directions of every part, each with the set of parts that block it.
 
     A way whose blockers include all blockers of another way of the same part is never needed and is left
     out: whenever it is free the other is free too. So the few that remain answer whether a part can leave
@@ -43,7 +43,7 @@ class ClearanceTable:
     """Directions that were tried for each of the other parts."""
 
     def can_leave(self, states: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Whether each part has a straight way out past the parts that are present.
+        """Return whether each part has a straight way out past the parts that are present.
 
         Args:
             states: 0 removed, 1 installed, 2 held, shape (batch, parts).
@@ -57,18 +57,12 @@ class ClearanceTable:
         return _ways_out(self._pack(states), self.blockers, self.start) >= 0
 
     def exit_direction(self, state: NDArray[np.uint8], part: int) -> Array | None:
-        """A unit vector along which the part leaves in a straight line, or None. `state` has shape (parts,)."""
+        """Return a unit vector along which the part leaves in a straight line, or None. `state` has shape (parts,)."""
         way = _ways_out(self._pack(np.asarray(state)[None]), self.blockers, self.start)[0, part]
         return None if way < 0 else self.directions[way].copy()
 
-    def blocking(self, state: NDArray[np.uint8], part: int) -> NDArray[np.int64]:
-        """The present parts in the way of `part` along its least blocked way out, ascending ids."""
-        ways = slice(self.start[part], self.start[part + 1])
-        present = unpack(self.blockers[ways] & self._pack(np.asarray(state)[None]))
-        return np.flatnonzero(present[np.argmin(present.sum(axis=1))])
-
     def doubt(self, parts: NDArray[np.bool_]) -> str:
-        """Why some of the parts, shape (parts,), may have ways out that are not listed; empty if all are exact."""
+        """Explain why some of the parts, shape (parts,), may have unlisted exit directions; empty if all are exact."""
         unsure = np.flatnonzero(parts & ~self.exact)
         if not len(unsure):
             return ""
@@ -126,7 +120,7 @@ def clearance_table(
 def _ways_out(
     present: NDArray[np.uint64], blockers: NDArray[np.uint64], start: NDArray[np.int32]
 ) -> NDArray[np.int32]:  # pragma: no cover - compiled
-    """First way of each part that no present part blocks, or -1; shape (batch, parts)."""
+    """Return the first way of each part that no present part blocks, or -1; shape (batch, parts)."""
     batch, words = present.shape
     parts = len(start) - 1
     found = np.full((batch, parts), -1, dtype=np.int32)

@@ -1,4 +1,4 @@
-"""Convex edges and corners of parts: what can touch another part along a line or at a point."""
+"""Convex edges and corners of parts, which can touch another part along a line or at a point."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _STRAIGHT = np.cos(np.radians(0.5))
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Faces and vertices of all parts in one row; faces without area are left out."""
+    """Faces and vertices of all parts, concatenated; faces without area are left out."""
 
     points: Array
     """Shape (vertices, 3), metres."""
@@ -120,18 +120,18 @@ class Creases:
         )
 
     def take(self, chosen: NDArray[np.bool_]) -> Creases:
-        """Those edges alone."""
+        """Return those edges alone."""
         return Creases(**{name: value[chosen] for name, value in self.__dict__.items()})
 
 
 def _single(keys: Index) -> NDArray[np.bool_]:
-    """Which keys occur once."""
+    """Return the keys that occur once."""
     _, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
     return counts[inverse] == 1
 
 
 def _ends(vertices: Index, along: Array) -> NDArray[np.bool_]:
-    """Tails and heads of edges from which no other goes straight on, shape (edges, 2)."""
+    """Return tails and heads of edges from which no other goes straight on, shape (edges, 2)."""
     at = vertices.T.ravel()
     away = np.concatenate([along, -along])
     order = np.argsort(at, kind="stable")
@@ -144,14 +144,14 @@ def _ends(vertices: Index, along: Array) -> NDArray[np.bool_]:
 
 
 def expand(start: Index, stop: Index) -> tuple[Index, Index]:
-    """All indices of the ranges `start[k]:stop[k]`, each with its `k`; shapes (sum of lengths,)."""
+    """Return all indices of the ranges `start[k]:stop[k]`, each with its `k`; shapes (sum of lengths,)."""
     counts = stop - start
     row = np.repeat(np.arange(len(counts)), counts)
     return row, np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(start, counts)
 
 
 def rises(surface: Surface, vertices: Index, normals: Array, least: float) -> NDArray[np.bool_]:
-    """Whether parts stand on planes through their vertices like a tip: all edges rise, and the tip is solid.
+    """Return whether parts stand on planes through their vertices like a tip: all edges rise, and the tip is solid.
 
     Args:
         surface: the parts.

@@ -1,4 +1,4 @@
-"""Put patches together that one contact can stand for: those of one plane, and of a curved interface in steps."""
+"""Grouping of contact patches by plane, and of curved interfaces by direction."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def segment_sum(values: Array, owner: NDArray[np.integer], count: int) -> Array:
-    """Sum of the rows of each owner, shape (count, columns)."""
+    """Return the sum of the rows of each owner, shape (count, columns)."""
     columns = [np.bincount(owner, column, count) for column in values.T]
     return np.stack(columns, axis=1).astype(np.float64)
 
@@ -107,14 +107,14 @@ def curved_groups(
 
 
 def _pairs(parts: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Number of the pair of parts in every row, counted from 0 in order of the pairs."""
+    """Return the number of the pair of parts in every row, counted from 0 in order of the pairs."""
     return np.unique(parts[:, 0] * np.int64(2**32) + parts[:, 1], return_inverse=True)[1].astype(np.int64)
 
 
 def _neighbours(
     points: Array, owner: NDArray[np.int64], pair: NDArray[np.int64], one: int, reach: float
 ) -> dict[int, list[int]]:
-    """Planes of one pair of parts that have a corner within `reach` of each other."""
+    """Return planes of one pair of parts that have a corner within `reach` of each other."""
     of_pair = np.flatnonzero(pair[owner] == one)
     near = KDTree(points[of_pair]).query_pairs(reach, output_type="ndarray")
     edges = np.unique(np.sort(owner[of_pair][near], axis=1), axis=0)

@@ -61,7 +61,7 @@ class Contacts:
         return self.frames[:, 0]
 
     def pushes(self, part_count: int) -> NDArray[np.float64]:
-        """Area times normal into part `i` of all its contacts with part `j`, m2, shape (parts, parts, 3)."""
+        """Return the area times normal into part `i` of all its contacts with part `j`, m2, shape (parts, parts, 3)."""
         return self._pushes(part_count, self.areas)
 
     def narrow_pushes(self, part_count: int) -> NDArray[np.float64]:
@@ -79,7 +79,7 @@ class Contacts:
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """When two parts touch, and what counts as one plane."""
+    """Tolerances of contact detection and of the grouping into planes."""
 
     gap: float | None = None
     """Largest gap between faces that still touch, metres. None: 1/2000 of the median diagonal of the parts, or
@@ -108,7 +108,7 @@ class ContactSettings:
                 raise InputError(f"contact tolerance {name} is {getattr(self, name)} degrees; give 0 to 45")
 
     def lengths(self, meshes: Sequence[TriangleMesh]) -> tuple[float, float]:
-        """Gap and overlap in metres for these parts."""
+        """Return the gap and overlap in metres for these parts."""
         if self.gap is None:
             diagonal = np.median([np.linalg.norm(np.ptp(mesh.bounds, axis=0)) for mesh in meshes])
             gap = min(float(diagonal) / 2000, min(mesh.thickness for mesh in meshes) / 20)
@@ -163,7 +163,7 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
 
 
 def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> tuple[Contacts, Narrow]:
-    """One contact a group of patches: mean frame, hull corners counter-clockwise; and the slivers left out."""
+    """Return one contact a group of patches: mean frame, hull corners counter-clockwise; and the slivers left out."""
     count = int(group.max()) + 1 if len(group) else 0
     normals = segment_sum(patches.normals * patches.areas[:, None], group, count)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -214,7 +214,7 @@ def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> t
 
 
 def _slivers(hulls: NDArray, tolerance: float) -> Array:
-    """The two points of each hull farthest apart, or twice its middle if it is a dot; shape (hulls, 2, 3)."""
+    """Return the two points of each hull farthest apart, or twice its middle if it is a dot; shape (hulls, 2, 3)."""
     ends = np.zeros((len(hulls), 2, 3))
     for row, hull in enumerate(hulls):
         corners = shapely.get_coordinates(hull, include_z=True)[:, [2, 0, 1]]
@@ -250,7 +250,7 @@ def _with_narrow(contacts: Contacts, places: Narrow, angle: float, tolerance: fl
 
 
 def _adds_nothing(contacts: Contacts, places: Narrow, angle: float, tolerance: float) -> NDArray[np.bool_]:
-    """Which lines and points planar contacts stand for already, shape (places,).
+    """Return whether planar contacts already cover each line or point, shape (places,).
 
     Those are edges of a contact of the same parts, and edges of one part with other parts against both sides (three
     for a point): stones that meet around a line fill all space there, and none of them protrudes.

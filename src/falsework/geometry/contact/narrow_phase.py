@@ -1,4 +1,4 @@
-"""Where parts touch along a line or at a point: edges and corners on faces, and edges across edges.
+"""Line and point contacts: edges and corners on faces, and edges across edges.
 
 The rules are the counterpart of those for faces. A face that is nearer to parallel with the other than the largest
 angle between faces that touch makes a patch; so an edge counts only where both of its faces rise more steeply from
@@ -28,7 +28,7 @@ _BESIDE = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Narrow:
-    """Places of one or two points where two parts touch, a row each."""
+    """Line and point contacts between two parts, one row each."""
 
     parts: NDArray[np.int32]
     """Part `a` and part `b`, `a < b`, shape (places, 2)."""
@@ -40,19 +40,19 @@ class Narrow:
     """Length that touches, zero for a point, shape (places,), metres."""
 
     def take(self, chosen: NDArray) -> Narrow:
-        """Those places alone, in that order."""
+        """Return those places alone, in that order."""
         return Narrow(self.parts[chosen], self.normals[chosen], self.ends[chosen], self.extent[chosen])
 
     @staticmethod
     def join(found: Sequence[Narrow]) -> Narrow:
-        """All places of several."""
+        """Return all places of several."""
         parts, normals, ends, extent = zip(*((n.parts, n.normals, n.ends, n.extent) for n in found), strict=True)
         return Narrow(np.concatenate(parts), np.concatenate(normals), np.concatenate(ends), np.concatenate(extent))
 
 
 @dataclass(frozen=True)
 class Reach:
-    """What is near enough to touch, metres and degrees; as `face_patches`."""
+    """Tolerances of contact, metres and degrees; as `face_patches`."""
 
     gap: float
     overlap: float
@@ -115,7 +115,7 @@ def _groups(owner: Index, member: Index, count: int) -> tuple[Index, Index]:
 
 
 def _members(groups: tuple[Index, Index], chosen: Index) -> tuple[Index, Index]:
-    """What belongs to the chosen faces: the place in `chosen`, and the member."""
+    """Return the members of the chosen faces: the place in `chosen`, and the member."""
     start, member = groups
     row, place = expand(start[chosen], start[chosen + 1])
     return row, member[place]
@@ -131,7 +131,7 @@ def _near_faces(corners: Array, part: NDArray[np.int32], half: float) -> Iterato
 
 
 def _ordered(first: NDArray[np.int32], second: NDArray[np.int32], normals: Array) -> tuple[NDArray[np.int32], Array]:
-    """Pairs of parts, the lower one first, and normals that pointed from the first to the second."""
+    """Return pairs of parts, the lower one first, and normals that pointed from the first to the second."""
     parts = np.stack([np.minimum(first, second), np.maximum(first, second)], axis=1)
     return parts, normals * np.where(first < second, 1.0, -1.0)[:, None]
 
@@ -173,7 +173,7 @@ def merged(found: Narrow, coplanar: float, tolerance: float) -> Narrow:
 
 
 def _edges_on_faces(surface: Surface, sharp: Creases, rims: Creases, edge: Index, face: Index, reach: Reach) -> Narrow:
-    """Pieces of edges that lie on faces, away from their rims."""
+    """Return pieces of edges that lie on faces, away from their rims."""
     normal = surface.normals[face]
     keep = (np.einsum("eki,ei->ek", sharp.into[edge], normal) > reach.sine).all(axis=1)
     keep &= np.abs(np.einsum("ei,ei->e", sharp.along[edge], normal)) <= reach.sine
@@ -215,7 +215,7 @@ def _clip(start: Array, stop: Array, level: Array, climb: Array) -> None:
 
 
 def _along_edges(ends: Array, part: NDArray[np.int32], edges: Creases, reach: Reach) -> Array:
-    """Length of segments over which an edge of a part runs beside them, shape (segments,), metres."""
+    """Return the length of segments over which an edge of a part runs beside them, shape (segments,), metres."""
     covered = np.zeros(len(ends))
     for rows, near in _with_edges(part, edges):
         origin, along = ends[rows, 0], ends[rows, 1] - ends[rows, 0]
@@ -237,7 +237,7 @@ def _along_edges(ends: Array, part: NDArray[np.int32], edges: Creases, reach: Re
 
 
 def _with_edges(part: NDArray[np.int32], edges: Creases) -> Iterator[tuple[Index, Index]]:
-    """Each row with each edge of its part; in chunks."""
+    """Yield each row with each edge of its part; in chunks."""
     start = np.searchsorted(edges.part, part, side="left")
     stop = np.searchsorted(edges.part, part, side="right")
     total = np.cumsum(stop - start)
@@ -251,7 +251,7 @@ def _with_edges(part: NDArray[np.int32], edges: Creases) -> Iterator[tuple[Index
 
 
 def _inside_a_rim(slivers: Narrow, edges: Creases, reach: Reach) -> NDArray[np.bool_]:
-    """Which strips are those of a narrow face of one part inside a wide one of the other, shape (slivers,)."""
+    """Return whether each strip belongs to a narrow face inside a wide one of the other part, shape (slivers,)."""
     inside = np.zeros(len(slivers.extent), dtype=bool)
     point = slivers.extent == 0
     for side in (0, 1):
@@ -262,7 +262,7 @@ def _inside_a_rim(slivers: Narrow, edges: Creases, reach: Reach) -> NDArray[np.b
 
 
 def _from_edges(points: Array, part: NDArray[np.int32], edges: Creases) -> Array:
-    """Distance of points from the nearest edge of a part, shape (points,), metres."""
+    """Return the distance of points from the nearest edge of a part, shape (points,), metres."""
     nearest = np.full(len(points), np.inf)
     for rows, near in _with_edges(part, edges):
         arms = points[rows] - edges.tail[near]
@@ -274,7 +274,7 @@ def _from_edges(points: Array, part: NDArray[np.int32], edges: Creases) -> Array
 def _corners_on_faces(
     surface: Surface, rims: Creases, vertex: Index, face: Index, part: NDArray[np.int32], reach: Reach
 ) -> Narrow:
-    """Corners that stand on faces, away from their rims."""
+    """Return corners that stand on faces, away from their rims."""
     normal, point = surface.normals[face], surface.points[vertex]
     # Most corners lie in the face by an edge or a face of their own: two edges show that of most of them.
     first = surface.hanging[vertex]
@@ -296,7 +296,7 @@ def _corners_on_faces(
 
 
 def _crossings(sharp: Creases, one: Index, two: Index, reach: Reach) -> Narrow:
-    """Edges that cross edges, away from their ends."""
+    """Return edges that cross edges, away from their ends."""
     normal = np.cross(sharp.along[one], sharp.along[two])
     sine = np.linalg.norm(normal, axis=1)
     normal /= np.maximum(sine, 1e-300)[:, None]

@@ -1,4 +1,4 @@
-"""Parts that pass through each other: found by collision, measured by depth."""
+"""Overlap between parts: detection by collision queries, and penetration depth."""
 
 from __future__ import annotations
 
@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.patches import face_patches
 from falsework.geometry.mesh.boxes import box_pairs
-from falsework.geometry.mesh.collision import Body, inside, shrink
+from falsework.geometry.mesh.collision import LESS, MORE, Body, inside, interpenetrate, nested, shrink
 from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 
-_MORE, _LESS = 0.56, 0.45
-"""Shares of what is allowed by which the two parts of a pair shrink: together a little more than all."""
 _OPPOSED = 3.0
 """Largest angle between opposed faces of which an overlap is a mistake and no bevel, degrees."""
 _MEASURED = 20
@@ -47,7 +45,7 @@ def check_overlap(meshes: Sequence[TriangleMesh], tolerance: float, *, corner: f
     for a, b in _suspects(meshes, tolerance):
         limit = max(float(min(size[a], size[b])) if corner is None else corner, tolerance)
         layer = _have_layer(meshes[a], meshes[b], tolerance, limit)
-        if not layer and not _collide(meshes[a], meshes[b], limit):
+        if not layer and not interpenetrate(meshes[a], meshes[b], limit):
             continue
         deep = depth(meshes[a], meshes[b])
         limit = tolerance if layer else limit
@@ -66,23 +64,13 @@ def check_overlap(meshes: Sequence[TriangleMesh], tolerance: float, *, corner: f
 
 
 def _have_layer(a: TriangleMesh, b: TriangleMesh, tolerance: float, limit: float) -> bool:
-    """Whether faces of two parts that should touch overlap by more than the tolerance."""
+    """Return whether faces of two parts that should touch overlap by more than the tolerance."""
     patches = face_patches((a, b), gap=-tolerance, overlap=limit, angle=_OPPOSED)
     return float(patches.areas.sum()) > limit**2
 
 
-def _collide(a: TriangleMesh, b: TriangleMesh, allowed: float) -> bool:
-    """Whether two parts that are shrunk by half of what is allowed still share space.
-
-    They are not shrunk by the same amount: parts that coincide would leave surfaces that coincide, and
-    none that cross.
-    """
-    a_points, b_points = shrink(a, _MORE * allowed), shrink(b, _LESS * allowed)
-    return Body(a_points, a.faces).hits(Body(b_points, b.faces)) or _nested(a, a_points, b, b_points)
-
-
 def _suspects(meshes: Sequence[TriangleMesh], tolerance: float) -> list[tuple[int, int]]:
-    """Pairs of parts that still collide after shrinking, in order."""
+    """Return pairs of parts that still collide after shrinking, in order."""
     bounds = np.array([mesh.bounds for mesh in meshes])
     low, high = bounds[:, 0] + tolerance / 2, bounds[:, 1] - tolerance / 2
     i, j = box_pairs(low, np.maximum(low, high))
@@ -91,27 +79,19 @@ def _suspects(meshes: Sequence[TriangleMesh], tolerance: float) -> list[tuple[in
 
     def body(part: int, second: bool) -> Body:
         if (part, second) not in bodies:
-            vertices[part, second] = shrink(meshes[part], (_LESS if second else _MORE) * tolerance)
+            vertices[part, second] = shrink(meshes[part], (LESS if second else MORE) * tolerance)
             bodies[part, second] = Body(vertices[part, second], meshes[part].faces)
         return bodies[part, second]
 
     found = []
     for a, b in zip(i.tolist(), j.tolist(), strict=True):
-        if body(a, False).hits(body(b, True)) or _nested(meshes[a], vertices[a, False], meshes[b], vertices[b, True]):
+        if body(a, False).hits(body(b, True)) or nested(meshes[a], vertices[a, False], meshes[b], vertices[b, True]):
             found.append((a, b))
     return found
 
 
-def _nested(a: TriangleMesh, a_points: Array, b: TriangleMesh, b_points: Array) -> bool:
-    """Whether one of two surfaces that do not cross lies inside the other."""
-    a_low, a_high, b_low, b_high = a_points.min(0), a_points.max(0), b_points.min(0), b_points.max(0)
-    if (a_low >= b_low).all() and (a_high <= b_high).all() and inside(a_points[:1], b_points[b.faces])[0]:
-        return True
-    return bool((b_low >= a_low).all() and (b_high <= a_high).all() and inside(b_points[:1], a_points[a.faces])[0])
-
-
 def depth(a: TriangleMesh, b: TriangleMesh) -> float:
-    """How deep two parts pass into each other, metres; zero if they only touch or are apart.
+    """Return the penetration depth of two parts, metres; zero if they only touch or are apart.
 
     It is the largest distance to the surface of one part from a point of the other inside it: the thickness
     of the common region where that is a layer, and how far a corner sticks in where it is a tip. Points are
@@ -140,7 +120,7 @@ def depth(a: TriangleMesh, b: TriangleMesh) -> float:
 
 
 def _surface_points(mesh: TriangleMesh, low: Array, high: Array, spacing: float) -> Array:
-    """Points of a surface in a box, corners of faces among them, about `spacing` apart. Shape (points, 3)."""
+    """Return points of a surface in a box, corners of faces among them, about `spacing` apart. Shape (points, 3)."""
     corners = mesh.triangles
     near = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= low).all(axis=1)
     found = []

@@ -1,4 +1,4 @@
-"""Where a face of one part lies against a face of another: the raw material of contacts."""
+"""Overlap polygons of opposed faces of two parts, from which contacts are made."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Patches:
 
 @dataclass(frozen=True, eq=False)
 class _Faces:
-    """All faces of a structure in one row."""
+    """All faces of a structure, concatenated."""
 
     corners: Array
     part: NDArray[np.int32]
@@ -79,7 +79,7 @@ def face_patches(meshes: Sequence[TriangleMesh], *, gap: float, overlap: float, 
 
 
 def _opposed(faces: _Faces, reach: float, angle: float) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Pairs of faces that look at each other and whose boxes, grown by `reach`, overlap; in chunks."""
+    """Yield pairs of faces that look at each other and whose boxes, grown by `reach`, overlap; in chunks."""
     low = faces.corners.min(axis=1) - reach / 2
     high = faces.corners.max(axis=1) + reach / 2
     limit = -np.cos(np.radians(angle))
@@ -132,7 +132,7 @@ def _intersect(faces: _Faces, i: NDArray[np.int64], j: NDArray[np.int64], *, gap
 
 
 def frames_of(normals: Array) -> Array:
-    """Right-handed frames `(n, t1, t2)` as rows, shape (count, 3, 3).
+    """Return right-handed frames `(n, t1, t2)` as rows, shape (count, 3, 3).
 
     `t1` is horizontal, and lies along x where the normal is vertical, so that a frame depends on nothing
     but the normal.
@@ -145,7 +145,7 @@ def frames_of(normals: Array) -> Array:
 
 
 def _slopes(frames: Array, face_normals: Array) -> Array:
-    """Gradient of the height of faces over the tangents of their frames, shape (pairs, 2)."""
+    """Return the gradient of the height of faces over the tangents of their frames, shape (pairs, 2)."""
     local: Array = np.einsum("kij,kj->ki", frames, face_normals)
     return -local[:, 1:] / local[:, :1]
 

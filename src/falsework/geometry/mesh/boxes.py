@@ -1,4 +1,4 @@
-"""Which bounding boxes overlap: the broad phase of everything that compares parts with parts."""
+"""Overlap of axis-aligned bounding boxes: the broad phase of all part-to-part tests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CHUNK = 20_000
 
 
 def box_pairs(low: Array, high: Array) -> tuple[Index, Index]:
-    """Pairs `i < j` of boxes that overlap or touch, sorted.
+    """Return pairs `i < j` of boxes that overlap or touch, sorted.
 
     Args:
         low: lowest corners, shape (boxes, 3), metres.
@@ -34,7 +34,7 @@ def box_pairs(low: Array, high: Array) -> tuple[Index, Index]:
 
 
 def iterate_box_pairs(low: Array, high: Array) -> Iterator[tuple[Index, Index]]:
-    """All pairs of boxes that overlap or touch, each both ways round, in chunks.
+    """Yield all pairs of boxes that overlap or touch, each both ways round, in chunks.
 
     A tree finds them over the two axes along which the boxes are most spread; the third is compared.
     """

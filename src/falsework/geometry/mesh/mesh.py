@@ -72,7 +72,7 @@ class TriangleMesh:
 
 @dataclass(frozen=True, eq=False)
 class MassProperties:
-    """Mass and where it sits, for all parts of a structure."""
+    """Masses, centres and inertias of all parts of a structure."""
 
     mass: NDArray[np.float64]
     """Shape (parts,), kg."""
@@ -90,7 +90,7 @@ class MassProperties:
 
 
 def mass_properties(meshes: Sequence[TriangleMesh], density: NDArray[np.float64]) -> MassProperties:
-    """Mass, centre of mass and inertia of homogeneous parts, exact for their meshes.
+    """Return mass, centre of mass and inertia of homogeneous parts, exact for their meshes.
 
     Every face spans a tetrahedron with the centre of the part's bounding box; moments of signed
     tetrahedra add up to those of the solid (divergence theorem).

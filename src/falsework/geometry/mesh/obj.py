@@ -1,4 +1,4 @@
-"""Wavefront OBJ, read and written without losing a digit."""
+"""Reader and writer of Wavefront OBJ that keep every digit."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def read_obj(file: Path) -> list[tuple[str, NDArray[np.float64], NDArray[np.int6
 
 
 def _triangles(file: Path, points: NDArray[np.float64], polygons: list[list[int]]) -> NDArray[np.int64]:
-    """Triangles of polygons, in their order."""
+    """Return triangles of polygons, in their order."""
     if max(map(max, polygons)) >= len(points) or min(map(min, polygons)) < 0:
         raise MeshError(f"a face in {file} uses a vertex that is not there; there are {len(points)}; export it again")
     if all(len(polygon) == 3 for polygon in polygons):
@@ -68,7 +68,7 @@ def _triangles(file: Path, points: NDArray[np.float64], polygons: list[list[int]
 
 
 def obj_text(mesh: TriangleMesh) -> str:
-    """An OBJ file whose numbers read back as the same float64."""
+    """Return an OBJ file whose numbers read back as the same float64."""
     lines = [f"o {mesh.name}"]
     lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]

@@ -1,4 +1,4 @@
-"""Cut planar polygons into triangles without adding corners."""
+"""Triangulation of planar polygons without new vertices."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def newell_normal(points: Array) -> Array:
-    """Area vector of a closed polygon in space, shape (3,), m2; its length is the area if it is flat."""
+    """Return the area vector of a closed polygon in space, shape (3,), m2; its length is the area if it is flat."""
     local = points - points[0]
     return np.cross(local, np.roll(local, -1, axis=0)).sum(axis=0) / 2
 

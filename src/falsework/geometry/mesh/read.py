@@ -1,4 +1,4 @@
-"""Read the meshes of parts from files: a folder with one file a part, or one file with all parts."""
+"""Reader of part meshes: a folder with one file per part, or one file with all parts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.304
 
 @dataclass(frozen=True, eq=False)
 class _Solid:
-    """What a file calls one object."""
+    """Named object of a mesh file."""
 
     name: str
     vertices: NDArray[np.float64]
@@ -29,7 +29,7 @@ class _Solid:
 
 
 def unit_length(unit: str) -> float:
-    """Length of a unit in metres.
+    """Return the length of a unit in metres.
 
     Raises:
         InputError: a unit that is not known.
@@ -81,14 +81,14 @@ def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
 
 
 def _in_order(files: list[Path]) -> list[Path]:
-    """Files by part id, or by name where names are not ids."""
+    """Return files by part id, or by name where names are not ids."""
     names = [file.stem for file in files]
     order = _order(names, files[0].parent)
     return [files[index] for index in order]
 
 
 def _order(names: list[str], where: Path) -> list[int]:
-    """Order of parts by id where all names are numbers, else in natural order; each name once."""
+    """Return the order of parts by id where all names are numbers, else in natural order; each name once."""
     ids = [int(name) if name.isdecimal() else None for name in names]
     if all(number is not None for number in ids):
         for number in range(len(ids)):
@@ -107,7 +107,7 @@ def _order(names: list[str], where: Path) -> list[int]:
 
 
 def _one_solid(file: Path) -> _Solid:
-    """All objects of a file as one part."""
+    """Return all objects of a file as one part."""
     solids = _read_solids(file)
     counts = np.cumsum([0] + [len(solid.vertices) for solid in solids[:-1]])
     return _Solid(
@@ -118,7 +118,7 @@ def _one_solid(file: Path) -> _Solid:
 
 
 def _read_parts(file: Path) -> list[_Solid]:
-    """One part an object of a file."""
+    """Return one part an object of a file."""
     solids = _read_solids(file)
     if len(solids) == 1:
         return _split(solids[0], file)
@@ -129,7 +129,7 @@ def _read_parts(file: Path) -> list[_Solid]:
 
 
 def _read_solids(file: Path) -> list[_Solid]:
-    """Objects of a file, at least one, in its own unit, z up."""
+    """Return objects of a file, at least one, in its own unit, z up."""
     if file.suffix.lower() == ".obj":
         solids = [_Solid(*item) for item in read_obj(file)]
     else:
@@ -161,7 +161,7 @@ def _read_solids(file: Path) -> list[_Solid]:
 
 
 def _split(solid: _Solid, file: Path) -> list[_Solid]:
-    """Parts of a file without objects: surfaces that hang together by their edges."""
+    """Return parts of a file without objects: surfaces that hang together by their edges."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 

@@ -1,4 +1,4 @@
-"""Make sure that a mesh bounds a solid, and mend it where that is safe."""
+"""Check that a mesh bounds a solid, with repair where that is safe."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import KDTree
 
 from falsework.errors import MeshError
-from falsework.geometry.mesh.collision import inside
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import newell_normal, triangulate
+from falsework.geometry.mesh.shells import Shells, directed_edges, edge_mates, is_closed
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -28,7 +28,7 @@ _FLAT = 1e-3
 
 
 class RepairWarning(UserWarning):
-    """A mesh was mended before use."""
+    """Repair of a mesh before use."""
 
 
 def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
@@ -36,8 +36,9 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
 
     Vertices at the same place are merged silently, since formats such as STL repeat them. Repairs that
     cannot change the shape are made with a `RepairWarning`: vertices within 1e-6 of the part's diagonal are
-    merged, faces without area or given twice are dropped, faces are turned to look outwards, and flat holes
-    are closed. A mesh that is closed and looks outwards comes back with its faces as they were.
+    merged, faces without area or given twice are dropped, faces are turned to look outwards, flat holes are
+    closed, and closed surfaces that overlap are united, which takes manifold3d. A mesh that is closed and
+    looks outwards, and whose surfaces do not overlap, comes back with its faces as they were.
 
     Args:
         name: how messages call the part.
@@ -45,7 +46,8 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
         faces: shape (faces, 3).
 
     Raises:
-        MeshError: NaN, no faces, larger than 1 km or smaller than 0.1 mm, not closed, or without volume.
+        MeshError: NaN, no faces, larger than 1 km or smaller than 0.1 mm, not closed, without volume, or with
+            surfaces that overlap where manifold3d is not installed.
     """
     points, corners = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
     if not len(corners) or not len(points):
@@ -62,11 +64,17 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
             f"part {name} is {extent:.3g} m long; parts must be 0.1 mm to 1 km, so give the unit of the file (unit mm?)"
         )
     done: list[str] = []
-    if not _is_closed(corners):
+    if not is_closed(corners):
         points, corners = _mend(name, points, corners, done)
-    turned = _orient(points, corners)
+    else:
+        corners = _drop_copies(corners, done)
+    shells = Shells.of(points, corners)
+    turned = shells.outward_faces(corners)
     if (turned != corners).any():
         done.append("turned surfaces inside out")
+    if shells.overlap():
+        points, turned, twice = shells.unite(name)
+        done.append(f"united surfaces that overlapped, whose {twice:.3g} m3 in common counted twice")
     mesh = TriangleMesh.from_arrays(name, points, turned)
     if mesh.volume <= 1e-12 * extent**3:
         raise MeshError(f"part {name} has no volume; export it as a solid that encloses space")
@@ -85,16 +93,15 @@ def _merge_equal(points: Array, corners: Faces) -> tuple[Array, Faces]:
     return points[used][first[order]], rank[inverse.ravel()][index].reshape(-1, 3)
 
 
-def _directed_edges(corners: Faces) -> tuple[Faces, Faces]:
-    """Start and end of the three edges of every face, shapes (3 faces,); edges of one face are consecutive."""
-    return corners.ravel(), corners[:, [1, 2, 0]].ravel()
-
-
-def _is_closed(corners: Faces) -> bool:
-    """Whether every edge is passed as often one way as the other, which makes the surface a closed one."""
-    tail, head = _directed_edges(corners)
-    count = int(corners.max()) + 1
-    return bool((tail != head).all() and (np.sort(tail * count + head) == np.sort(head * count + tail)).all())
+def _drop_copies(corners: Faces, done: list[str]) -> Faces:
+    """Drop second copies of faces of a closed surface, which would count its volume twice."""
+    first_corner = np.argmin(corners, axis=1)[:, None]
+    turned = np.take_along_axis(corners, (first_corner + np.arange(3)) % 3, axis=1)
+    kept = np.sort(np.unique(turned, axis=0, return_index=True)[1])
+    if len(kept) == len(corners) or not is_closed(corners[kept]):
+        return corners
+    done.append("dropped faces that are doubled")
+    return corners[kept]
 
 
 def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Array, Faces]:
@@ -108,7 +115,7 @@ def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Ar
     _, first = np.unique(np.sort(corners, axis=1), axis=0, return_index=True)
     twice = np.ones(len(corners), dtype=bool)
     twice[first] = False
-    if (thin | twice).any() and not _is_closed(corners[~thin] if (~thin).any() else corners):
+    if (thin | twice).any() and not is_closed(corners[~thin] if (~thin).any() else corners):
         done.append("dropped faces that are degenerate or doubled")
         corners = corners[~(thin | twice)]
     elif thin.any():
@@ -117,19 +124,19 @@ def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Ar
     if not len(corners):
         raise MeshError(f"part {name} has no face with an area; export it as a solid that encloses space")
     points, corners = _merge_equal(points, corners)
-    if not _is_closed(corners):
+    if not is_closed(corners):
         turned = _wind(corners)
         if turned is not None and (turned != corners).any():
             done.append("turned faces to look the same way")
             corners = turned
-    if not _is_closed(corners):
+    if not is_closed(corners):
         corners = _close_flat_holes(name, points, corners)
         done.append("closed flat holes")
     return points, corners
 
 
 def _weld(points: Array, corners: Faces) -> NDArray[np.int64]:
-    """For every vertex the one that stands for all within the welding distance of each other."""
+    """Return for every vertex the representative of all vertices within the welding distance."""
     reach = _WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
     pairs = KDTree(points).query_pairs(reach, output_type="ndarray")
     graph = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
@@ -143,7 +150,7 @@ def _wind(corners: Faces) -> Faces | None:
 
     Returns None where an edge has more than two faces, or a surface has only one side.
     """
-    one, two, crowded = _edge_mates(corners)
+    one, two, crowded = edge_mates(corners)
     if crowded:
         return None
     tail = corners.ravel()
@@ -169,41 +176,9 @@ def _wind(corners: Faces) -> Faces | None:
     return turned
 
 
-def _edge_mates(corners: Faces) -> tuple[Faces, Faces, bool]:
-    """Pairs of directed edges between the same vertices, and whether any edge has more than two faces."""
-    tail, head = _directed_edges(corners)
-    low, high = np.minimum(tail, head), np.maximum(tail, head)
-    order = np.lexsort((high, low))
-    same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
-    return order[:-1][same], order[1:][same], bool((same[1:] & same[:-1]).any())
-
-
-def _orient(points: Array, corners: Faces) -> Faces:
-    """Turn each closed surface of a part outwards, or inwards where it bounds a hollow in another."""
-    one, two, _ = _edge_mates(corners)
-    graph = csr_matrix((np.ones(len(one)), (one // 3, two // 3)), shape=(len(corners), len(corners)))
-    count, surface = connected_components(graph, directed=False)
-    triangles = points[corners]
-    local = triangles - points.mean(axis=0)
-    six_volumes = np.einsum("ij,ij->i", local[:, 0], np.cross(local[:, 1], local[:, 2]))
-    outward = np.bincount(surface, six_volumes) > 0
-    hollow = np.zeros(count, dtype=bool)
-    if count > 1:
-        shells = [triangles[surface == index] for index in range(count)]
-        for outer, shell in enumerate(shells):
-            shell = shell if outward[outer] else shell[:, ::-1]
-            for inner in range(count):
-                if inner != outer and inside(shells[inner].reshape(-1, 3), shell).all():
-                    hollow[inner] ^= True
-    turned = corners.copy()
-    wrong = (outward == hollow)[surface]
-    turned[wrong] = turned[wrong][:, ::-1]
-    return turned
-
-
 def _close_flat_holes(name: str, points: Array, corners: Faces) -> Faces:
     """Cap holes whose rims are flat simple loops; raise for any other opening."""
-    tail, head = _directed_edges(corners)
+    tail, head = directed_edges(corners)
     count = len(points)
     forward = np.sort(tail * count + head)
     lonely = ~np.isin(head * count + tail, forward)
@@ -231,6 +206,6 @@ def _close_flat_holes(name: str, points: Array, corners: Faces) -> Faces:
             raise error
         caps.append(np.asarray(rim)[np.asarray(triangulate(loop))])
     closed = np.concatenate([corners, *caps])
-    if not _is_closed(closed):
+    if not is_closed(closed):
         raise error
     return closed

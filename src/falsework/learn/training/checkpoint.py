@@ -18,6 +18,7 @@ from falsework.learn.config.train import TrainSettings, from_json
 from falsework.learn.networks import policy as policies
 from falsework.learn.networks.policy import Policy, make_policy
 from falsework.utils.archive import write_whole
+from falsework.utils.json_text import parse_json
 
 FORMAT = "falsework.run/1"
 CHECKPOINT_FORMAT = "falsework.checkpoint/1"
@@ -98,10 +99,10 @@ def read_run(folder: Path) -> dict[str, Any]:
     if not folder.is_dir():
         raise InputError(f"there is no folder {folder}; falsework train STRUCTURE --out {folder} makes a run")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(f"{folder} is no run: it has no {FILE}; falsework train makes one") from None
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path} is damaged ({error}); train again") from None
     found = content.get("format") if isinstance(content, dict) else None
     if found != FORMAT:
@@ -252,7 +253,10 @@ class CheckpointFile:
             raise InputError(
                 f"{self.path} has format {header.get('format')!r}; this version reads {CHECKPOINT_FORMAT!r}; train anew"
             )
-        return tensors, json.loads(header["state"])
+        try:
+            return tensors, json.loads(header["state"])
+        except (KeyError, ValueError, RecursionError) as error:
+            raise InputError(f"{self.path} is damaged ({type(error).__name__}); leave --resume out") from None
 
 
 def _read(path: Path, remedy: str) -> tuple[dict[str, torch.Tensor], dict[str, str]]:

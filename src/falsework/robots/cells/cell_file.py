@@ -1,4 +1,4 @@
-"""Cells from TOML files, built in or your own. Lengths in metres, angles in degrees, masses in kilograms."""
+"""Cell files in TOML, built in or user defined. Lengths in metres, angles in degrees, masses in kilograms."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PLACE_TURNS = 8
 
 
 def builtin_cells() -> tuple[str, ...]:
-    """Names of the cells that come with the package."""
+    """Return names of the cells that come with the package."""
     folder = files("falsework.robots.cells")
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
 
@@ -57,7 +57,7 @@ def load_cell(name: str | Path, *, check: bool = True) -> Cell:
 
 
 def parse_cell(text: str, source: str, folder: Path) -> Cell:
-    """A cell from the text of a TOML file.
+    """Return a cell from the text of a TOML file.
 
     Args:
         text: TOML.
@@ -133,7 +133,7 @@ def _robot(table: Table, grippers: dict[str, Gripper], folder: Path) -> CellRobo
 
 
 def _model(table: Table, folder: Path) -> RobotModel:
-    """The arm that a robot entry names."""
+    """Return the arm that a robot entry names."""
     name = table.text("model")
     base = table.text("base_link") if table.has("base_link") else None
     tip = table.text("tip_link") if table.has("tip_link") else None
@@ -159,7 +159,7 @@ def _from_file(path: str, base: str | None, tip: str | None) -> RobotModel:
 
 
 def _home(table: Table, model: RobotModel) -> Array:
-    """Joint values in degrees: a list, or a table by joint; the home of the model where there are none."""
+    """Return the joint values in degrees: a list, or a table by joint; the home of the model where there are none."""
     if not table.has("home"):
         return model.home
     given = table.take("home")
@@ -213,7 +213,7 @@ def _obstacle(table: Table) -> Obstacle:
 
 
 def _shapes(table: Table) -> list[Array]:
-    """The box and the cylinder of an entry."""
+    """Return the box and the cylinder of an entry."""
     found = []
     at = _pose(table)
     if table.has("box"):
@@ -236,7 +236,7 @@ def _shapes(table: Table) -> list[Array]:
 
 
 def _pose(table: Table) -> Array:
-    """Position and rotation (roll, pitch, yaw about fixed axes, or yaw alone), degrees."""
+    """Return the position and rotation (roll, pitch, yaw about fixed axes, or yaw alone), degrees."""
     made = np.array(pose(table.numbers("position", 3, (0, 0, 0))))
     turned = table.numbers("rpy", 3, (0, 0, 0))
     if table.has("yaw"):
@@ -254,7 +254,7 @@ def _pose(table: Table) -> Array:
 
 
 def _down(position: Array, turn: float) -> Array:
-    """A tool frame whose z points down, turned about the vertical."""
+    """Return a tool frame whose z points down, turned about the vertical."""
     made = np.eye(4)
     made[:3, :3] = [[np.cos(turn), np.sin(turn), 0], [np.sin(turn), -np.cos(turn), 0], [0, 0, -1]]
     made[:3, 3] = position

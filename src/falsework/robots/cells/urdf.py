@@ -1,16 +1,19 @@
-"""Read an arm from a URDF file: the chain from base to tip, with the convex hulls of its collision shapes."""
+"""URDF reader: the joint chain from base to tip, with the convex hulls of the collision shapes."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from falsework.errors import CellError, DependencyError, InputError
+from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.kernels.collision import Rules, make_work
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain, make_obstacles, self_pairs
 from falsework.robots.kernels.rrt_connect import check_many
@@ -21,9 +24,9 @@ from falsework.robots.model.simplify import outer_hull
 
 Array = NDArray[np.float64]
 
-SAMPLES = 1000
+COLLISION_SAMPLES = 1000
 """Random configurations in which pairs of links are tried where no SRDF names those to ignore."""
-ALWAYS = 0.95
+ALWAYS_SHARE = 0.95
 """Pairs that touch in this share of them are ignored: their hulls overlap at the joint between."""
 
 
@@ -63,13 +66,13 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
             origins.append(pose)
             pose = np.eye(4)
         frame_of[joint.child] = (len(origins), pose)
-    pieces: list[list[Array]] = [[] for _ in range(len(moving) + 1)]
+    shapes: list[list[TriangleMesh]] = [[] for _ in range(len(moving) + 1)]
     owner: dict[str, int] = {}
     for name, link in links.items():
         at = _carrier(name, below, frame_of)
         if at is not None:
             owner[name] = at[0]
-            pieces[at[0]] += [move(at[1], piece) for piece in _shapes(file, link)]
+            shapes[at[0]] += [replace(shape, vertices=move(at[1], shape.vertices)) for shape in _shapes(file, link)]
     limits = np.array([_limits(file, joint) for joint in moving])
     names = (root, *(joint.child for joint in moving))
     middle = np.clip(np.zeros(len(moving)), limits[:, 0], limits[:, 1])
@@ -84,10 +87,11 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
         upper=limits[:, 1],
         velocity=limits[:, 2],
         acceleration=limits[:, 2] / ACCELERATION_TIME,
-        pieces=tuple(tuple(outer_hull(piece) for piece in of_link) for of_link in pieces),
+        pieces=tuple(tuple(outer_hull(shape.vertices) for shape in of_link) for of_link in shapes),
         ignored=frozenset((link, link + 1) for link in range(len(moving))),
         flange=pose,
         home=middle,
+        meshes=tuple(map(tuple, shapes)),
         source=str(file),
     )
     ignored = set(model.ignored)
@@ -96,9 +100,9 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
     return RobotModel(**{**model.__dict__, "ignored": frozenset(ignored)})
 
 
-def always_touching(model: RobotModel, seed: int = 0) -> set[tuple[int, int]]:
-    """Pairs of links that touch in nearly all random configurations, so that a check of them says nothing."""
-    configurations = np.random.default_rng(seed).uniform(model.lower, model.upper, (SAMPLES, model.joints))
+def always_touching(model: RobotModel) -> set[tuple[int, int]]:
+    """Return pairs of links that touch in nearly all random configurations, so that a check of them says nothing."""
+    configurations = np.random.default_rng(0).uniform(model.lower, model.upper, (COLLISION_SAMPLES, model.joints))
     bare = Gripper("none", "suction", (), np.eye(4), 0.0)
     robot = CellRobot("arm", model, np.eye(4), bare, model.home, np.zeros((0, 4, 4)))
     bodies, _, kinds = make_bodies(robot, None, ())
@@ -107,12 +111,12 @@ def always_touching(model: RobotModel, seed: int = 0) -> set[tuple[int, int]]:
     chain = make_chain(model, np.eye(4))
     pairs = self_pairs(model, links)
     found = set()
-    hits = np.empty(SAMPLES, np.int64)
+    hits = np.empty(COLLISION_SAMPLES, np.int64)
     for a, b in sorted({(int(links[i]), int(links[j])) for i, j in pairs}):
         tried = np.array([(i, j) for i, j in pairs if (links[i], links[j]) == (a, b)], np.int64)
         rules = Rules(np.zeros((len(links), 0), bool), tried, -1e9, np.zeros(len(links), bool), 0.0)
         check_many(configurations, chain, bodies, obstacles, rules, make_work(chain, bodies, obstacles, rules), hits)
-        if (hits >= 0).mean() >= ALWAYS:
+        if (hits >= 0).mean() >= ALWAYS_SHARE:
             found.add((a, b))
     return found
 
@@ -149,7 +153,7 @@ def _tip(links: dict[str, Any], below: dict[str, Any], root: str) -> str:
 
 
 def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:
-    """Joints from the root to the end."""
+    """Return joints from the root to the end."""
     found, name = [], end
     while name != root:
         if name not in below:
@@ -160,7 +164,7 @@ def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:
 
 
 def _carrier(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> tuple[int, Array] | None:
-    """Frame that carries a link and the pose of the link in it; joints off the chain stay at zero."""
+    """Return the frame that carries a link and the pose of the link in it; joints off the chain stay at zero."""
     pose = np.eye(4)
     while name not in frame_of:
         if name not in below:
@@ -196,34 +200,45 @@ def _limits(file: Path, joint: Any) -> tuple[float, float, float]:
     return float(limit.lower), float(limit.upper), float(limit.velocity)
 
 
-def _shapes(file: Path, link: Any) -> Iterable[Array]:
-    """Points of every collision shape of a link, in the frame of the link."""
+def _shapes(file: Path, link: Any) -> Iterable[TriangleMesh]:
+    """Yield every collision shape of a link, in the frame of the link; round ones as polytopes around them."""
     for collision in link.collisions:
         pose = np.eye(4) if collision.origin is None else np.asarray(collision.origin, float)
         shape = collision.geometry
         if shape.box is not None:
             half = np.asarray(shape.box.size, float) / 2
-            points = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+            made = hull_mesh(half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]))
         elif shape.cylinder is not None:
-            points = cylinder(shape.cylinder.radius, -shape.cylinder.length / 2, shape.cylinder.length / 2)
+            half_length = shape.cylinder.length / 2
+            made = hull_mesh(cylinder(shape.cylinder.radius, -half_length, half_length))
         elif shape.sphere is not None:
-            points = _ball(shape.sphere.radius)
+            made = hull_mesh(_ball(shape.sphere.radius))
         elif shape.mesh is not None:
-            points = _mesh_points(file, shape.mesh)
+            made = _read_mesh(file, shape.mesh)
         else:
             continue
-        yield move(pose, points)
+        yield replace(made, name=link.name, vertices=move(pose, made.vertices))
 
 
 def _ball(radius: float) -> Array:
-    """Corners of a polytope around a ball: an icosahedron, grown by what its faces cut off."""
+    """Return corners of a polytope around a ball: an icosahedron, grown by what its faces cut off."""
     golden = (1 + 5**0.5) / 2
     corners = [(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)]
     points = np.array([np.roll(corner, k) for corner in corners for k in range(3)], float)
     return points / np.linalg.norm(points[0]) * radius * 1.2585  # circumscribed by inscribed radius
 
 
-def _mesh_points(file: Path, mesh: Any) -> Array:
+def hull_mesh(points: Array) -> TriangleMesh:
+    """The convex hull of points as triangles that face outwards."""
+    found = ConvexHull(points)
+    corners = points[found.simplices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inwards = np.einsum("ij,ij->i", normals, found.equations[:, :3]) < 0
+    faces = np.where(inwards[:, None], found.simplices[:, ::-1], found.simplices)
+    return TriangleMesh.from_arrays("", points, faces)
+
+
+def _read_mesh(file: Path, mesh: Any) -> TriangleMesh:
     import trimesh
 
     name = str(mesh.filename).removeprefix("file://")
@@ -234,16 +249,18 @@ def _mesh_points(file: Path, mesh: Any) -> Array:
         raise CellError(f"{file}: mesh {mesh.filename} is not there; keep it beside the description")
     try:
         loaded: Any = trimesh.load(found, force="mesh")
-        points = np.asarray(loaded.vertices, float)
+        points, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces)
         if len(points) < 4:
             raise InputError("too few vertices")
     except Exception as error:
         raise CellError(f"{file}: mesh {found.name} cannot be read: {' '.join(str(error).split())}") from error
-    return points * (1.0 if mesh.scale is None else np.asarray(mesh.scale, float))
+    return TriangleMesh.from_arrays(
+        name, points * (1.0 if mesh.scale is None else np.asarray(mesh.scale, float)), faces
+    )
 
 
 def _named_pairs(srdf: Path, owner: dict[str, int]) -> set[tuple[int, int]]:
-    """Pairs of links that an SRDF says need no check."""
+    """Return pairs of links that an SRDF says need no check."""
     try:
         tree = ElementTree.parse(srdf)
     except ElementTree.ParseError as error:

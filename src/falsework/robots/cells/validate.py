@@ -1,4 +1,4 @@
-"""Whether a cell can work at all: bases, homes, tools and payloads, before any plan."""
+"""Validation of a cell before any planning: bases, home configurations, tools and payloads."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from falsework.robots.motion.collision_world import CollisionWorld, Scene
 
 Array = NDArray[np.float64]
 
-SINK = 0.002
+BASE_DEPTH = 0.002
 """How deep a base may sink into what it stands on, metres."""
 
 
@@ -84,12 +84,12 @@ def _check_payload(cell: Cell, parts: PartShapes) -> None:
 
 
 def no_parts() -> PartShapes:
-    """A structure without parts."""
+    """Return a structure without parts."""
     return PartShapes((), np.zeros(0, bool), (), (), np.zeros(0), np.zeros((0, 3)), np.eye(3))
 
 
 def overlap(a: Array, b: Array) -> bool:
-    """Whether two convex pieces share space: whether no plane has one on each side."""
+    """Return whether two convex pieces share space: whether no plane has one on each side."""
     if (a.min(axis=0) > b.max(axis=0)).any() or (b.min(axis=0) > a.max(axis=0)).any():
         return False
     middle = b.mean(axis=0)
@@ -98,11 +98,11 @@ def overlap(a: Array, b: Array) -> bool:
 
 
 def shrunk(pieces: Pieces) -> Pieces:
-    """Pieces drawn towards their middle by `SINK` along every axis, so that standing on something is no overlap."""
+    """Shrink pieces towards their middle by `BASE_DEPTH` along every axis, so that a base may rest on another body."""
     found = []
     for piece in pieces:
         low, high = piece.min(axis=0), piece.max(axis=0)
         middle = (low + high) / 2
-        share = np.maximum(0.0, 1 - 2 * SINK / np.maximum(high - low, 1e-9))
+        share = np.maximum(0.0, 1 - 2 * BASE_DEPTH / np.maximum(high - low, 1e-9))
         found.append((piece - middle) * share + middle)
     return tuple(found)

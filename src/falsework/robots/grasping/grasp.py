@@ -1,4 +1,4 @@
-"""Where a gripper can take hold of a part, best first, and along which directions a part can be drawn out."""
+"""Grasp candidates of a part, ranked by quality, and the directions in which a part can be withdrawn."""
 
 from __future__ import annotations
 
@@ -22,17 +22,19 @@ from falsework.utils.bits import intersect, pack
 
 Array = NDArray[np.float64]
 
-YAWS = 8
+SUCTION_TURNS = 8
 """Turns about the normal of a face that a suction grasp is tried at."""
-SPREAD = 8
+JAW_TURNS = 8
 """Directions around the jaws' axis from which a jaw grasp is tried."""
-SPOT = 0.8
+CUP_OFFSET_SHARE = 0.8
 """How far out other places for the cup lie on a face, as a share of the way to where it just fits."""
 STANDOFF = 0.0005
 """Distance that the tool frame keeps from the face it grips, metres: what a soft cup makes up for."""
-NEAR = 0.001
+GRIPPER_MARGIN = 0.001
 """Distance that a gripper keeps from other parts at the grasp and on its way there, metres."""
-STEPS = 6
+APPROACH_LENGTH = 0.1
+"""Length of the straight way to a part on which the gripper alone is checked, metres."""
+APPROACH_SAMPLES = 6
 """Places on the way to the part at which the gripper is checked."""
 
 
@@ -58,10 +60,9 @@ def grasps(
     present: ArrayLike,
     robot: CellRobot,
     *,
-    approach: float = 0.1,
     limit: int = 64,
 ) -> list[Grasp]:
-    """Grasps of a part among the parts that are there, best first; the arm is not considered.
+    """Return grasps of a part among the parts that are there, best first; the arm is not considered.
 
     The gripper, on the last stretch of its way and at the part, keeps off all other parts. The list is the same
     every time: the best faces first, each at one turn about its normal, then at the next.
@@ -72,7 +73,6 @@ def grasps(
         part: which one to hold.
         present: which parts are there: a mask or a state, shape (parts,).
         robot: whose gripper; a part heavier than its payload has no grasp.
-        approach: length of the straight way to the part, metres.
         limit: how many grasps are returned at most.
 
     Raises:
@@ -97,7 +97,7 @@ def grasps(
     groups = [group for group in groups if group]
     groups.sort(key=lambda group: -round(group[0].quality, 6))
     found: list[Grasp] = []
-    open_way = _open_way(parts, part, there, gripper, approach)
+    open_way = _open_way(parts, part, there, gripper)
     for turn in range(max((len(group) for group in groups), default=0)):
         for group in groups:
             if turn < len(group) and open_way(group[turn]):
@@ -108,7 +108,7 @@ def grasps(
 
 
 def withdrawals(assembly: Assembly, parts: PartShapes, part: int, state: ArrayLike) -> Array:
-    """Directions in the world along which a part leaves in a straight line, shape (ways, 3); steepest first.
+    """Return directions in the world along which a part leaves in a straight line, shape (ways, 3); steepest first.
 
     From the clearance table, for the parts that are present; ways that lead down are left out, since the floor is not
     in the table.
@@ -128,7 +128,7 @@ def withdrawals(assembly: Assembly, parts: PartShapes, part: int, state: ArrayLi
 
 
 def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array, size: float) -> list[list[Grasp]]:
-    """Suction grasps on one face: where the cup fits, as near to the centre of mass as that allows, then off it.
+    """Return suction grasps on one face: where the cup fits, as near to the centre of mass as that allows, then off it.
 
     Off the middle, two arms can hold stones that lie side by side.
     """
@@ -142,18 +142,18 @@ def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array
         point = face.lift(at) + STANDOFF * face.normal
         lever = float(np.linalg.norm(at - middle)) / size
         quality = _quality(lever, 1.0 - margin, face.normal, ways)
-        tools = [_tool(point, -face.normal, face.frame[0], 2 * np.pi * k / YAWS) for k in range(YAWS)]
+        tools = [_tool(point, -face.normal, face.frame[0], 2 * np.pi * k / SUCTION_TURNS) for k in range(SUCTION_TURNS)]
         groups.append([Grasp(part, tool, -face.normal, quality) for tool in tools])
     return groups
 
 
 def _spots(room: shapely.Geometry, middle: Array, cup: float) -> list[Array]:
-    """Points of a flat region: the one nearest to the middle, then those far out, no two nearer than a cup's radius."""
+    """Return points of a flat region: the nearest to the middle, then outer ones, at least a cup's radius apart."""
     first = shapely.get_coordinates(shapely.shortest_line(shapely.Point(middle), room))[-1]
     spots = [first]
     corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(room))
     for corner, following in itertools.pairwise(corners):
-        wanted = first + SPOT * ((corner + following) / 2 - first)
+        wanted = first + CUP_OFFSET_SHARE * ((corner + following) / 2 - first)
         at = shapely.get_coordinates(shapely.shortest_line(shapely.Point(wanted), room))[-1]
         if min(float(np.linalg.norm(at - spot)) for spot in spots) > cup:
             spots.append(at)
@@ -163,7 +163,7 @@ def _spots(room: shapely.Geometry, middle: Array, cup: float) -> list[Array]:
 def _between_faces(
     gripper: Gripper, faces: Sequence[Face], part: int, parts: PartShapes, ways: Array, size: float
 ) -> list[list[Grasp]]:
-    """Jaw grasps between opposite faces, from directions around the axis of the jaws."""
+    """Return jaw grasps between opposite faces, from directions around the axis of the jaws."""
     center, vertices = parts.center[part], parts.meshes[part].vertices
     groups = []
     for first, face in enumerate(faces):
@@ -188,8 +188,8 @@ def _between_faces(
             ) / 2
             inside = at @ face.frame + level * face.normal
             group = []
-            for k in range(SPREAD):
-                angle = 2 * np.pi * k / SPREAD
+            for k in range(JAW_TURNS):
+                angle = 2 * np.pi * k / JAW_TURNS
                 way = np.cos(angle) * face.frame[0] + np.sin(angle) * face.frame[1]  # of the gripper, towards the part
                 nearest = float((vertices @ way).min())
                 shift = min(0.0, nearest + gripper.depth - inside @ way)  # the palm stays outside
@@ -203,13 +203,13 @@ def _between_faces(
 
 
 def _quality(lever: float, room: float, pull: Array, ways: Array) -> float:
-    """From 0 to 1: half for a short lever, a third for pulling along a way out, the rest for room."""
+    """Rate a grasp from 0 to 1: half for a short lever, a third for pulling along an exit, the rest for room."""
     along = max(0.0, float((ways @ pull).max(initial=0.0)))
     return 0.5 * max(0.0, 1.0 - 2 * lever) + 0.35 * along + 0.15 * room
 
 
 def _tool(point: Array, z: Array, x: Array, turn: float) -> Array:
-    """A tool frame at a point with a given z, and x turned about z from a given direction."""
+    """Return a tool frame at a point with a given z, and x turned about z from a given direction."""
     x = x - (x @ z) * z
     x /= np.linalg.norm(x)
     y = _cross(z, x)
@@ -222,13 +222,13 @@ def _tool(point: Array, z: Array, x: Array, turn: float) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Vector product of two vectors; numpy's own is made for many and slow for two."""
+    """Return the vector product of two vectors; numpy's own is made for many and slow for two."""
     (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
     return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
-def _open_way(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper, approach: float):
-    """A test whether the gripper alone keeps off all other parts at a grasp and on the way to it."""
+def _open_way(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper):
+    """Return a test whether the gripper alone keeps off all other parts at a grasp and on the way to it."""
     others = np.flatnonzero(there).tolist()
     obstacles, _ = make_obstacles([parts.pieces[other] for other in others if other != part])
     pieces = gripper.pieces
@@ -241,13 +241,17 @@ def _open_way(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: G
     # The gripper slides along one axis: the way to the part.
     bodies = Bodies(np.ones(count, np.int64), start, np.concatenate(pieces), center, radius, np.ones((count, 1)))
     rules = Rules(
-        np.ones((count, len(obstacles.low)), bool), np.zeros((0, 2), np.int64), -1e9, np.zeros(count, bool), NEAR
+        np.ones((count, len(obstacles.low)), bool),
+        np.zeros((0, 2), np.int64),
+        -1e9,
+        np.zeros(count, bool),
+        GRIPPER_MARGIN,
     )
     back = np.linalg.inv(gripper.tool)
-    slides = np.linspace(0.0, -approach, STEPS)[:, None]
+    slides = np.linspace(0.0, -APPROACH_LENGTH, APPROACH_SAMPLES)[:, None]
     chain = Chain(np.eye(4)[:3].copy(), np.eye(4)[None, :3].copy(), np.ones(1, bool))
     work = make_work(chain, bodies, obstacles, rules)
-    hits = np.empty(STEPS, np.int64)
+    hits = np.empty(APPROACH_SAMPLES, np.int64)
 
     def test(grasp: Grasp) -> bool:
         pose = grasp.tool @ back

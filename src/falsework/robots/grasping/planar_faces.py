@@ -1,4 +1,4 @@
-"""Nearly flat faces of a part, on which a gripper can take hold."""
+"""Nearly planar faces of a part, as grasp surfaces."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 
-FLAT = 12.0
+FLAT_DEGREES = 12.0
 """Largest angle between the triangles of one face, degrees: what the lip of a cup makes up for."""
 
 
@@ -31,11 +31,11 @@ class Face:
     area: float
 
     def flat(self, point: Array) -> Array:
-        """A point in the coordinates of the frame, shape (3,) to (2,)."""
+        """Return a point in the coordinates of the frame, shape (3,) to (2,)."""
         return self.frame @ point
 
     def lift(self, at: Array) -> Array:
-        """The point of the surface over coordinates of the frame, shape (2,) to (3,)."""
+        """Return the point of the surface over coordinates of the frame, shape (2,) to (3,)."""
         flat = self.triangles @ self.frame.T
         a, b, c = flat[:, 0], flat[:, 1], flat[:, 2]
         whole = _cross(b - a, c - a)
@@ -46,9 +46,10 @@ class Face:
 
 
 def faces_of(mesh: TriangleMesh, smallest: float = 0.0) -> list[Face]:
-    """Faces of a mesh, largest first.
+    """Return faces of a mesh, largest first.
 
-    The largest triangle that is left collects its neighbours, and theirs, whose normals are within `FLAT` of its own.
+    The largest triangle that is left collects its neighbours, and theirs, whose normals are within `FLAT_DEGREES` of
+    its own.
 
     Args:
         mesh: closed mesh that faces outwards.
@@ -60,7 +61,7 @@ def faces_of(mesh: TriangleMesh, smallest: float = 0.0) -> list[Face]:
     normals = cross / np.maximum(size, 1e-300)[:, None]
     beside = _neighbours(mesh)
     left = np.ones(len(size), bool)
-    limit = np.cos(np.radians(FLAT))
+    limit = np.cos(np.radians(FLAT_DEGREES))
     found = []
     for seed in np.argsort(-np.round(size, 12), kind="stable").tolist():
         if not left[seed] or size[seed] <= 0:
@@ -92,7 +93,7 @@ def _face(triangles: Array, normal: Array, area: float) -> Face:
 
 
 def _neighbours(mesh: TriangleMesh) -> list[list[int]]:
-    """Triangles that share an edge, by position, since some meshes repeat their vertices."""
+    """Return triangles that share an edge, by position, since some meshes repeat their vertices."""
     scale = max(float(np.ptp(mesh.vertices, axis=0).max()), 1e-12)
     _, same = np.unique(np.round(mesh.vertices / scale * 1e7).astype(np.int64), axis=0, return_inverse=True)
     faces = same.reshape(-1)[mesh.faces]

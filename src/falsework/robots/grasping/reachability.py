@@ -1,4 +1,4 @@
-"""Which robot of a cell can take hold of which part, and where robots would stand better."""
+"""Reachability of parts by the robots of a cell, and proposals for better robot bases."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from falsework.robots.motion.collision_world import CollisionWorld, Contact, Sce
 
 Array = NDArray[np.float64]
 
-GRASPS = 24
+GRASPS_PER_PART = 24
 """Grasps of a part that are tried."""
-ANGLES, DISTANCES = 24, (0.55, 0.65, 0.75, 0.85)
+BASE_ANGLES, BASE_DISTANCES = 24, (0.55, 0.65, 0.75, 0.85)
 """Places around the structure that are tried for a base: turns, and shares of the arm's reach."""
-APART = 0.7
+BASE_SPACING = 0.7
 """Least distance between two bases, as a share of the arm's reach."""
-SWEEPS = 2
+PLACEMENT_SWEEPS = 2
 """How often every robot is moved while the others stand."""
 
 
@@ -98,7 +98,7 @@ def reach_table(
         for robot, entry in enumerate(cell.robots):
             if parts.mass[part] > entry.payload:
                 continue
-            found = grasps(assembly, parts, part, alone, entry, limit=GRASPS)
+            found = grasps(assembly, parts, part, alone, entry, limit=GRASPS_PER_PART)
             levels[row, robot] = Reach.NO_GRASP
             if not found:
                 continue
@@ -141,17 +141,17 @@ def propose_bases(
 
     reached = [count(robot, base) for robot, base in enumerate(bases)]
     before = int(sum(row.sum() for row in reached))
-    total = SWEEPS * cell.robot_count * ANGLES * len(DISTANCES)
+    total = PLACEMENT_SWEEPS * cell.robot_count * BASE_ANGLES * len(BASE_DISTANCES)
     done = 0
-    for _ in range(SWEEPS):
+    for _ in range(PLACEMENT_SWEEPS):
         for robot, entry in enumerate(cell.robots):
             others = [base for k, base in enumerate(bases) if k != robot]
             best = _score(reached)
-            for share in DISTANCES:
-                for turn in range(ANGLES):
+            for share in BASE_DISTANCES:
+                for turn in range(BASE_ANGLES):
                     done += 1
                     report(done, total)
-                    base = _on_ring(entry.base, middle, share * entry.model.reach, 2 * np.pi * turn / ANGLES)
+                    base = _on_ring(entry.base, middle, share * entry.model.reach, 2 * np.pi * turn / BASE_ANGLES)
                     if _stands_free(cell, robot, base, others, stands):
                         rows = [*reached[:robot], count(robot, base), *reached[robot + 1 :]]
                         if _score(rows) > best:
@@ -163,26 +163,26 @@ def propose_bases(
 
 
 def _few(assembly: Assembly, parts: PartShapes, part: int, robot) -> list[Grasp]:
-    """A few grasps of a part, of different faces and turns."""
+    """Return a few grasps of a part, of different faces and turns."""
     alone = parts.boundary.copy()
     alone[part] = True
     return grasps(assembly, parts, part, alone, robot, limit=4)
 
 
 def _score(reached: list[NDArray[np.bool_]]) -> tuple[int, int]:
-    """Parts within reach of any robot, then pairs."""
+    """Return parts within reach of any robot, then pairs."""
     return int(np.any(reached, axis=0).sum()), int(np.sum(reached))
 
 
 def _on_ring(base: Array, middle: Array, distance: float, turn: float) -> Array:
-    """A base at a distance from the middle, looking at it, at the height it has now."""
+    """Return a base at a distance from the middle, looking at it, at the height it has now."""
     x, y = middle[0] + distance * np.cos(turn), middle[1] + distance * np.sin(turn)
     return pose((x, y, base[2, 3]), turn + np.pi)
 
 
 def _stands_free(cell: Cell, robot: int, base: Array, others: list[Array], stands: list[Array]) -> bool:
-    """Whether a base is clear of parts and obstacles, and far enough from other bases for two arms to work."""
-    apart = APART * cell.robots[robot].model.reach
+    """Return whether a base is clear of parts and obstacles, and far enough from other bases for two arms to work."""
+    apart = BASE_SPACING * cell.robots[robot].model.reach
     if any(np.linalg.norm(other[:2, 3] - base[:2, 3]) < apart for other in others):
         return False
     own = shrunk(tuple(move(base, piece) for piece in cell.robots[robot].model.pieces[0]))
@@ -190,5 +190,5 @@ def _stands_free(cell: Cell, robot: int, base: Array, others: list[Array], stand
 
 
 def _moved(robot, base: Array) -> Array:
-    """Places keep where they are as seen from the robot."""
+    """Return places keep where they are as seen from the robot."""
     return base @ np.linalg.inv(robot.base) @ robot.places if len(robot.places) else robot.places

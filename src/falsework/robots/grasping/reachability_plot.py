@@ -1,4 +1,4 @@
-"""A picture of a cell from above: who reaches what."""
+"""Plan view of a cell, coloured by reachability."""
 
 from __future__ import annotations
 

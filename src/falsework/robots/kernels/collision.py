@@ -1,4 +1,4 @@
-"""The compiled check: is an arm, with what it carries, clear of everything at given joint values?
+"""Compiled collision check of an arm with its load at given joint values.
 
 Forward kinematics, broad phase (spheres against boxes, of groups and of single pieces) and narrow phase (`gjk.gap`) run
 in one function on flat arrays. An answer of "clear" is a proof for every pair; see `docs/decisions/0040`.
@@ -47,7 +47,7 @@ class Bodies(NamedTuple):
 
 
 class Obstacles(NamedTuple):
-    """Convex pieces that stand still, in groups that are near each other."""
+    """Static convex pieces, in groups of neighbours."""
 
     start: NDArray[np.int64]
     vertices: Array
@@ -61,7 +61,7 @@ class Obstacles(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Which pairs count, and how far apart they must be."""
+    """Pairs to check, and the margins to keep."""
 
     pair: NDArray[np.bool_]
     """Whether a body and an obstacle are checked, shape (bodies, obstacles)."""
@@ -76,7 +76,7 @@ class Rules(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Scratch of one caller: not to be shared between threads."""
+    """Scratch memory of one caller: not to be shared between threads."""
 
     frames: Array
     vertices: Array
@@ -94,7 +94,7 @@ class Work(NamedTuple):
 
 
 def make_work(chain: Chain, bodies: Bodies, obstacles: Obstacles, rules: Rules) -> Work:
-    """Scratch for a query."""
+    """Return scratch for a query."""
     joints, count = len(chain.origin), len(bodies.frame)
     return Work(
         frames=np.empty((joints + 1, 3, 4)),
@@ -162,7 +162,7 @@ def _outside(x, y, z, low, high, k):
 
 @nb.njit(**INNER)
 def first_hit(values, share, chain, bodies, obstacles, rules, work):
-    """The first pair that is not proven to keep its distance, or CLEAR.
+    """Return the first pair that is not proven to keep its distance, or CLEAR.
 
     Args:
         values: joint values, shape (joints,).
@@ -255,5 +255,5 @@ def first_hit(values, share, chain, bodies, obstacles, rules, work):
 
 @nb.njit(**OUTER)
 def distance_between(a, b):
-    """A proven lower bound on the distance of two convex pieces, exact to 1e-6 of itself; 0 where they touch."""
+    """Return a proven lower bound on the distance of two convex pieces, exact to 1e-6 of itself; 0 where they touch."""
     return gap(a, 0, len(a), b, 0, len(b), 1e300, 0.0, np.zeros(3), np.empty((6, 3)))

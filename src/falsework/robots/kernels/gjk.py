@@ -1,4 +1,4 @@
-"""Distance between two convex pieces, compiled: Gilbert, Johnson and Keerthi's algorithm with proofs of separation.
+"""Compiled distance between two convex pieces: Gilbert, Johnson and Keerthi's algorithm with proofs of separation.
 
 The algorithm walks over the Minkowski difference A - B towards the origin. Its current point v gives an upper bound
 |v| on the distance; the plane through the support point w of -v gives a lower bound v.w / |v|, which is a proof:
@@ -26,7 +26,7 @@ ITERATIONS = 40
 
 @nb.njit(inline="always", **INNER)
 def _farthest(vertices, start, stop, x, y, z):
-    """Vertex farthest along a direction."""
+    """Return the vertex farthest along a direction."""
     best = start
     most = vertices[start, 0] * x + vertices[start, 1] * y + vertices[start, 2] * z
     for i in range(start + 1, stop):
@@ -39,7 +39,7 @@ def _farthest(vertices, start, stop, x, y, z):
 
 @nb.njit(**INNER)
 def _segment(s, i, j, out):
-    """Closest point of segment i, j of a simplex to the origin; which of the two it needs, as bits."""
+    """Return the closest point of segment i, j of a simplex to the origin; which of the two it needs, as bits."""
     ex, ey, ez = s[j, 0] - s[i, 0], s[j, 1] - s[i, 1], s[j, 2] - s[i, 2]
     length = ex * ex + ey * ey + ez * ez
     along = -(s[i, 0] * ex + s[i, 1] * ey + s[i, 2] * ez)
@@ -56,7 +56,7 @@ def _segment(s, i, j, out):
 
 @nb.njit(**INNER)
 def _triangle(s, i, j, k, out):
-    """Closest point of triangle i, j, k of a simplex to the origin; which of the three it needs, as bits."""
+    """Return the closest point of triangle i, j, k of a simplex to the origin; which of the three it needs, as bits."""
     ux, uy, uz = s[j, 0] - s[i, 0], s[j, 1] - s[i, 1], s[j, 2] - s[i, 2]
     wx, wy, wz = s[k, 0] - s[i, 0], s[k, 1] - s[i, 1], s[k, 2] - s[i, 2]
     nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
@@ -121,7 +121,7 @@ def _tetrahedron(s, out, spare):
 
 @nb.njit(**INNER)
 def gap(a, a_start, a_stop, b, b_start, b_stop, enough, near, axis, scratch):
-    """A proven lower bound on the distance between two convex pieces, metres; 0 where they may touch.
+    """Return a proven lower bound on the distance between two convex pieces, metres; 0 where they may touch.
 
     Args:
         a, b: vertices, shape (vertices, 3); piece A has the rows `a_start:a_stop`, B likewise.

@@ -1,4 +1,4 @@
-"""From robots, parts and obstacles to the flat arrays that the compiled check reads."""
+"""Flat arrays of robots, parts and obstacles for the compiled collision check."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GROUP = 6
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """What a robot carries: pieces in the frame of its flange."""
+    """Load of a robot: pieces in the frame of its flange."""
 
     part: int
     pieces: Pieces
@@ -30,7 +30,7 @@ class Carried:
 
 @lru_cache(maxsize=64)
 def turns(model: RobotModel) -> Array:
-    """For every joint the rotation whose third column is its axis: from the turned frame to that of the link.
+    """Return for every joint the rotation from the turned frame, whose z is the axis, to the link frame.
 
     Shape (joints, 4, 4). With frames turned so, every axis is z and the compiled kinematics has no branch.
     """
@@ -45,7 +45,7 @@ def turns(model: RobotModel) -> Array:
 
 
 def make_chain(model: RobotModel, base: Array) -> Chain:
-    """Joints of an arm that stands at `base`, shape (4, 4)."""
+    """Return joints of an arm that stands at `base`, shape (4, 4)."""
     turn = turns(model)
     origin = model.origins @ turn
     origin[1:] = np.swapaxes(turn[:-1], 1, 2) @ origin[1:]
@@ -56,7 +56,7 @@ def make_chain(model: RobotModel, base: Array) -> Chain:
 def make_bodies(
     robot: CellRobot, carried: Carried | None, part_names: Sequence[str]
 ) -> tuple[Bodies, list[str], list[int]]:
-    """Everything of a robot; its base rides on frame 0, which does not move.
+    """Pack the moving bodies of a robot; its base belongs to frame 0, which does not move.
 
     Returns:
         The pieces, their names, and what each belongs to: a link (0 is the base), `joints + 1` the gripper,
@@ -115,7 +115,7 @@ def _sweep(model: RobotModel, origin: Array, frame: int, piece: Array) -> Array:
 
 
 def self_pairs(model: RobotModel, links: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Pairs of moving pieces of one arm that can meet, shape (pairs, 2).
+    """Return pairs of moving pieces of one arm that can meet, shape (pairs, 2).
 
     The gripper is not checked against the last two links, nor a part in it against the last link and the gripper:
     they hardly move against each other, and whether they fit is a question for the cell, asked once.
@@ -141,7 +141,7 @@ def self_pairs(model: RobotModel, links: NDArray[np.int64]) -> NDArray[np.int64]
 
 
 def make_obstacles(bodies: Sequence[Pieces]) -> tuple[Obstacles, NDArray[np.int64]]:
-    """Everything that stands still, in groups of pieces that are near each other.
+    """Pack static pieces in groups of neighbours.
 
     Returns:
         The pieces and, for each, the index of the body that it belongs to.
@@ -187,6 +187,6 @@ def _groups(centers: Array) -> list[NDArray[np.int64]]:
 
 
 def _stack(pieces: Sequence[Array]) -> tuple[NDArray[np.int64], Array]:
-    """First row of every piece, and all vertices below each other."""
+    """Return the first row of every piece, and all vertices below each other."""
     start = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])]).astype(np.int64)
     return start, np.array(np.concatenate(pieces), order="C")

@@ -1,4 +1,4 @@
-"""Compiled motion planning: proof that an edge is free, two trees that grow towards each other, shortcuts.
+"""Compiled motion planning: proof of free edges, RRT-Connect, and shortcutting.
 
 An edge is proven free by intervals. Halfway through an interval every body must keep its distance plus the farthest
 that any of its points moves in half the interval; then all of the interval is free, and nothing can slip between two
@@ -21,7 +21,7 @@ INTERVALS = 4096
 
 @nb.njit(**INNER)
 def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, opened):
-    """Whether the straight edge between two configurations keeps its distances everywhere; ends included.
+    """Return whether the straight edge between two configurations keeps its distances everywhere; ends included.
 
     Args:
         a, b: configurations, shape (joints,).
@@ -72,7 +72,7 @@ def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, o
 
 @nb.njit(**INNER)
 def _edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened):
-    """Number of leading edges of a path that are free, shape (points, joints)."""
+    """Return the number of leading edges of a path that are free, shape (points, joints)."""
     values = np.empty(path.shape[1])
     for i in range(len(path) - 1):
         if not edge_free(path[i], path[i + 1], resolution, chain, bodies, obstacles, rules, work, values, opened):
@@ -82,7 +82,7 @@ def _edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened)
 
 @nb.njit(**INNER)
 def _uniform(seed):
-    """Next number in [0, 1) of a generator whose state is seed[0]: splitmix64."""
+    """Return the next number in [0, 1) of a generator whose state is seed[0]: splitmix64."""
     seed[0] += np.uint64(0x9E3779B97F4A7C15)
     z = seed[0]
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -253,7 +253,7 @@ def _run(
     work,
     opened,
 ):
-    """The one door for Python: what is behind it is compiled once, and not once for every question."""
+    """Return the one door for Python: what is behind it is compiled once, and not once for every question."""
     if what == CHECK:
         for i in range(len(path)):
             found[i] = first_hit(path[i], 0.0, chain, bodies, obstacles, rules, work)
@@ -289,7 +289,7 @@ def check_many(configurations, chain, bodies, obstacles, rules, work, found) -> 
 
 
 def edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened) -> int:
-    """Number of leading edges of a path that are free, shape (points, joints)."""
+    """Return the number of leading edges of a path that are free, shape (points, joints)."""
     arrays = (chain, bodies, obstacles, rules, work, opened)
     rest = (_NO_TREES, _NO_PARENTS, _NO_INTEGERS, _NO_LIMITS, _NO_LIMITS, resolution, _NO_SEED)
     return _run(EDGES, path, _NO_INTEGERS, 0, 0.0, *rest, *arrays)[0]

@@ -1,4 +1,4 @@
-"""Closed forms of inverse kinematics for six revolute joints, on batches of poses.
+"""Closed-form inverse kinematics of arms with six revolute joints, on batches of poses.
 
 All of it is written in the axes at zero, so it does not matter how a description places its frames or turns its signs.
 Points move by `x -> e1 e2 ... e6 x`, with `ei` the rotation of joint i about its axis at zero; target T and flange
@@ -17,9 +17,9 @@ from falsework.robots.model.shapes import inverse_pose
 Array = NDArray[np.float64]
 Owner = NDArray[np.int64]
 
-GRID = 120
+WRIST_ANGLES = 120
 """Angles of the sixth joint at which the equation of an offset wrist is looked at."""
-NEARLY_ZERO = 0.15
+NEAR_ROOT = 0.15
 """A dip of the equation below this, without a change of sign, is worth a try."""
 
 
@@ -38,11 +38,11 @@ class Screws:
     spherical: bool = False
 
     def distance(self, joint: int, point: Array) -> float:
-        """Distance of a point from an axis, metres."""
+        """Return the distance of a point from an axis, metres."""
         return float(np.linalg.norm(np.cross(point - self.points[joint], self.axes[joint])))
 
     def meeting(self, a: int, b: int) -> Array | None:
-        """Where two axes meet, or None if they pass each other by more than a micrometre."""
+        """Return the point where two axes meet, or None if they are more than a micrometre apart."""
         across = np.cross(self.axes[a], self.axes[b])
         square = across @ across
         if square < 1e-12:
@@ -54,7 +54,7 @@ class Screws:
         return self.points[a] + along * self.axes[a]
 
     def with_center(self, center: Array, spherical: bool = False) -> Screws:
-        """The same, with the centre of the wrist."""
+        """Return the same, with the centre of the wrist."""
         return replace(self, center=center, spherical=spherical)
 
 
@@ -65,8 +65,8 @@ def solve_wrist(screws: Screws, targets: Array) -> tuple[Array, Owner]:
         q6 = np.zeros((len(targets), 1))
         first, turned, good = _arm(screws, turn, shift, q6)
         return _euler(screws, turn, first[:, 0], turned[:, 0], good[:, 0])
-    grid = np.linspace(-np.pi, np.pi, GRID + 1)
-    q6 = np.broadcast_to(grid, (len(targets), GRID + 1))
+    grid = np.linspace(-np.pi, np.pi, WRIST_ANGLES + 1)
+    q6 = np.broadcast_to(grid, (len(targets), WRIST_ANGLES + 1))
     first, turned, good = _arm(screws, turn, shift, q6)
     value = np.where(good, _offset_equation(screws, turn, turned, q6), np.nan)
     left, right = value[:, :-1], value[:, 1:]
@@ -74,7 +74,7 @@ def solve_wrist(screws: Screws, targets: Array) -> tuple[Array, Owner]:
         crossing = left * right <= 0
         size = np.abs(value)
         padded = np.pad(np.where(np.isnan(size), np.inf, size), ((0, 0), (1, 1), (0, 0)), constant_values=np.inf)
-        dip = (size <= padded[:, :-2]) & (size <= padded[:, 2:]) & (size < NEARLY_ZERO)
+        dip = (size <= padded[:, :-2]) & (size <= padded[:, 2:]) & (size < NEAR_ROOT)
         share = left / (left - right)
     rows, cells, branches = np.nonzero(crossing)
     step = grid[1] - grid[0]
@@ -86,7 +86,7 @@ def solve_wrist(screws: Screws, targets: Array) -> tuple[Array, Owner]:
 
 
 def solve_parallel(screws: Screws, targets: Array) -> tuple[Array, Owner]:
-    """Guesses for arms whose second to fourth axes are parallel, as `solve_wrist`."""
+    """Return guesses for arms whose second to fourth axes are parallel, as `solve_wrist`."""
     turn, shift = _moved(screws, targets)
     w, p, center = screws.axes, screws.points, screws.center
     assert center is not None
@@ -127,13 +127,13 @@ def solve_parallel(screws: Screws, targets: Array) -> tuple[Array, Owner]:
 
 
 def _moved(screws: Screws, targets: Array) -> tuple[Array, Array]:
-    """Rotation and shift of G = T H^-1, shapes (batch, 3, 3) and (batch, 3)."""
+    """Return the rotation and shift of G = T H^-1, shapes (batch, 3, 3) and (batch, 3)."""
     moved = targets @ inverse_pose(screws.home)
     return moved[:, :3, :3], moved[:, :3, 3]
 
 
 def _arm(screws: Screws, turn: Array, shift: Array, q6: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """First three joints that bring the centre of the wrist where it must be for given sixth angles.
+    """Return the first three joints that bring the centre of the wrist where it must be for given sixth angles.
 
     Args:
         turn, shift: G, shapes (batch, 3, 3) and (batch, 3).
@@ -158,7 +158,7 @@ def _arm(screws: Screws, turn: Array, shift: Array, q6: Array) -> tuple[Array, A
 
 
 def _euler(screws: Screws, turn: Array, first: Array, turned: Array, good: NDArray[np.bool_]) -> tuple[Array, Owner]:
-    """Last three joints of a spherical wrist; shapes (batch, 4, ...)."""
+    """Return the last three joints of a spherical wrist; shapes (batch, 4, ...)."""
     w = screws.axes
     rest = np.swapaxes(turned, -1, -2) @ turn[:, None]
     image = rest @ w[5]
@@ -177,7 +177,7 @@ def _euler(screws: Screws, turn: Array, first: Array, turned: Array, good: NDArr
 
 
 def _offset_equation(screws: Screws, turn: Array, turned: Array, q6: Array) -> Array:
-    """Zero where the fourth and fifth joints can do what is left; shape (batch, angles, 4)."""
+    """Return zero where the fourth and fifth joints can do what is left; shape (batch, angles, 4)."""
     w = screws.axes
     seen = np.einsum("bgij,j->bgi", _about(w[5], -q6), w[4])
     world = np.einsum("bij,bgj->bgi", turn, seen)
@@ -187,7 +187,7 @@ def _offset_equation(screws: Screws, turn: Array, turned: Array, q6: Array) -> A
 def _finish_offset(
     screws: Screws, turn: Array, shift: Array, q6: Array, branches: NDArray[np.int64], owner: Owner
 ) -> tuple[Array, Owner]:
-    """All joints for sixth angles near roots."""
+    """Return all joints for sixth angles near roots."""
     w = screws.axes
     first, turned, good = _arm(screws, turn, shift, q6[:, None])
     pick = np.arange(len(q6))
@@ -201,7 +201,7 @@ def _finish_offset(
 
 
 def _about(axis: Array, angle: Array) -> Array:
-    """Rotations about an axis, shape (...) to (..., 3, 3)."""
+    """Return rotations about an axis, shape (...) to (..., 3, 3)."""
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     sin, cos = np.sin(angle)[..., None, None], np.cos(angle)[..., None, None]
@@ -209,7 +209,7 @@ def _about(axis: Array, angle: Array) -> Array:
 
 
 def _level(axis: Array, across: Array, arm: Array, level: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Angles q, two each, with `rot(axis, -q) arm . across = level`; shape (..., 3) to (..., 2) and (..., 2)."""
+    """Return angles q, two each, with `rot(axis, -q) arm . across = level`; shape (..., 3) to (..., 2) and (..., 2)."""
     u, s = arm @ across, arm @ np.cross(axis, across)
     reach = np.hypot(u, s)
     share = level / np.maximum(reach, 1e-12)
@@ -242,14 +242,14 @@ def _two_bars(
 
 
 def _turn_between(axis: Array, before: Array, after: Array) -> Array:
-    """Angle about an axis from one vector to another, both seen along the axis; shape (..., 3) to (...)."""
+    """Return the angle about an axis from one vector to another, both seen along the axis; shape (..., 3) to (...)."""
     sin = np.einsum("...i,...i->...", np.cross(before, after), np.broadcast_to(axis, before.shape))
     cos = np.einsum("...i,...i->...", before, after) - (before @ axis) * (after @ axis)
     return np.arctan2(sin, cos)
 
 
 def _pair(turn: Array, axis: Array) -> tuple[Array, Array]:
-    """A vector at right angles to an axis, and its image under rotations about the axis, shape (..., 3)."""
+    """Return a vector at right angles to an axis, and its image under rotations about the axis, shape (..., 3)."""
     helper = np.cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis)
     helper /= np.linalg.norm(helper)
     image = turn @ helper

@@ -1,4 +1,4 @@
-"""Forward kinematics and Jacobians of batches, compiled."""
+"""Compiled forward kinematics of batches of configurations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def link_poses(model: RobotModel, configurations: ArrayLike, base: Array | None = None) -> Array:
-    """Poses of all links, shape (joints,) to (joints + 1, 4, 4), or (batch, joints) to (batch, joints + 1, 4, 4).
+    """Return the poses of all links, shape (joints + 1, 4, 4), or (batch, joints + 1, 4, 4).
 
     Args:
         model: the arm.
@@ -36,35 +36,13 @@ def link_poses(model: RobotModel, configurations: ArrayLike, base: Array | None 
 
 
 def flange_pose(model: RobotModel, configurations: ArrayLike, base: Array | None = None) -> Array:
-    """Pose of the flange, shape (joints,) to (4, 4), or batched."""
+    """Return the pose of the flange, shape (joints,) to (4, 4), or batched."""
     return link_poses(model, configurations, base)[..., -1, :, :] @ model.flange
 
 
 def tool_pose(robot: CellRobot, configurations: ArrayLike) -> Array:
-    """Pose of the tool frame of a robot of a cell in the world, shape (joints,) to (4, 4), or batched."""
+    """Return the pose of the tool frame of a robot of a cell in the world, shape (joints,) to (4, 4), or batched."""
     return flange_pose(robot.model, configurations, robot.base) @ robot.gripper.tool
-
-
-def jacobian(model: RobotModel, configurations: ArrayLike, tool: Array | None = None) -> Array:
-    """Velocity of a frame at the tool by joint, in the frame of the base: linear above angular.
-
-    Args:
-        model: the arm.
-        configurations: joint values, shape (joints,) or (batch, joints).
-        tool: pose of the frame in that of the flange, shape (4, 4); the flange itself if not given.
-
-    Returns:
-        Shape (6, joints) or (batch, 6, joints).
-    """
-    poses = np.atleast_3d(link_poses(model, np.atleast_2d(configurations)))
-    end = poses[:, -1] @ model.flange @ (np.eye(4) if tool is None else tool)
-    axes = np.einsum("bjik,jk->bji", poses[:, 1:, :3, :3], model.axes)
-    arms = end[:, None, :3, 3] - poses[:, 1:, :3, 3]
-    slides = model.prismatic[None, :, None]
-    linear = np.where(slides, axes, np.cross(axes, arms))
-    angular = np.where(slides, 0.0, axes)
-    found = np.swapaxes(np.concatenate([linear, angular], axis=2), 1, 2)
-    return found[0] if np.ndim(configurations) == 1 else found
 
 
 @nb.njit(**OUTER)

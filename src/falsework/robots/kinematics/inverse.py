@@ -1,4 +1,4 @@
-"""Inverse kinematics: all joint values that bring a tool to a pose.
+"""Inverse kinematics: all configurations that bring a tool to a pose.
 
 Arms with six revolute joints whose second and third axes are parallel, at right angles to the first, have closed forms
 (products of exponentials and Paden-Kahan subproblems, Murray, Li and Sastry 1994, chapter 3):
@@ -35,19 +35,19 @@ from falsework.robots.model.shapes import inverse_pose
 Array = NDArray[np.float64]
 Kind = Literal["spherical", "wrist", "parallel", "general"]
 
-STARTS = 80
+RANDOM_STARTS = 80
 """Random starts for arms without a closed form."""
-SAMPLES = 24
+REDUNDANT_SOLUTIONS = 24
 """Solutions that are kept of the curves of an arm with more than six joints."""
-SAME = 1e-4
+SAME_SOLUTION = 1e-4
 """Solutions of an arm with six joints closer than this, rad, are one."""
-APART = 0.25
+SOLUTION_SPACING = 0.25
 """Solutions of an arm with more joints are at least this far apart, rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solver:
-    """What inverse kinematics needs to know of an arm; made once by `solver_of`."""
+    """Inverse kinematics of one arm, prepared once by `solver_of`."""
 
     model: RobotModel
     kind: Kind
@@ -55,24 +55,23 @@ class Solver:
     """Axes at zero, for arms with a closed form."""
 
 
-def inverse(robot: CellRobot, tools: ArrayLike, *, seed: int = 0) -> list[Array]:
-    """All configurations that bring the tool frame of a robot to poses in the world.
+def inverse(robot: CellRobot, tools: ArrayLike) -> list[Array]:
+    """Return all configurations that bring the tool frame of a robot to poses in the world.
 
     Args:
         robot: robot of a cell.
         tools: poses of the tool frame in the world, shape (4, 4) or (batch, 4, 4).
-        seed: of the random starts of arms without a closed form.
 
     Returns:
         For every pose an array of shape (solutions, joints): all branches, with all full turns that the limits allow.
     """
     poses = np.asarray(tools, dtype=np.float64).reshape(-1, 4, 4)
     flange = inverse_pose(robot.base) @ poses @ inverse_pose(robot.gripper.tool)
-    return inverse_flange(robot.model, flange, seed=seed)
+    return inverse_flange(robot.model, flange)
 
 
-def inverse_flange(model: RobotModel, flanges: ArrayLike, *, seed: int = 0) -> list[Array]:
-    """As `inverse`, for poses of the flange in the frame of the base, shape (4, 4) or (batch, 4, 4).
+def inverse_flange(model: RobotModel, flanges: ArrayLike) -> list[Array]:
+    """Solve as `inverse` for flange poses in the base frame, shape (4, 4) or (batch, 4, 4).
 
     Raises:
         InputError: no poses.
@@ -82,7 +81,7 @@ def inverse_flange(model: RobotModel, flanges: ArrayLike, *, seed: int = 0) -> l
         raise InputError("a pose holds a value that is not finite")
     solver = solver_of(model)
     if solver.kind == "general" or solver.screws is None:
-        found, owner = _from_many_starts(model, targets, seed)
+        found, owner = _from_many_starts(model, targets)
     else:
         solve = solve_parallel if solver.kind == "parallel" else solve_wrist
         guesses, owner = solve(solver.screws, targets)
@@ -119,7 +118,7 @@ def solver_of(model: RobotModel) -> Solver:
 
 
 def tail_of(model: RobotModel, tool: Array | None = None) -> Array:
-    """Pose of a frame at the flange in the last turned frame of the compiled chain, shape (3, 4)."""
+    """Return the pose of a frame at the flange in the last turned frame of the compiled chain, shape (3, 4)."""
     end = model.flange if tool is None else model.flange @ tool
     return np.array((inverse_pose(turns(model)[-1]) @ end)[:3], order="C")
 
@@ -136,13 +135,13 @@ def _polish(
     return values[reached], owner[reached]
 
 
-def _from_many_starts(model: RobotModel, targets: Array, seed: int) -> tuple[Array, NDArray[np.int64]]:
+def _from_many_starts(model: RobotModel, targets: Array) -> tuple[Array, NDArray[np.int64]]:
     """Damped Newton steps from random configurations."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     low = np.where(model.prismatic, model.lower, np.maximum(model.lower, -np.pi))
     high = np.where(model.prismatic, model.upper, np.minimum(model.upper, np.pi))
-    starts = random.uniform(low, high, (len(targets), STARTS, model.joints)).reshape(-1, model.joints)
-    owner = np.repeat(np.arange(len(targets)), STARTS)
+    starts = random.uniform(low, high, (len(targets), RANDOM_STARTS, model.joints)).reshape(-1, model.joints)
+    owner = np.repeat(np.arange(len(targets)), RANDOM_STARTS)
     reached = np.zeros(len(starts), bool)
     chain = make_chain(model, np.eye(4))
     poses = np.array(targets[owner][:, :3], order="C")
@@ -151,29 +150,29 @@ def _from_many_starts(model: RobotModel, targets: Array, seed: int) -> tuple[Arr
 
 
 def _distinct(values: Array, owner: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Solutions without repetitions, by pose and then in order."""
+    """Return solutions without repetitions, by pose and then in order."""
     keys = np.concatenate([owner[:, None], np.cos(values), np.sin(values)], axis=1)
-    _, first = np.unique(np.round(keys / SAME), axis=0, return_index=True)
+    _, first = np.unique(np.round(keys / SAME_SOLUTION), axis=0, return_index=True)
     first = first[np.lexsort((*np.round(values[first], 6).T[::-1], owner[first]))]
     return values[first], owner[first]
 
 
 def _spread(values: Array, owner: NDArray[np.int64], turning: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int64]]:
-    """Of the solutions of every pose some that are well apart, in the order in which they were found."""
+    """Select well separated solutions of every pose, in the order in which they were found."""
     kept: list[int] = []
     for row in np.unique(owner).tolist():
         mine: list[int] = []
         for k in np.flatnonzero(owner == row).tolist():
             apart = np.abs(values[mine] - values[k])
             apart[:, turning] = np.minimum(apart[:, turning], 2 * np.pi - apart[:, turning])
-            if len(mine) < SAMPLES and (apart.max(axis=1, initial=0.0) >= APART).all():
+            if len(mine) < REDUNDANT_SOLUTIONS and (apart.max(axis=1, initial=0.0) >= SOLUTION_SPACING).all():
                 mine.append(k)
         kept += mine
     return values[kept], owner[kept]
 
 
 def _windings(model: RobotModel, values: Array, owner: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Every solution with all full turns that the limits allow, those without a turn first."""
+    """Return every solution with all full turns that the limits allow, those without a turn first."""
     room = (model.lower < -np.pi) | (model.upper > np.pi)
     options = [
         (0.0, -2 * np.pi, 2 * np.pi) if wide and not slide else (0.0,)

@@ -1,4 +1,4 @@
-"""Arms described here, so that examples need no files: joints and limits as published, links as simple convex pieces.
+"""Built-in arms: published joints and limits, with links as simple convex pieces.
 
 Each link is one bevelled block, its sizes taken from the outer extents of public collision models and rounded. It
 covers the convex hull of such a model to a few millimetres and sticks out of it by up to 11 cm at corners. Cables and
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 def builtin_robot(name: str) -> RobotModel:
-    """An arm by name.
+    """Return an arm by name.
 
     Raises:
         InputError: no such arm; the message lists those there are.
@@ -162,7 +162,7 @@ def _parallel(*offsets: tuple[float, float, float]) -> Array:
 
 
 def _fork(back: float, axis: float, radius: float, sides: tuple[float, float]) -> Array:
-    """A link along x that ends round about a joint axis along y."""
+    """Return a link along x that ends round about a joint axis along y."""
     angle = np.radians(np.arange(-75, 90, 30))
     reach = radius / np.cos(np.radians(15))
     outline = np.stack([axis + reach * np.cos(angle), reach * np.sin(angle)], axis=1)
@@ -171,7 +171,7 @@ def _fork(back: float, axis: float, radius: float, sides: tuple[float, float]) -
 
 
 def _rolled(offset: tuple[float, float, float], angle: float) -> Array:
-    """A frame offset from the last and turned about x."""
+    """Return a frame offset from the last and turned about x."""
     made = np.array(pose(offset))
     made[1:3, 1:3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     return made
@@ -191,7 +191,7 @@ def _arm(
     home: tuple[float, ...],
     payload: float,
 ) -> RobotModel:
-    """An arm with one piece a link; limits in degrees and degrees per second, as data sheets have them."""
+    """Return an arm with one piece a link; limits in degrees and degrees per second, as data sheets have them."""
     joints = len(origins)
     pairs = {(link, link + 1) for link in range(joints)} | set(ignored)
     speed = np.radians(velocity)

@@ -1,4 +1,4 @@
-"""The cell: robots with bases and grippers, what stands around them, where parts come from and go to. Frozen."""
+"""Immutable robot cell: robots with bases and grippers, obstacles, storage and drop-off places."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Gripper:
 
 @dataclass(frozen=True, eq=False)
 class CellRobot:
-    """One robot of a cell: an arm, where it stands, its gripper, and where it rests and puts parts."""
+    """One robot of a cell: arm, base, gripper, home configuration and drop-off places."""
 
     name: str
     model: RobotModel
@@ -65,7 +65,7 @@ class CellRobot:
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """Something fixed in the cell: convex pieces in the world frame."""
+    """Fixed obstacle of the cell: convex pieces in the world frame."""
 
     name: str
     pieces: Pieces
@@ -73,7 +73,7 @@ class Obstacle:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a structure stands in the cell, how large it is built, and of what."""
+    """Pose, scale and density of a structure in the cell."""
 
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Where the origin of the structure's own frame goes, metres."""
@@ -104,7 +104,7 @@ class Margins:
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """Everything that does not move by itself while a plan is carried out."""
+    """Robots and static surroundings of a plan."""
 
     name: str
     robots: tuple[CellRobot, ...]
@@ -128,9 +128,9 @@ class Cell:
 
 
 def cell_identity(cell: Cell) -> str:
-    """Digest of everything in a cell that motions depend on; hexadecimal SHA-256.
+    """Return the digest of everything in a cell that motions depend on; hexadecimal SHA-256.
 
-    Names of files and where a description came from do not count.
+    Names of files and where a description came from do not count, nor meshes that only the check looks at.
     """
     digest = hashlib.sha256(b"falsework.cell/1")
     _feed(digest, cell)
@@ -140,7 +140,7 @@ def cell_identity(cell: Cell) -> str:
 def _feed(digest, value: Any) -> None:
     if is_dataclass(value):
         for entry in fields(value):
-            if entry.name not in ("source", "path"):
+            if entry.name not in ("source", "path", "meshes"):
                 digest.update(entry.name.encode())
                 _feed(digest, getattr(value, entry.name))
     elif isinstance(value, np.ndarray):

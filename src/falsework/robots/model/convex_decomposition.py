@@ -1,4 +1,4 @@
-"""Convex pieces that cover a mesh: exact for boxes put together, tight for most, and never less than the solid."""
+"""Convex cover of a mesh: exact for unions of boxes, tight for most meshes, never smaller than the solid."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from falsework.robots.model.shapes import Pieces, hull
 
 Array = NDArray[np.float64]
 
-PIECES = 32
+MAX_PIECES = 32
 """Most pieces of one part; when they are used up, the cover stays looser than asked for."""
-IDLE = 2
+IDLE_CUTS = 2
 """Cuts in a row that may take nothing off: a ring must be halved before a cut of the halves helps."""
-CANDIDATES = 16
+CUT_PLANES = 16
 """Planes that are tried for one cut."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """What is left of a solid on one side of some planes: its surface there, open where it was cut."""
+    """Remainder of a solid on one side of some planes: its surface there, open where it was cut."""
 
     triangles: Array
     """Shape (triangles, 3, 3)."""
@@ -39,8 +39,8 @@ class _Cut:
     """Cuts in a row that took nothing off."""
 
 
-def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = PIECES) -> Pieces:
-    """Convex pieces whose union contains the solid that a mesh encloses.
+def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = MAX_PIECES) -> Pieces:
+    """Return convex pieces whose union contains the solid that a mesh encloses.
 
     The solid is cut by planes, at each step where that takes most off the convex hulls, until the hulls together are
     at most `tolerance` larger than the solid. Every piece is the hull of what it covers, so nothing of the solid is
@@ -69,7 +69,7 @@ def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = PIE
                     break
                 done[id(parts[index])] = parts[index]
         else:
-            index = next((k for k in order if parts[k].idle < IDLE), -1)
+            index = next((k for k in order if parts[k].idle < IDLE_CUTS), -1)
             halves = _halve(parts[index], mesh) if index >= 0 else None
             if halves is None:
                 break
@@ -89,7 +89,7 @@ def _halve(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
 
 
 def _best_cut(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
-    """The cut that leaves least hull on its two sides together, or None if none takes off a thousandth."""
+    """Return the cut that leaves least hull on its two sides together, or None if none takes off a thousandth."""
     most = part.volume * (1 - 1e-3)
     best, chosen = most, None
     for plane in _candidates(part):
@@ -106,7 +106,7 @@ def _best_cut(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
 
 
 def _candidates(part: _Cut) -> list[Array]:
-    """Planes of faces that lie inside the hull, and planes across its middle; shape (4,) each."""
+    """Return planes of faces that lie inside the hull, and planes across its middle; shape (4,) each."""
     corners = part.triangles
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
@@ -120,7 +120,7 @@ def _candidates(part: _Cut) -> list[Array]:
     flip = np.sign(key[np.arange(len(key)), np.argmax(np.abs(key) > 10, axis=1)])
     _, first, where = np.unique(key * flip[:, None], axis=0, return_index=True, return_inverse=True)
     weight = np.bincount(where.reshape(-1), area[good][front])
-    order = np.argsort(-np.round(weight, 12), kind="stable")[:CANDIDATES]
+    order = np.argsort(-np.round(weight, 12), kind="stable")[:CUT_PLANES]
     planes = [np.append(normals[front][first[k]], levels[front][first[k]]) for k in order.tolist()]
     middle = part.corners.mean(axis=0)
     axes = np.linalg.svd(part.corners - middle, full_matrices=False)[2]
@@ -131,7 +131,7 @@ def _candidates(part: _Cut) -> list[Array]:
 
 
 def _clip(part: _Cut, plane: Array, mesh: TriangleMesh | None) -> _Cut | None:
-    """The part behind a plane, or None if there is nothing to speak of; an estimate where no mesh is given."""
+    """Return the part behind a plane, or None if there is nothing to speak of; an estimate where no mesh is given."""
     normal, level = plane[:3], plane[3]
     size = float(np.ptp(part.corners, axis=0).max())
     height = part.triangles @ normal - level
@@ -159,7 +159,7 @@ def _clip(part: _Cut, plane: Array, mesh: TriangleMesh | None) -> _Cut | None:
 
 
 def _split(triangles: Array, height: Array) -> Array:
-    """The parts of triangles behind a plane, as triangles."""
+    """Return the parts of triangles behind a plane, as triangles."""
     found = []
     for corners, level in zip(triangles, height, strict=True):
         polygon = []
@@ -174,7 +174,7 @@ def _split(triangles: Array, height: Array) -> Array:
 
 
 def _inner_corners(planes: tuple[Array, ...], mesh: TriangleMesh, size: float) -> Array:
-    """Where three cuts meet inside the solid: corners of a piece that are on no surface. Shape (corners, 3)."""
+    """Return the points where three cuts meet inside the solid. Shape (corners, 3)."""
     found = []
     for three in combinations(planes, 3):
         matrix = np.array([plane[:3] for plane in three])

@@ -1,4 +1,4 @@
-"""Parts of a structure as bodies in a cell: moved to their place, to scale, covered by convex pieces."""
+"""Parts of a structure as bodies in a cell: placed, scaled and covered by convex pieces."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PartShapes:
-    """All parts of a structure where they stand in a cell; the pose of a part is its motion away from there."""
+    """Parts of a structure at their places in a cell; the pose of a part is its displacement from there."""
 
     names: tuple[str, ...]
     boundary: NDArray[np.bool_]

@@ -1,4 +1,4 @@
-"""A robot arm: joints, limits, and the convex pieces of its links. Frozen; knows nothing of where it stands."""
+"""Immutable model of a robot arm: joints, limits, and the convex pieces of its links."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.model.shapes import Pieces
 
 Array = NDArray[np.float64]
@@ -52,6 +53,9 @@ class RobotModel:
     """A configuration to rest in, shape (joints,)."""
     payload: float | None = None
     """What the arm carries at the flange, gripper included, kg; None: not known."""
+    meshes: tuple[tuple[TriangleMesh, ...], ...] | None = None
+    """Collision shapes of every link as the description has them, in the frame of the link, for checks that do not
+    trust `pieces`; None: there are none but the pieces."""
     source: str = field(default="built-in")
     """Where the description is from: `built-in` or the path of a URDF file."""
 
@@ -68,12 +72,12 @@ class RobotModel:
         return float(steps + slides)
 
     def within_limits(self, configurations: Array, tolerance: float = 1e-9) -> NDArray[np.bool_]:
-        """Which configurations keep the position limits. Shape (..., joints) to (...)."""
+        """Return whether configurations keep the position limits. Shape (..., joints) to (...)."""
         inside = (configurations >= self.lower - tolerance) & (configurations <= self.upper + tolerance)
         return np.asarray(inside.all(axis=-1))
 
     def check_configuration(self, values: object, what: str = "configuration") -> Array:
-        """One configuration from outside as an array of shape (joints,).
+        """Return one configuration from outside as an array of shape (joints,).
 
         Raises:
             InputError: wrong length, no numbers, or outside the limits; the message names the joint.

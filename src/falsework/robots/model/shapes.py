@@ -1,4 +1,4 @@
-"""Convex pieces: what every link, gripper, obstacle and part is made of in collision queries.
+"""Convex pieces, of which links, grippers, obstacles and parts consist in collision queries.
 
 A piece is the convex hull of its vertices, an array of shape (vertices, 3) in metres.
 """
@@ -15,12 +15,12 @@ Array = NDArray[np.float64]
 Pieces = tuple[Array, ...]
 """Convex pieces that together cover one body."""
 
-SIDES = 12
+CYLINDER_SIDES = 12
 """Sides of the prism that stands for a cylinder."""
 
 
 def block(low: ArrayLike, high: ArrayLike, **bevels: tuple[float, float, float, float]) -> Array:
-    """A box whose edges may be bevelled by 45 degrees.
+    """Return a box whose edges may be bevelled by 45 degrees.
 
     Args:
         low, high: opposite corners, metres.
@@ -48,20 +48,20 @@ def block(low: ArrayLike, high: ArrayLike, **bevels: tuple[float, float, float, 
     return hull(np.unique(np.round(inner, 9), axis=0))
 
 
-def cylinder(radius: float, low: float, high: float, sides: int = SIDES) -> Array:
-    """A prism around a cylinder about the z axis from `low` to `high`, metres. Shape (2 sides, 3).
+def cylinder(radius: float, low: float, high: float) -> Array:
+    """Return a prism around a cylinder about the z axis from `low` to `high`, metres. Shape (2 * CYLINDER_SIDES, 3).
 
     The cylinder lies inside: the prism sticks out by at most 3.5 % of the radius with twelve sides.
     """
-    angle = 2 * np.pi * np.arange(sides) / sides
-    outer = radius / np.cos(np.pi / sides)
+    angle = 2 * np.pi * np.arange(CYLINDER_SIDES) / CYLINDER_SIDES
+    outer = radius / np.cos(np.pi / CYLINDER_SIDES)
     ring = np.stack([outer * np.cos(angle), outer * np.sin(angle)], axis=1)
-    points = np.concatenate([np.c_[ring, np.full(sides, low)], np.c_[ring, np.full(sides, high)]])
+    points = np.concatenate([np.c_[ring, np.full(CYLINDER_SIDES, low)], np.c_[ring, np.full(CYLINDER_SIDES, high)]])
     return _frozen(points)
 
 
 def hull(points: ArrayLike) -> Array:
-    """Vertices of the convex hull. Shape (vertices, 3).
+    """Return vertices of the convex hull. Shape (vertices, 3).
 
     Raises:
         InputError: the points span no volume.
@@ -76,17 +76,17 @@ def hull(points: ArrayLike) -> Array:
 
 
 def move(pose: Array, vertices: Array) -> Array:
-    """Vertices moved by a pose, shapes (4, 4) and (vertices, 3)."""
+    """Return vertices moved by a pose, shapes (4, 4) and (vertices, 3)."""
     return vertices @ pose[:3, :3].T + pose[:3, 3]
 
 
 def move_pieces(pose: Array, pieces: Pieces) -> Pieces:
-    """Pieces moved by a pose, shape (4, 4)."""
+    """Return pieces moved by a pose, shape (4, 4)."""
     return tuple(_frozen(move(pose, piece)) for piece in pieces)
 
 
 def pose(position: ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Array:
-    """A pose that stands upright, turned about z by `yaw` radians. Shape (4, 4)."""
+    """Return a pose that stands upright, turned about z by `yaw` radians. Shape (4, 4)."""
     made = np.eye(4)
     made[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
     made[:3, 3] = position
@@ -94,7 +94,7 @@ def pose(position: ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Array:
 
 
 def inverse_pose(given: Array) -> Array:
-    """Inverse of a rigid pose, shape (..., 4, 4)."""
+    """Return the inverse of a rigid pose, shape (..., 4, 4)."""
     made = np.zeros_like(given)
     turn = np.swapaxes(given[..., :3, :3], -1, -2)
     made[..., :3, :3] = turn

@@ -1,4 +1,4 @@
-"""Fewer planes around a convex hull, all of them outside: collision queries cost what the vertices cost."""
+"""Outer approximation of a convex hull with fewer planes, for cheaper collision queries."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from falsework.robots.model.shapes import hull
 
 Array = NDArray[np.float64]
 
-PLANES = 48
+MAX_PLANES = 48
 """Planes that a simplified hull has at most."""
 
 
-def outer_hull(points: ArrayLike, tolerance: float = 0.004, planes: int = PLANES) -> Array:
-    """Vertices of a polytope with few faces around the convex hull of points.
+def outer_hull(points: ArrayLike, tolerance: float = 0.004, planes: int = MAX_PLANES) -> Array:
+    """Return vertices of a polytope with few faces around the convex hull of points.
 
     Starts from the box and adds, where a corner sticks out farthest, the plane of the hull that it violates most.
 

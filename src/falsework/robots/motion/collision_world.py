@@ -1,4 +1,4 @@
-"""What stands in a cell at one moment, and questions about one robot that moves in it."""
+"""Collision world of a cell: scenes at one instant, and collision queries for one moving robot."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NO_FLOOR = -1e9
 
 @dataclass(frozen=True, eq=False)
 class Attached:
-    """A part in a gripper."""
+    """Part in a gripper."""
 
     part: int
     tool_from_part: Array
@@ -34,7 +34,7 @@ class Attached:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Where everything is at one moment. A value: make others with the methods, or with `dataclasses.replace`."""
+    """Configurations, present parts and loads at one instant; immutable."""
 
     configurations: tuple[Array, ...]
     """Joint values of every robot."""
@@ -47,17 +47,17 @@ class Scene:
 
     @staticmethod
     def at_home(cell: Cell, parts: PartShapes) -> Scene:
-        """All parts in place and all robots at home."""
+        """Return all parts in place and all robots at home."""
         return Scene(cell.homes, np.ones(parts.part_count, bool), (None,) * cell.robot_count)
 
     def with_configuration(self, robot: int, values: ArrayLike) -> Scene:
-        """The same with one robot elsewhere."""
+        """Return the same with one robot elsewhere."""
         changed = list(self.configurations)
         changed[robot] = np.array(values, dtype=np.float64)
         return replace(self, configurations=tuple(changed))
 
     def with_removed(self, *parts: int) -> Scene:
-        """The same without some parts."""
+        """Return the same without some parts."""
         present = self.present.copy()
         present[list(parts)] = False
         return replace(self, present=present)
@@ -67,12 +67,6 @@ class Scene:
         carried = list(self.attached)
         carried[robot] = Attached(part, inverse_pose(tool))
         return replace(self.with_removed(part), attached=tuple(carried))
-
-    def with_released(self, robot: int) -> Scene:
-        """The same with what the robot carries taken out of the cell."""
-        carried = list(self.attached)
-        carried[robot] = None
-        return replace(self, attached=tuple(carried))
 
 
 @dataclass(frozen=True)
@@ -97,7 +91,7 @@ NO_CONTACT = Contact()
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One robot moves, everything else in a scene stands still. Made by `CollisionWorld.view`.
+    """Collision queries for one moving robot in a static scene; made by `CollisionWorld.view`.
 
     Not to be shared between threads, since queries reuse scratch arrays; make one view a thread.
     """
@@ -125,7 +119,7 @@ class View:
         return float(self.rules.margin)
 
     def hits(self, configurations: ArrayLike) -> NDArray[np.int64]:
-        """First pair that is too near for each configuration, or -1. Shape (batch, joints) to (batch,)."""
+        """Return the first pair that is too near for each configuration, or -1. Shape (batch, joints) to (batch,)."""
         values = np.ascontiguousarray(np.atleast_2d(configurations), dtype=np.float64)
         if values.shape[1] != self.model.joints:
             raise InputError(
@@ -136,11 +130,14 @@ class View:
         return found
 
     def collides(self, configurations: ArrayLike) -> NDArray[np.bool_]:
-        """Whether something is nearer than the margin. Shape (batch, joints) to (batch,). Limits are not checked."""
+        """Return whether something is nearer than the margin.
+
+        Shape (batch, joints) to (batch,). Limits are not checked.
+        """
         return self.hits(configurations) != CLEAR
 
     def pair(self, hit: int) -> tuple[str, str]:
-        """Names of the two bodies of a hit, such as `("left link_4", "part 7")`."""
+        """Return names of the two bodies of a hit, such as `("left link_4", "part 7")`."""
         count, many = len(self.body_names), len(self.obstacle_names)
         if hit < count * many:
             return self.body_names[hit // many], self.obstacle_names[hit % many]
@@ -150,13 +147,13 @@ class View:
         return self.body_names[a], self.body_names[b]
 
     def explain(self, configuration: ArrayLike) -> tuple[str, str] | None:
-        """The first pair that is too near at one configuration, by name, or None."""
+        """Return the first pair that is too near at one configuration, by name, or None."""
         hit = int(self.hits(configuration)[0])
         return None if hit == CLEAR else self.pair(hit)
 
 
 class CollisionWorld:
-    """A cell and the parts of a structure in it. What depends on them alone is computed once."""
+    """Cell with the parts of a structure; data that depends on them alone is computed once."""
 
     def __init__(self, cell: Cell, parts: PartShapes) -> None:
         self.cell = cell
@@ -173,7 +170,7 @@ class CollisionWorld:
         return (*found, *((obstacle.name, obstacle.pieces) for obstacle in self.cell.obstacles))
 
     def carried(self, robot: int, scene: Scene) -> Carried | None:
-        """Pieces of what a robot carries, in the frame of the flange."""
+        """Return pieces of what a robot carries, in the frame of the flange."""
         held = scene.attached[robot]
         if held is None:
             return None
@@ -181,7 +178,10 @@ class CollisionWorld:
         return Carried(held.part, tuple(move(pose, piece) for piece in self.parts.pieces[held.part]))
 
     def robot_pieces(self, robot: int, scene: Scene) -> list[tuple[str, int, Array]]:
-        """All moving pieces of a robot in the world frame: name, link (joints + 1: gripper, + 2: part), vertices."""
+        """Return all moving pieces of a robot in the world frame: name, link index and vertices.
+
+        Index joints + 1 is the gripper, joints + 2 the part.
+        """
         entry = self.cell.robots[robot]
         poses = link_poses(entry.model, scene.configurations[robot], entry.base)
         found = []
@@ -198,7 +198,7 @@ class CollisionWorld:
         return found
 
     def view(self, scene: Scene, robot: int, *, contact: Contact = NO_CONTACT, margin: float | None = None) -> View:
-        """Everything but one robot stands still.
+        """Prepare collision queries for one moving robot in a static scene.
 
         Args:
             scene: where everything is; the configuration of `robot` in it does not matter.

@@ -1,4 +1,4 @@
-"""Views of scenes and free motions in a cell: each is computed once, and kept for when it is asked for again."""
+"""Cache of collision queries and free motions of one collision world."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from falsework.robots.motion.path_planner import Motion, MotionSettings, plan_fr
 
 Array = NDArray[np.float64]
 
-_VIEWS = 256
+_CACHED_VIEWS = 256
 """Views that are kept; the oldest goes first."""
 
 
 class Kept:
-    """What was computed about the scenes of one collision world."""
+    """Cache of the views and free motions of one collision world."""
 
     def __init__(self, world: CollisionWorld, *, nodes: int, seed: int) -> None:
         """Nothing is computed yet.
@@ -34,7 +34,7 @@ class Kept:
         self._views: dict[bytes, View] = {}
 
     def motion(self, scene: Scene, robot: int, start: Array, goal: Array) -> Motion:
-        """A free motion of one robot; its seed depends on what is asked alone.
+        """Return a free motion of one robot; its seed depends on what is asked alone.
 
         Args:
             scene: where everything else is.
@@ -53,7 +53,7 @@ class Kept:
         return self._motions[key]
 
     def view(self, scene: Scene, robot: int, contact: Contact, margin: float) -> View:
-        """What one robot can run into.
+        """Return the collision queries of one robot in a scene.
 
         Args:
             scene: where everything else is.
@@ -67,14 +67,14 @@ class Kept:
         )
         if key not in self._views:
             self.views += 1
-            while len(self._views) > _VIEWS:
+            while len(self._views) > _CACHED_VIEWS:
                 del self._views[next(iter(self._views))]
             self._views[key] = self.world.view(scene, robot, contact=contact, margin=margin)
         return self._views[key]
 
 
 def _digest(scene: Scene, robot: int) -> bytes:
-    """Everything that a motion of one robot depends on in a scene."""
+    """Return a key of all data that a motion of one robot depends on in a scene."""
     others = [np.round(values, 6) + 0.0 for other, values in enumerate(scene.configurations) if other != robot]
     pieces = [bytes([robot]), np.packbits(scene.present).tobytes(), *(values.tobytes() for values in others)]
     for owner, carried in enumerate(scene.attached):

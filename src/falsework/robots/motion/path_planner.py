@@ -1,4 +1,4 @@
-"""Motions of one robot while everything else stands still: free paths and straight lines of the tool."""
+"""Motion planning of one robot among static obstacles: free paths and straight lines of the tool."""
 
 from __future__ import annotations
 
@@ -19,6 +19,26 @@ from falsework.robots.motion.collision_world import View
 
 Array = NDArray[np.float64]
 
+SHORTCUTS = 60
+"""Shortcuts tried on a path that the trees found."""
+BLOCKED_MARGIN_SHARE = 0.5
+"""Share of the margin below which an interval that is not proven free counts as blocked."""
+BLOCKED_LENGTH = 0.0005
+"""Lower bound of the same length where the margin is small, metres."""
+SAMPLED_TURN = float(np.pi)
+"""Joints that turn farther than this are sampled within it, unless start or goal lie outside, rad."""
+ROUNDS_PER_CALL = 50
+"""Rounds of tree growth between two looks at the clock."""
+
+LINE_STEP = 0.01
+"""First distance between points of a line, metres; halved where the tool deviates or a joint moves too far."""
+LINE_HALVINGS = 4
+"""Halvings of that distance before the line counts as impossible."""
+LINE_DEVIATION = 0.0002
+"""Largest distance of the tool from the line between two points, metres."""
+LINE_JOINT_STEP = 0.2
+"""Largest change of a joint from one point to the next, rad: more is a change of branch or a singularity."""
+
 Reason = Literal[
     "found",
     "start outside limits",
@@ -35,39 +55,17 @@ Reason = Literal[
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """How hard free paths are looked for."""
+    """Limits of the search for a free path."""
 
     stride: float = 1.0
     """Longest edge of a tree, rad in joint space."""
     nodes: int = 4000
     """Nodes of each tree; when they are used up, there is no connection."""
-    shortcuts: int = 60
-    """Shortcuts that are tried on a path that was found."""
-    resolution: float = 0.5
-    """Share of the margin at which an edge that is not proven free counts as blocked."""
-    finest: float = 0.0005
-    """The same in metres where the margin is small."""
-    wrap: float = float(np.pi)
-    """Joints that turn farther than this are sampled within it, unless start or goal lie outside, rad."""
-
-
-@dataclass(frozen=True)
-class LineSettings:
-    """How closely straight lines are followed."""
-
-    step: float = 0.01
-    """First distance between points of a line, metres; halved where the tool strays or a joint hurries."""
-    stray: float = 0.0002
-    """How far the tool may be off the line between two points, metres."""
-    jump: float = 0.2
-    """Largest change of a joint from one point to the next, rad: more is a change of branch or a singularity."""
-    halvings: int = 4
-    """How often the step may be halved."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A path of one robot, or why there is none."""
+    """Path of one robot, or the reason why there is none."""
 
     reason: Reason
     path: Array | None = None
@@ -95,10 +93,10 @@ def plan_free(
     deadline: float | None = None,
     settings: MotionSettings = MotionSettings(),
 ) -> Motion:
-    """A path from one configuration to another that keeps the margin of the view everywhere.
+    """Return a path from one configuration to another that keeps the margin of the view everywhere.
 
     The straight edge is tried first, then two trees grow (RRT-Connect), then shortcuts follow. Every edge is
-    proven free between its ends too (`connect.edge_free`). Same seed, same path, whatever the clock says, unless the
+    proven free between its ends too (`rrt_connect.edge_free`). The same seed gives the same path, unless the
     deadline strikes.
 
     Args:
@@ -117,7 +115,7 @@ def plan_free(
         hit = int(view.hits(values)[0])
         if hit != CLEAR:
             return Motion(f"{which} in collision", pair=view.pair(hit), at=values)  # type: ignore[arg-type]
-    resolution = resolution_of(view, settings)
+    resolution = resolution_of(view)
     arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
     opened = np.empty((2, INTERVALS), np.int64)
     direct = np.stack([a, b])
@@ -129,15 +127,14 @@ def plan_free(
     parents = np.full((2, nodes), -1, np.int64)
     sizes = np.array([1, 1, 0])
     state = np.array([seed * 0x9E3779B97F4A7C15 % 2**64], np.uint64)
-    low = np.minimum(np.maximum(model.lower, -settings.wrap), np.minimum(a, b))
-    high = np.maximum(np.minimum(model.upper, settings.wrap), np.maximum(a, b))
+    low = np.minimum(np.maximum(model.lower, -SAMPLED_TURN), np.minimum(a, b))
+    high = np.maximum(np.minimum(model.upper, SAMPLED_TURN), np.maximum(a, b))
     drawn = 0
     while True:
-        rounds = 50
         met, one, other = grow(
-            trees, parents, sizes, low, high, settings.stride, rounds, resolution, state, *arrays, opened
+            trees, parents, sizes, low, high, settings.stride, ROUNDS_PER_CALL, resolution, state, *arrays, opened
         )
-        drawn += rounds
+        drawn += ROUNDS_PER_CALL
         if met == 1:
             break
         size = int(sizes[0] + sizes[1])
@@ -146,36 +143,18 @@ def plan_free(
         if deadline is not None and time.perf_counter() - began > deadline:
             return Motion("out of time", samples=size)
     path = _branch(trees[0], parents[0], one)[::-1] + _branch(trees[1], parents[1], other)
-    room = np.empty((len(path) + 2 * settings.shortcuts + 2, model.joints))
+    room = np.empty((len(path) + 2 * SHORTCUTS + 2, model.joints))
     room[: len(path)] = path
-    count = shorten(room, len(path), settings.shortcuts, resolution, state, *arrays, opened)
+    count = shorten(room, len(path), SHORTCUTS, resolution, state, *arrays, opened)
     return Motion("found", room[:count].copy(), samples=int(sizes[0] + sizes[1]))
 
 
-def path_is_free(view: View, path: ArrayLike, settings: MotionSettings = MotionSettings()) -> bool:
-    """Whether all straight edges of a path keep the margin of the view everywhere. Shape (points, joints)."""
-    values = np.ascontiguousarray(path, dtype=np.float64)
-    if view.collides(values[[0, -1]]).any():
-        return False
-    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
-    opened = np.empty((2, INTERVALS), np.int64)
-    return int(edges_free(values, resolution_of(view, settings), *arrays, opened)) == len(values) - 1
+def resolution_of(view: View) -> float:
+    """Return the motion of the farthest point within half an interval at which halving ends, metres."""
+    return max(BLOCKED_MARGIN_SHARE * view.margin, BLOCKED_LENGTH)
 
 
-def resolution_of(view: View, settings: MotionSettings) -> float:
-    """Motion of the farthest point within half an interval at which halving ends, metres."""
-    return max(settings.resolution * view.margin, settings.finest)
-
-
-def follow_line(
-    view: View,
-    start: ArrayLike,
-    direction: ArrayLike,
-    distance: float,
-    *,
-    settings: LineSettings = LineSettings(),
-    proof: MotionSettings = MotionSettings(),
-) -> Motion:
+def follow_line(view: View, start: ArrayLike, direction: ArrayLike, distance: float) -> Motion:
     """Move the tool along a straight line without turning it, on one branch of the inverse kinematics.
 
     What may touch is said by the contact rule of the view, the distance to everything else by its margin. The path is
@@ -186,8 +165,6 @@ def follow_line(
         start: configuration at the start of the line, shape (joints,).
         direction: in the world, shape (3,); any length.
         distance: metres.
-        settings: how closely the line is followed.
-        proof: resolution of the proof that the path is free.
 
     Raises:
         InputError: no direction, or a distance that is not positive.
@@ -206,8 +183,8 @@ def follow_line(
         return Motion("start in collision", pair=view.pair(hit), at=first)
     robot = view.world.cell.robots[view.robot]
     home = tool_pose(robot, first)
-    step = settings.step
-    for halving in range(settings.halvings + 1):
+    step = LINE_STEP
+    for halving in range(LINE_HALVINGS + 1):
         count = max(1, int(np.ceil(distance / step)))
         ahead = np.linspace(0.0, distance, count + 1)
         targets = np.repeat(home[None, :3], count + 1, axis=0)
@@ -215,18 +192,18 @@ def follow_line(
         values = np.repeat(first[None], count + 1, axis=0)
         reached = np.zeros(count + 1, bool)
         tail = tail_of(view.model, robot.gripper.tool)
-        reach_poses(values, np.ascontiguousarray(targets), view.chain, tail, 20, 0.0, settings.jump, True, reached)
+        reach_poses(values, np.ascontiguousarray(targets), view.chain, tail, 20, 0.0, LINE_JOINT_STEP, True, reached)
         good = int(np.argmin(reached)) if not reached.all() else count + 1
         path = values[:good]
-        smooth = (np.abs(np.diff(path, axis=0)).max(axis=1, initial=0.0) <= settings.jump).all()
+        smooth = (np.abs(np.diff(path, axis=0)).max(axis=1, initial=0.0) <= LINE_JOINT_STEP).all()
         if smooth and good > 1:
             middle = tool_pose(robot, (path[:-1] + path[1:]) / 2)[:, :3, 3]
             wanted = (targets[: good - 1, :, 3] + targets[1:good, :, 3]) / 2
-            smooth = bool((np.linalg.norm(middle - wanted, axis=1) <= settings.stray).all())
+            smooth = bool((np.linalg.norm(middle - wanted, axis=1) <= LINE_DEVIATION).all())
         if smooth and good == count + 1:
             break
         step /= 2
-        if halving == settings.halvings:
+        if halving == LINE_HALVINGS:
             return Motion("no solution on the line", at=path[-1], travelled=float(ahead[max(good - 1, 0)]))
     inside = view.model.within_limits(path)
     if not inside.all():
@@ -234,14 +211,14 @@ def follow_line(
         return Motion("joint limit on the line", at=path[bad], travelled=float(ahead[max(bad - 1, 0)]))
     arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
     opened = np.empty((2, INTERVALS), np.int64)
-    free = int(edges_free(path, resolution_of(view, proof), *arrays, opened))
+    free = int(edges_free(path, resolution_of(view), *arrays, opened))
     if free < len(path) - 1:
         return _blocked(view, path, free, float(ahead[free]))
     return Motion("found", path, travelled=float(distance))
 
 
 def _branch(tree: Array, parents: NDArray[np.int64], leaf: int) -> list[Array]:
-    """Configurations from a node to the root."""
+    """Return configurations from a node to the root."""
     found = []
     while leaf >= 0:
         found.append(tree[leaf])

@@ -1,4 +1,4 @@
-"""When a robot is where on a path: as fast as its limits allow, sampled finely enough to be checked and replayed."""
+"""Time-optimal path parameterization (TOPP-RA) and resampling for checks and replay."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from falsework.robots.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-JUMP = 0.0099
+JOINT_STEP = 0.0099
 """Neighbouring samples differ by at most this in every joint, rad or m."""
-LONGEST = 0.05
+TIME_STEP = 0.05
 """Longest time between samples, s."""
-SLACK = 0.98
+CORNER_DEVIATION = 0.0005
+"""Largest distance of a point of the arm from its path where corners are rounded, metres: well below all margins."""
+LIMIT_SHARE = 0.98
 """Share of the limits that the optimiser is given; it keeps them on a grid, and samples lie between."""
-STRETCHES = 8
+SLOWDOWNS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,17 +45,16 @@ class Timed:
         return float(self.times[-1])
 
 
-def time_path(model: RobotModel, path: ArrayLike, speed: float = 1.0, *, stray: float = 0.0005) -> Timed:
+def time_path(model: RobotModel, path: ArrayLike, speed: float = 1.0) -> Timed:
     """Run along a path of straight edges as fast as velocity and acceleration limits allow.
 
     Corners are rounded, so that the robot need not stop at them, by so little that no point of the arm leaves the path
-    by more than `stray`. The speed along it comes from TOPP-RA (Pham and Pham 2018).
+    by more than `CORNER_DEVIATION`. The speed along it comes from TOPP-RA (Pham and Pham 2018).
 
     Args:
         model: the arm.
         path: configurations, shape (points, joints).
         speed: share of the velocity limits; accelerations are limited to its square.
-        stray: metres; keep it well below the margin that the path was planned with.
 
     Raises:
         InputError: a path of another number of joints, outside the limits or with values that are not finite, or a
@@ -68,11 +69,11 @@ def time_path(model: RobotModel, path: ArrayLike, speed: float = 1.0, *, stray: 
     if len(points) == 1:
         still = np.zeros((1, model.joints))
         return Timed(np.zeros(1), points, still, still)
-    curve = _Curve(points, stray / (model.reach + 0.5))
-    trajectory = _optimal(curve, velocity * SLACK, acceleration * SLACK)
+    curve = _Curve(points, CORNER_DEVIATION / (model.reach + 0.5))
+    trajectory = _optimal(curve, velocity * LIMIT_SHARE, acceleration * LIMIT_SHARE)
     duration = float(trajectory.duration)
     stretch = 1.0
-    for _ in range(STRETCHES):
+    for _ in range(SLOWDOWNS):
         timed = _sample(trajectory, duration, stretch, velocity)
         over = max(
             float((np.abs(timed.velocities) / velocity).max()),
@@ -87,7 +88,7 @@ def time_path(model: RobotModel, path: ArrayLike, speed: float = 1.0, *, stray: 
 class _Curve:
     """Straight edges with corners rounded by parabolas, by length along the edges."""
 
-    def __init__(self, points: Array, stray: float) -> None:
+    def __init__(self, points: Array, deviation: float) -> None:
         edges = np.diff(points, axis=0)
         # Length in the norm in which every joint counts by itself bounds how far points of the arm move.
         length = np.abs(edges).sum(axis=1)
@@ -95,12 +96,12 @@ class _Curve:
         self.points, self.slopes = points, edges / length[:, None]
         turn = np.abs(np.diff(self.slopes, axis=0)).sum(axis=1)
         room = np.minimum(length[:-1], length[1:]) / 2 * 0.999
-        self.half = np.minimum(room, 4 * stray / np.maximum(turn, 1e-12))
+        self.half = np.minimum(room, 4 * deviation / np.maximum(turn, 1e-12))
         self.dof = points.shape[1]
         self.path_interval = np.array([0.0, self.along[-1]])
 
     def breaks(self) -> Array:
-        """Where straight stretches and rounded corners meet."""
+        """Return the positions where straight stretches and rounded corners meet."""
         inner = self.along[1:-1]
         return np.unique(np.concatenate([[0.0], inner - self.half, inner, inner + self.half, [self.along[-1]]]))
 
@@ -131,7 +132,7 @@ class _Curve:
 
 
 def _optimal(curve: _Curve, velocity: Array, acceleration: Array) -> Any:
-    """The fastest trajectory along a curve, from rest to rest."""
+    """Return the fastest trajectory along a curve, from rest to rest."""
     try:
         import toppra
     except ImportError as error:
@@ -170,15 +171,15 @@ def _optimal(curve: _Curve, velocity: Array, acceleration: Array) -> Any:
 
 
 def _sample(trajectory: Any, duration: float, stretch: float, velocity: Array) -> Timed:
-    """Samples of a trajectory slowed down by a factor."""
+    """Return samples of a trajectory slowed down by a factor."""
     coarse = np.linspace(0.0, duration, max(3, int(np.ceil(duration / 0.01))))
     fastest = float(np.abs(trajectory(coarse, 1)).max()) * 1.1
-    step = min(LONGEST, JUMP / max(fastest, 1e-9))
+    step = min(TIME_STEP, JOINT_STEP / max(fastest, 1e-9))
     for _ in range(12):
         count = max(2, int(np.ceil(duration / step))) + 1
         times = np.linspace(0.0, duration, count)
         positions = trajectory(times)
-        if np.abs(np.diff(positions, axis=0)).max() <= JUMP:
+        if np.abs(np.diff(positions, axis=0)).max() <= JOINT_STEP:
             break
         step /= 1.3
     velocities, accelerations = trajectory(times, 1) / stretch, trajectory(times, 2) / stretch**2
@@ -187,7 +188,7 @@ def _sample(trajectory: Any, duration: float, stretch: float, velocity: Array) -
 
 
 def _distinct(model: RobotModel, path: ArrayLike) -> Array:
-    """A path from outside, checked, without points that repeat the one before."""
+    """Return a path from outside, checked, without points that repeat the one before."""
     points = np.array(path, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != model.joints or not len(points):
         raise InputError(f"path has shape {points.shape}; {model.name} needs (points, {model.joints})")

@@ -1,4 +1,4 @@
-"""Which action to try first: what motions make easy, and what a guide says."""
+"""Order in which the planner tries actions: ease of execution plus an action heuristic."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class Ease:
-    """Scores the actions that lead out of a state by how easy they are for arms, plus what a guide says of them.
+    """Score of the actions of a state: ease of execution by arms, plus an action heuristic.
 
     Removals first: they set a robot free. Then parts that nothing blocks, and high up. A guide knows what stands, not
     what an arm can do: a policy followed alone leads to states where no part can be drawn out.
@@ -38,13 +38,13 @@ class Ease:
         return scores
 
     def guided(self, states: States, actions: Mask) -> Array:
-        """What the guide says; zeros without one. Shapes as those of a call."""
+        """Return the scores of the action heuristic; zeros without one. Shapes as those of a call."""
         if self.guide is None:
             return np.zeros(actions.shape)
         return np.array(self.guide(states, actions, Direction.DISASSEMBLY), dtype=np.float64)
 
     def of(self, state: States, action: int) -> float:
-        """How easy one action is, wherever the robots are, by rules of thumb."""
+        """Estimate how easy one action is, independent of the robots' configurations."""
         if action >= len(state):
             return 100.0
         height = float(self.graph.parts.center[action, 2] - self.graph.lowest) / self.graph.height
@@ -52,7 +52,7 @@ class Ease:
 
 
 class Ranking:
-    """Orders the legal actions of keyframes."""
+    """Order of the legal actions of keyframes."""
 
     def __init__(self, graph: KeyframeGraph, ease: Ease, proposals: Proposals) -> None:
         """Rank actions.
@@ -65,7 +65,7 @@ class Ranking:
         self.graph, self.ease, self.proposals = graph, ease, proposals
 
     def actions(self, node: Node, attempt: int, rng: np.random.Generator) -> list[int]:
-        """Legal actions in the order in which to try them: easy ones near a free robot and far from the busy ones.
+        """Return the legal actions in order of trial: easy ones near a free robot and far from busy ones.
 
         Args:
             node: where to go on.

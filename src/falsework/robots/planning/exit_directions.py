@@ -1,4 +1,4 @@
-"""Ways out for robots: several a part, steep ones among them, where the clearance table keeps one that is free."""
+"""Exit directions for robots: several per part, steep ones included, that the clearance table leaves free."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from falsework.utils.bits import pack, unpack
 
 Array = NDArray[np.float64]
 
-_TILTS = (20.0, 50.0, 85.0)
+_TILT_DEGREES = (20.0, 50.0, 85.0)
 """Angles to the vertical of the ways that are tried besides straight up, degrees."""
-_AROUND = 6
-_DOWN = -1e-6
+_HEADINGS = 6
+_LOWEST_SLOPE = -1e-6
 
 
 class Exits:
-    """For every part a fan of directions, none downwards, and which parts block each.
+    """Fan of exit directions for every part, none downwards, with the parts that block each.
 
     The clearance table answers whether a part can leave, for which one free way is as good as another. A robot has
     preferences: it cannot drag a part along the floor for long, nor pull where its arm does not reach.
@@ -47,7 +47,7 @@ class Exits:
                 directions = np.concatenate([directions, fan])
                 blockers = np.concatenate([blockers, sweeper.blocked(part, fan)])
             world = directions @ turn.T
-            rises = world[:, 2] > _DOWN
+            rises = world[:, 2] > _LOWEST_SLOPE
             # Ways that lead down are missed only where something that never leaves does not block them anyway.
             missed = blockers[~rises & ~blockers[:, assembly.boundary].any(axis=1)]
             world, blockers = world[rises], blockers[rises]
@@ -65,7 +65,7 @@ class Exits:
         """The same as a clearance table, for the rules of a task: a part that could only fall out cannot leave."""
 
     def blockers(self, part: int) -> NDArray[np.bool_]:
-        """Parts that block each way of a part, shape (ways, parts)."""
+        """Return parts that block each way of a part, shape (ways, parts)."""
         return self._ways[part][1]
 
     def free(self, part: int, state: States) -> Array:
@@ -75,9 +75,9 @@ class Exits:
 
 
 def _fan() -> Array:
-    """Straight up, and rings of directions around it; unit vectors, shape (n, 3)."""
+    """Return straight up, and rings of directions around it; unit vectors, shape (n, 3)."""
     found = [(0.0, 0.0, 1.0)]
-    for tilt in np.radians(_TILTS):
-        for turn in 2 * np.pi * np.arange(_AROUND) / _AROUND:
+    for tilt in np.radians(_TILT_DEGREES):
+        for turn in 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS:
             found.append((np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)))
     return np.array(found)

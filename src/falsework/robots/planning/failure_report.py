@@ -1,4 +1,4 @@
-"""Why robots cannot do something: every failure is kept with its part, robot, bodies and pose, and put into words."""
+"""Failure log of a robot planning search: part, robot, bodies and pose of every failure, and a summary in text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Reason:
-    """Something that did not work."""
+    """One failure."""
 
     action: str
     """`hold` or `remove`."""
@@ -28,7 +28,7 @@ class Reason:
 
 @dataclass
 class Reasons:
-    """Failures of a search, counted; of each kind one configuration is kept as an example."""
+    """Failure counts of a search; one configuration of each kind is kept as an example."""
 
     counts: Counter[Reason] = field(default_factory=Counter)
     examples: dict[Reason, Array] = field(default_factory=dict)
@@ -49,13 +49,13 @@ class Reasons:
             self.examples.setdefault(reason, np.asarray(at))
 
     def of(self, part: int) -> list[tuple[Reason, int]]:
-        """Failures with one part, most frequent first."""
+        """Return failures with one part, most frequent first."""
         return [(reason, count) for reason, count in self.counts.most_common() if reason.part == part]
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why there is no robot plan, or only a part of one."""
+    """Explanation of a missing or partial robot plan."""
 
     outcome: str
     """`proved_impossible`, `not_found` or `interrupted`."""
@@ -73,7 +73,7 @@ class Explanation:
     """All of it in one line."""
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON."""
+        """Return the failure as a JSON object."""
         return {
             "outcome": self.outcome,
             "reached": self.reached,

@@ -1,4 +1,4 @@
-"""Where a robot can stand: the grips in which it can hold a part, which of them to try first, and its drop-offs."""
+"""Grasp and drop-off configurations of the robots of a cell, ranked for trial."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Grip:
-    """A way for one robot to hold a part."""
+    """Grasp of a part by one robot, with its configuration."""
 
     robot: int
     grasp: Grasp
@@ -33,7 +33,7 @@ class Grip:
 
 
 class Grips:
-    """Standing configurations of the robots of a cell, found when they are asked for."""
+    """Grasp configurations of the robots of a cell, computed on demand."""
 
     def __init__(
         self, assembly: Assembly, cell: Cell, parts: PartShapes, kept: Kept, reasons: Reasons, *, limit: int
@@ -54,7 +54,7 @@ class Grips:
         self._places: dict[int, Array] = {}
 
     def of(self, robot: int, part: int, state: States) -> list[Grip]:
-        """All ways in which a robot can hold a part among the parts of a state; other robots do not count."""
+        """Return all ways in which a robot can hold a part among the parts of a state; other robots do not count."""
         present = state != REMOVED
         key = (robot, part, np.packbits(present).tobytes())
         if key not in self._grips:
@@ -62,7 +62,7 @@ class Grips:
         return self._grips[key]
 
     def places(self, robot: int) -> Array:
-        """Configurations in which a robot puts parts down, shape (n, joints)."""
+        """Return configurations in which a robot puts parts down, shape (n, joints)."""
         if robot not in self._places:
             entry = self.cell.robots[robot]
             found = [values for values in inverse(entry, entry.places) if len(values)]
@@ -70,7 +70,7 @@ class Grips:
         return self._places[robot]
 
     def best(self, grips: list[Grip], robot: int, scene: Scene, held: tuple[int | None, ...], count: int) -> list[Grip]:
-        """The grips to try, best first: near to where the robot is, and out of the way of others.
+        """Return the grips to try, best first: near to where the robot is, and out of the way of others.
 
         Args:
             grips: of one robot.
@@ -87,7 +87,7 @@ class Grips:
     def _room(
         self, grips: list[Grip], robot: int, configurations: Sequence[Array], held: tuple[int | None, ...]
     ) -> Array:
-        """How far grips keep out of the way of other arms, in lengths of an approach, shape (grips,).
+        """Return the distance between grips and other arms, in approach margins, shape (grips,).
 
         The gripper's end at the flange had better be on the side of the own base, and away from what others hold.
         Zeros for fewer than three arms: two seldom crowd each other, and nearest first does better for them.
@@ -137,7 +137,7 @@ class Grips:
 
 
 def _spread(grips: list[Grip], count: int) -> list[Grip]:
-    """The first grips, of each grasp one at a time, so that a single grasp does not use up all tries."""
+    """Return the first grips, of each grasp one at a time, so that a single grasp does not use up all tries."""
     rank: dict[int, int] = {}
     keyed = []
     for place, grip in enumerate(grips):

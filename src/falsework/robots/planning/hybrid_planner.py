@@ -1,4 +1,4 @@
-"""The hybrid planner: abstract actions and motions together (paper, section 6, algorithm 1).
+"""Hybrid planner: abstract actions and motions together (paper, section 6, algorithm 1).
 
 A search in depth with backtracking. At every keyframe it takes the actions after which the structure can still come
 apart, the most promising first, and asks the keyframe graph for a motion; where there is none, the action is rejected
@@ -34,13 +34,17 @@ from falsework.search.problem.result import Outcome, Route, SearchResult
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
 
-_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
+_EDGES_PER_ACTION = 3
+"""Motions of one action that are tried at a keyframe."""
+_SOLVABILITY_CHECKS = 4
+"""Checks of solvability at one keyframe in the first search; later searches may make more."""
+_POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """How long missing parts are done without, as shares of what stability alone allows, in turn."""
 
 
 @dataclass(frozen=True)
 class HybridSettings:
-    """How hard to look for a robot plan."""
+    """Limits of the search for a robot plan."""
 
     seed: int = 0
     """Same seed, same machine, same result, unless the deadline strikes."""
@@ -50,11 +54,6 @@ class HybridSettings:
     """Searches, each in another order."""
     dead_ends: int = 15
     """Dead ends in the first search; when they are used up, the next one begins and may have more."""
-    edges: int = 3
-    """Ways of carrying out one action that are tried at a keyframe."""
-    probes: int = 4
-    """Actions that lead to states not known to be solvable, for which that is asked at one keyframe; more in later
-    searches."""
     actions: int = 8
     """Actions that are tried at a keyframe with motions, before it counts as a dead end."""
     keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
@@ -62,8 +61,8 @@ class HybridSettings:
     """Keep the contact forces that prove each state in the plan."""
 
     def __post_init__(self) -> None:
-        if min(self.attempts, self.dead_ends, self.edges, self.actions) < 1:
-            raise InputError("a search needs at least one attempt, dead end, way and action; give numbers from 1 on")
+        if min(self.attempts, self.dead_ends, self.actions) < 1:
+            raise InputError("a search needs at least one attempt, dead end and action; give numbers from 1 on")
         if self.deadline is not None and self.deadline <= 0:
             raise InputError(f"a deadline of {self.deadline:g} s leaves no time; give seconds above 0")
 
@@ -82,7 +81,7 @@ class HybridProgress:
 
 Progress = Callable[[HybridProgress], None]
 
-_REPLAYS = 40
+_MAX_FALLEN_REPLAYS = 40
 """Plans with motions whose replay may fall before the search is given up."""
 
 
@@ -190,7 +189,7 @@ class _Search:
             return self.solved(root, [])
         limit = ""
         # Where parts are missing, they may have to come sooner than stability asks for, so that the arms get them in.
-        shares = _SHARES if any(self.proposals.postponed) else (1.0,)
+        shares = _POSTPONED_SHARES if any(self.proposals.postponed) else (1.0,)
         for share in shares:
             self.proposals.relax(share)
             self.dead.clear()
@@ -200,7 +199,7 @@ class _Search:
                 chain = self.standing(root)
                 if chain is not None:
                     return self.solved(root, chain)
-                if self.counts["replays_fallen"] == _REPLAYS:
+                if self.counts["replays_fallen"] == _MAX_FALLEN_REPLAYS:
                     return self.failed(root, "not_found", self.fallen)
                 if self.late():
                     limit = f"the deadline of {self.settings.deadline:g} s has passed"
@@ -211,8 +210,8 @@ class _Search:
         return self.failed(root, "not_found", limit)
 
     def standing(self, root: Node) -> list[Edge] | None:
-        """The edges of a plan whose replay stands, or None after too many dead ends or plans that fall."""
-        while self.counts["replays_fallen"] < _REPLAYS:
+        """Return the edges of a plan whose replay stands, or None after too many dead ends or plans that fall."""
+        while self.counts["replays_fallen"] < _MAX_FALLEN_REPLAYS:
             chain = self.dive(root, np.random.default_rng([self.settings.seed, self.attempt]))
             self.attempt += 1
             if chain is None:
@@ -234,7 +233,7 @@ class _Search:
         return None
 
     def _place(self, route: Route, row: int) -> str:
-        """A state in the order of assembly, in words."""
+        """Return a state in the order of assembly, in words."""
         if row == 0:
             return "at the beginning"
         action, parts = int(route.actions[::-1][row - 1]), self.assembly.part_count
@@ -242,7 +241,7 @@ class _Search:
         return f"at step {row} of assembly, {doing} {self.assembly.names[action % parts]}"
 
     def dive(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
-        """One search in depth; the edges of a plan, or None after too many dead ends."""
+        """Return one search in depth; the edges of a plan, or None after too many dead ends."""
         nodes, chain = [root], []
         options = [self._options(root, rng)]
         dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
@@ -275,8 +274,8 @@ class _Search:
         return None
 
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
-        """Edges out of a keyframe in the order in which to try them."""
-        tried, probes, worked = 0, self.settings.probes * (1 + self.attempt), False
+        """Yield edges out of a keyframe in the order in which to try them."""
+        tried, probes, worked = 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         for action in self.ranking.actions(node, self.attempt, rng):
             if (node.key, action) in self.impossible or self.late():
                 continue
@@ -294,7 +293,7 @@ class _Search:
                 found += 1
                 if edge.node.key not in self.dead:
                     yield edge
-                if found == self.settings.edges:
+                if found == _EDGES_PER_ACTION:
                     break
             worked |= found > 0
             if not found:
@@ -314,14 +313,14 @@ class _Search:
                 self.tried["hold" if action < parts else "remove", action % parts] += 1
 
     def _hopeless(self) -> bool:
-        """Whether a part must leave that no robot can hold even where it stands alone."""
+        """Return whether a part must leave that no robot can hold even where it stands alone."""
         if self.unreachable is None:
             leaving = np.flatnonzero((self.task.target == REMOVED) & (self.task.start != REMOVED))
             self.unreachable = [part for part in leaving.tolist() if not self.graph.reachable(part)]
         return bool(self.unreachable)
 
     def late(self) -> bool:
-        """Whether the deadline has passed."""
+        """Return whether the deadline has passed."""
         limit = self.settings.deadline
         return limit is not None and time.perf_counter() - self.began > limit
 

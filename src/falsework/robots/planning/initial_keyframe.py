@@ -1,4 +1,4 @@
-"""Where a plan with motions begins: the task as it is in a cell, and the keyframe in which the robots stand."""
+"""Initial keyframe: the task of a cell, and the configurations in which the robots begin."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from falsework.search.problem.task import Task
 
 
 def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: Exits) -> Task:
-    """A task with as many robots as the cell has, and with clear ways out, none of them downwards.
+    """Return a task with as many robots as the cell has, and with clear ways out, none of them downwards.
 
     Raises:
         InputError: more parts held at start or target than there are robots.
@@ -41,7 +41,7 @@ def first_keyframe(
     configurations: Sequence[ArrayLike] | None,
     held: Sequence[int | None] | None,
 ) -> Node:
-    """The keyframe to begin with, checked.
+    """Return the keyframe to begin with, checked.
 
     Args:
         graph: keyframes of the structure in the cell.

@@ -1,4 +1,4 @@
-"""The keyframe graph: where robots can stand in each state, and how one of them moves on to the next state.
+"""Keyframe graph: robot configurations in each state, and the motions of one robot between states.
 
 Section 6 of the paper, figures 9 and 10. A node is a state with joint values of all robots and which of them holds
 which part. An edge carries out one action: one robot moves, all others stand. The graph is never built: what a search
@@ -29,10 +29,13 @@ from falsework.robots.planning.withdrawal import Withdrawal
 
 Array = NDArray[np.float64]
 
+_APPROACH_LENGTHS = (1.0, 0.4, 1.8)
+"""Lengths of the line on which a gripper approaches a part, in approach margins of the cell."""
+
 
 @dataclass(frozen=True)
 class KeyframeSettings:
-    """How many possibilities are tried before a step counts as impossible."""
+    """Limits on the candidates tried for one step."""
 
     grasps: int = 128
     """Grasps of a part, best first."""
@@ -40,10 +43,6 @@ class KeyframeSettings:
     """Configurations of one robot for one grasp or place that are looked at closely, nearest first."""
     directions: int = 4
     """Ways out that are tried for a part."""
-    approaches: tuple[float, ...] = (1.0, 0.4, 1.8)
-    """Lengths of the line on which a gripper comes, in lengths of an approach."""
-    withdrawals: tuple[float, ...] = (1.0, 2.0, 4.0)
-    """Lengths of the line on which a part leaves, in lengths of an approach, until it is clear of everything."""
     places: int = 4
     """Free motions to a drop-off that are tried."""
     nodes: int = 500
@@ -52,7 +51,7 @@ class KeyframeSettings:
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A keyframe: a state and where the robots are."""
+    """Keyframe: a state and the configurations of the robots."""
 
     state: States
     """Shape (parts,)."""
@@ -79,7 +78,7 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A path of one robot, not yet timed."""
+    """Path of one robot without timing."""
 
     kind: str
     """`free` or `line`."""
@@ -91,7 +90,7 @@ class Leg:
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """One action carried out."""
+    """Executed action."""
 
     action: int
     robot: int
@@ -129,13 +128,11 @@ class KeyframeGraph:
         self.reasons = Reasons() if reasons is None else reasons
         self._kept = Kept(self.world, nodes=settings.nodes, seed=seed)
         self._grips = Grips(assembly, cell, self.parts, self._kept, self.reasons, limit=settings.grasps)
-        self._withdrawal = Withdrawal(
-            cell, self._kept, self.reasons, directions=settings.directions, lengths=settings.withdrawals
-        )
+        self._withdrawal = Withdrawal(cell, self._kept, self.reasons, directions=settings.directions)
         self.exits = Exits(assembly, self.parts.turn)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
-        """A node to begin with."""
+        """Return a node to begin with."""
         return Node(np.asarray(state, np.uint8), tuple(np.array(c, float) for c in configurations), held)
 
     def edges(self, node: Node, action: int) -> Iterator[Edge]:
@@ -144,7 +141,7 @@ class KeyframeGraph:
         return self._remove(node, action - parts) if action >= parts else self._hold(node, action)
 
     def keyframes(self, state: States) -> Iterator[Node]:
-        """Every keyframe of a state: every assignment of robots to held parts, every grasp and joint branch.
+        """Yield every keyframe of a state: every assignment of robots to held parts, every grasp and joint branch.
 
         Robots that hold nothing are at home. Yields only those in which nothing collides.
         """
@@ -163,11 +160,11 @@ class KeyframeGraph:
                     yield node
 
     def grips(self, robot: int, part: int, state: States) -> list[Grip]:
-        """All ways in which a robot can hold a part among the parts of a state; other robots do not count."""
+        """Return all ways in which a robot can hold a part among the parts of a state; other robots do not count."""
         return self._grips.of(robot, part, state)
 
     def way_out(self, part: int, state: States) -> tuple[States, Array]:
-        """The state in which a part can leave once what blocks its easiest way has gone, and its ways there, (n, 3)."""
+        """Return the state in which the least blocked exit of a part is free, and the exit directions there, (n, 3)."""
         blockers = self.exits.blockers(part) & (state != REMOVED)
         count = blockers.sum(axis=1) + 1000 * (blockers & self.assembly.boundary).any(axis=1)
         later = state.copy()
@@ -175,11 +172,11 @@ class KeyframeGraph:
         return later, self.exits.free(part, later)
 
     def blocked_by(self, part: int, state: States) -> int:
-        """How many parts stand in the easiest way out of a part."""
+        """Count the parts that block the least blocked exit direction of a part."""
         return int((self.exits.blockers(part) & (state != REMOVED)).sum(axis=1).min())
 
     def reachable(self, part: int) -> bool:
-        """Whether any robot can hold a part where it stands alone on what is boundary."""
+        """Return whether any robot can hold a part where it stands alone on what is boundary."""
         alone = np.where(self.assembly.boundary, HELD, REMOVED).astype(np.uint8)
         alone[part] = HELD
         return any(self.grips(robot, part, alone) for robot in range(self.cell.robot_count))
@@ -215,7 +212,7 @@ class KeyframeGraph:
         return float(np.ptp(self.parts.center[:, 2])) + 1e-9
 
     def collision(self, node: Node, robot: int) -> tuple[str, str] | None:
-        """Two bodies that meet where a robot stands, by name, or None."""
+        """Return two bodies that meet where a robot stands, by name, or None."""
         part = node.held[robot]
         contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
         # At the start of a plan robots stand as they stand: what does not touch is good enough.
@@ -257,7 +254,7 @@ class KeyframeGraph:
         robot, margins = grip.robot, self.cell.margins
         clear = self._kept.view(node.scene, robot, NO_CONTACT, margins.free)
         outside: Array | None = None
-        for share in self.settings.approaches:
+        for share in _APPROACH_LENGTHS:
             retreat = follow_line(view, grip.configuration, -grip.grasp.approach, share * margins.approach)
             if retreat.path is None:
                 self.reasons.add("hold", part, robot, f"approach: {retreat.reason}", retreat.pair, retreat.at)

@@ -1,4 +1,4 @@
-"""Which actions keep the way to the target open: states that are known to be solvable, and a search that joins them.
+"""Solvability check: states from which the target is known to be reachable, and a search that joins others to them.
 
 One abstract plan is found first: by a rollout where there is a taste to follow, else by a search. Its states are
 solvable, and so is every state from which a short search, forwards and narrow, meets one that is. The set grows with
@@ -25,24 +25,24 @@ from falsework.search.problem.result import Route, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import Stability
 
-_LEVELS = 8
+_JOIN_LEVELS = 8
 """Steps that the joining search looks ahead."""
-_WIDTH = 6
+_JOIN_WIDTH = 6
 """States that it keeps at each step."""
-_VERDICTS = 48
+_JOIN_VERDICTS = 48
 """Verdicts that it asks for before it gives up: what does not join soon rarely does."""
-_FIRST = 256
+_FIRST_BEAM_WIDTH = 256
 """Widest beam for the first plan."""
-_VARIED = 16
+_VARIED_BEAM_WIDTH = 16
 """Widest beam for another one."""
 _ROLLOUTS = 16
 """Rollouts with random actions at once."""
-_REPLAYS = 40
+_MAX_FALLEN_REPLAYS = 40
 """Plans of one search whose replay may fall before it is given up."""
 
 
 class Proposals:
-    """Abstract actions for the hybrid planner, with the certainty that the structure can still come apart."""
+    """Abstract actions for the hybrid planner that provably keep the target reachable."""
 
     def __init__(
         self,
@@ -83,7 +83,7 @@ class Proposals:
 
     def prepare(self, stop: Stop | None = None) -> SearchResult:
         """Find one abstract plan. Where parts are missing, the task then says how late they can come."""
-        settings = PlannerSettings(width=_FIRST, seed=self._seed)
+        settings = PlannerSettings(width=_FIRST_BEAM_WIDTH, seed=self._seed)
         planner = Planner(self.task, self.oracle, settings, guide=self._guide)
         route = self._roll_out(None, stop) or self._roll_out(np.random.default_rng(self._seed), stop)
         if route is not None:
@@ -110,10 +110,10 @@ class Proposals:
 
         direction = Direction.ASSEMBLY if seed % 2 else Direction.DISASSEMBLY
         beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(direction, seed=seed), guide=disturbed)
-        self._follow(self._search(beam, _VARIED))
+        self._follow(self._search(beam, _VARIED_BEAM_WIDTH))
 
     def falls(self, route: Route) -> int | None:
-        """First state in the order of assembly in which the replay of a route falls; None if it stands.
+        """Return the first state in the order of assembly in which the replay of a route falls; None if it stands.
 
         Always None under the criterion `equilibrium`, which knows no history.
         """
@@ -155,8 +155,8 @@ class Proposals:
         self._preferred &= left
 
     def _search(self, beam: AdaptiveBeam, widest: int) -> Sequence[Route]:
-        """Routes of a beam whose replays stand; none if it finds none."""
-        for _ in range(_REPLAYS):
+        """Return routes of a beam whose replays stand; none if it finds none."""
+        for _ in range(_MAX_FALLEN_REPLAYS):
             if self._forbidden:
                 beam.search.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
             routes = beam.run(widest).routes
@@ -168,11 +168,11 @@ class Proposals:
         return ()
 
     def _roll_out(self, rng: np.random.Generator | None, stop: Stop | None = None) -> Route | None:
-        """A whole way by taste: the best actions, or some drawn at random; None if there is no taste, or no luck."""
+        """Roll out the action score to the target, greedily or sampled; None without a score or a complete rollout."""
         if self._taste is None or self.task.steps == 0:
             return None
         target, rows = {self.task.target.tobytes()}, 1 if rng is None else _ROLLOUTS
-        for _ in range(_REPLAYS):
+        for _ in range(_MAX_FALLEN_REPLAYS):
             route = roll_out(
                 self.task,
                 self.oracle,
@@ -192,7 +192,7 @@ class Proposals:
         return None
 
     def preferred(self, state: States, action: int) -> bool:
-        """Whether an action follows the plan found last."""
+        """Return whether an action follows the plan found last."""
         return self._after(state, action).tobytes() in self._preferred
 
     def _follow(self, routes: Sequence[Route]) -> None:
@@ -209,21 +209,21 @@ class Proposals:
         self._not_found.clear()
         # What is known lies around the plan for the latest parts: add one for the new rules.
         beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(seed=self._seed), guide=self._guide)
-        self._follow(self._search(beam, _FIRST))
+        self._follow(self._search(beam, _FIRST_BEAM_WIDTH))
 
     def legal(self, state: States) -> list[int]:
-        """Actions that the rules allow, stability aside."""
+        """Return actions that the rules allow, stability aside."""
         key = state.tobytes()
         if key not in self._moves:
             self._moves[key] = np.flatnonzero(self.task.moves(state[None], Direction.DISASSEMBLY)[0]).tolist()
         return self._moves[key]
 
     def known(self, state: States, action: int) -> bool:
-        """Whether the state after an action is known to be solvable."""
+        """Return whether the state after an action is known to be solvable."""
         return self._after(state, action).tobytes() in self._solvable
 
     def solvable(self, state: States, action: int) -> bool:
-        """Whether the state after an action stands and a way from there to the target is found; asked once."""
+        """Return whether the state after an action stands and a way from there to the target is found; asked once."""
         after = self._after(state, action)
         key = after.tobytes()
         if key in self._solvable:
@@ -241,10 +241,10 @@ class Proposals:
 
     def _join(self, start: States) -> bool:
         """Search forwards from a stable state until one is met that is solvable; all on the way then are."""
-        self._left = _VERDICTS
+        self._left = _JOIN_VERDICTS
         levels: list[States] = [start[None]]
         parents: list[np.ndarray] = []
-        for _ in range(_LEVELS):
+        for _ in range(_JOIN_LEVELS):
             states = levels[-1]
             rows, actions = np.nonzero(self.task.moves(states, Direction.DISASSEMBLY))
             if not len(rows):
@@ -264,7 +264,7 @@ class Proposals:
         return False
 
     def _stable_few(self, before: States, after: States, actions: np.ndarray) -> np.ndarray:
-        """The most promising successors that stand: few held, then the guide's taste."""
+        """Return the most promising successors that stand: few held, then the guide's taste."""
         removal = actions >= self.task.part_count
         asked = self.task.needs_verdict(actions, Direction.DISASSEMBLY)
         mask = np.zeros((len(before), 2 * self.task.part_count), dtype=bool)
@@ -281,15 +281,15 @@ class Proposals:
                 if self._left == 0:
                     continue
                 self._left -= 1
-            elif holds < 2 * _WIDTH:
+            elif holds < 2 * _JOIN_WIDTH:
                 holds += 1
             else:
                 continue
             if not asked[k] or self.oracle.stable(after[k][None], parents=before[k][None])[0]:
                 kept.append(k)
-            if len(kept) >= 3 * _WIDTH:
+            if len(kept) >= 3 * _JOIN_WIDTH:
                 break
-        return np.array(kept[: 3 * _WIDTH], dtype=np.intp)
+        return np.array(kept[: 3 * _JOIN_WIDTH], dtype=np.intp)
 
     def _remember(self, levels: list[States], parents: list[np.ndarray], row: int) -> None:
         for level in range(len(levels) - 1, -1, -1):

@@ -1,4 +1,4 @@
-"""From paths to timed motions: the robot plan along a chain of edges of the keyframe graph."""
+"""Timed robot plan from the paths along a chain of keyframe edges."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from falsework.stability.oracle import Stability
 
 Array = NDArray[np.float64]
 
-_STILL = 1e-7
+_STANDSTILL = 1e-7
 """A path that goes no farther takes no time, rad or m."""
-_NEAR = 2e-5
+_SPLINE_ERROR = 2e-5
 """Samples that cubics between others come so near are left out, rad or m."""
-_STRIDES = (64, 32, 16, 8, 4, 2, 1)
+_SAMPLE_STRIDES = (64, 32, 16, 8, 4, 2, 1)
 
 
 def make_robot_plan(
@@ -72,8 +72,8 @@ def make_robot_plan(
 
 
 def timed_leg(model: RobotModel, leg: Leg, speed: float) -> Trajectory | None:
-    """A path as fast as the limits of the arm allow, at a share of them; None if it leads nowhere."""
-    if np.abs(np.diff(leg.path, axis=0)).sum() < _STILL:
+    """Return a path as fast as the limits of the arm allow, at a share of them; None if it leads nowhere."""
+    if np.abs(np.diff(leg.path, axis=0)).sum() < _STANDSTILL:
         return None
     timed = time_path(model, leg.path, speed)
     knots = _enough(timed.times, timed.positions, timed.velocities, model.acceleration * speed**2)
@@ -98,11 +98,11 @@ def timed_leg(model: RobotModel, leg: Leg, speed: float) -> Trajectory | None:
 
 
 def _enough(times: Array, positions: Array, velocities: Array, acceleration: Array) -> NDArray[np.intp]:
-    """Samples that are needed as knots: the cubics between them pass the others within `_NEAR`, and push no harder."""
+    """Indices of knots whose cubics stay within `_SPLINE_ERROR` of all samples and within the acceleration limits."""
     kept = [0]
     while kept[-1] < len(times) - 1:
         here = kept[-1]
-        for ahead in _STRIDES:
+        for ahead in _SAMPLE_STRIDES:
             there = here + ahead
             if there >= len(times):
                 continue
@@ -116,7 +116,7 @@ def _enough(times: Array, positions: Array, velocities: Array, acceleration: Arr
             between = slice(here + 1, there)
             t = (times[between] - times[here])[:, None]
             cubic = positions[here] + velocities[here] * t + start * t**2 / 2 + (stop - start) / span * t**3 / 6
-            if np.abs(cubic - positions[between]).max() <= _NEAR:
+            if np.abs(cubic - positions[between]).max() <= _SPLINE_ERROR:
                 break
         else:
             there = here + 1

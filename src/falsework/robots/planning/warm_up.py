@@ -1,4 +1,4 @@
-"""Compile the motion code ahead of its first use, with a word to whoever waits."""
+"""Warm-up of the numba cache of the motion kernels, with a progress message."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MESSAGE = "compiling the motion code; this happens once and takes up to 15 secon
 
 
 def is_compiled() -> bool:
-    """Whether numba finds compiled code of all entry points that fits their sources."""
+    """Return whether numba finds compiled code of all entry points that fits their sources."""
     functions = (rrt_connect._run, forward.place_many, numeric_ik.reach_poses)
     for function in functions:
         if function.signatures:

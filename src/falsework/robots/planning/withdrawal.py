@@ -1,4 +1,4 @@
-"""Lines on which a robot draws a part out of the structure, until it is clear of everything."""
+"""Straight withdrawal lines of held parts until they are clear of all bodies."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from falsework.robots.planning.failure_report import Reasons
 
 Array = NDArray[np.float64]
 
+_LENGTHS = (1.0, 2.0, 4.0)
+"""Lengths of the line on which a part leaves, in approach margins of the cell, tried in turn until it is clear."""
+
 
 class Withdrawal:
-    """Straight ways out for parts that robots hold."""
+    """Straight withdrawal lines for parts that robots hold."""
 
-    def __init__(
-        self, cell: Cell, kept: Kept, reasons: Reasons, *, directions: int, lengths: tuple[float, ...]
-    ) -> None:
+    def __init__(self, cell: Cell, kept: Kept, reasons: Reasons, *, directions: int) -> None:
         """Nothing is computed yet.
 
         Args:
@@ -30,15 +31,14 @@ class Withdrawal:
             kept: views of its scenes.
             reasons: takes note of why a part cannot leave.
             directions: ways out that are tried for a part.
-            lengths: of the line on which a part leaves, in lengths of an approach, tried in turn until it is clear.
         """
         self.cell, self.kept, self.reasons = cell, kept, reasons
-        self.directions, self.lengths = directions, lengths
+        self.directions = directions
 
     def lines(
         self, scene: Scene, part: int, robot: int, here: Array, ways: Array, what: str
     ) -> Iterator[tuple[tuple[Array, ...], Scene]]:
-        """Paths on which a part leaves, each with the scene in which it is carried; computed when asked for.
+        """Yield paths on which a part leaves, each with the scene in which it is carried; computed when asked for.
 
         Args:
             scene: where everything is.
@@ -55,7 +55,7 @@ class Withdrawal:
         line = self.kept.view(scene, robot, contact, self.cell.margins.line)
         free: View | None = None
         for way in self._ordered(ways, tool):
-            for times in self.lengths:
+            for times in _LENGTHS:
                 out = follow_line(line, here, way, times * self.cell.margins.approach)
                 if not out:
                     self.reasons.add("remove", part, robot, f"{what}: {out.reason}", out.pair, out.at)
@@ -74,7 +74,7 @@ class Withdrawal:
                 self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), path[-1])
 
     def _lift(self, scene: Scene, robot: int, here: Array, free: View) -> Array | None:
-        """A part that has been drawn out over the floor is lifted off it before it is carried away."""
+        """Return a part that has been drawn out over the floor is lifted off it before it is carried away."""
         view = self.kept.view(scene, robot, Contact(carried_floor=True), self.cell.margins.line)
         up = follow_line(view, here, (0.0, 0.0, 1.0), 0.3 * self.cell.margins.approach)
         if up.path is None or free.collides(up.path[-1])[0]:

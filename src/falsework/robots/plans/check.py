@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +83,9 @@ class CheckReport:
     acceleration_share: float
     tolerance: float
     """Most that a part was shrunk where it leaves or arrives, metres."""
+    links: dict[str, Literal["meshes", "convex pieces"]]
+    """By robot, what its links were checked as: the meshes of its description, or the convex pieces that a built-in
+    arm is described by."""
     seconds: float
     """That the check took."""
 
@@ -253,6 +257,9 @@ def check_robot_plan(
 ) -> CheckReport:
     """Check all motions of a plan with Pinocchio (kinematics) and Coal (collisions).
 
+    Parts are their meshes, and so are the links of arms from URDF files; links of built-in arms, grippers and obstacles
+    are the convex pieces that they are described by.
+
     One robot moves, all else stands. Everything that moves is checked against everything that stands, with these
     exceptions and no others:
 
@@ -296,5 +303,6 @@ def check_robot_plan(
         checker.velocity,
         checker.acceleration,
         checker.judge.slack,
+        {robot.name: "convex pieces" if robot.model.meshes is None else "meshes" for robot in cell.robots},
         time.perf_counter() - began,
     )

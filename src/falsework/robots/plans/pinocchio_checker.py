@@ -1,6 +1,8 @@
 """Collisions by Pinocchio and Coal: another code, another geometry, for checking what our own kernels found.
 
-The parts are their exact surfaces here, not convex pieces. Links and grippers are the convex pieces of the cell.
+Parts are their exact surfaces here, and links the meshes of their description, where it has meshes: the planner's
+convex pieces of either are not looked at. Links of built-in arms, grippers and obstacles are described as convex
+pieces, so these are what is checked.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from falsework.geometry.mesh.collision import shrink
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
+from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import inverse_pose
 
 Array = NDArray[np.float64]
@@ -106,7 +109,7 @@ class Judge:
         self._joints: list[list[int]] = []
         for robot in cell.robots:
             self._add_chain(robot)
-        self._links = [[[self._convex(p) for p in link] for link in robot.model.pieces] for robot in cell.robots]
+        self._links = [self._link_shapes(robot.model) for robot in cell.robots]
         self._grippers = [[self._convex(piece) for piece in robot.gripper.pieces] for robot in cell.robots]
         self._obstacles = [(o.name, self._convex(p)) for o in cell.obstacles for p in o.pieces]
         self._parts = [self._surface(mesh, mesh.vertices) for mesh in parts.meshes]
@@ -312,6 +315,12 @@ class Judge:
             return low != high and (low, high) not in ignored
         return low < (joints - 1 if high == joints + 1 else joints)
 
+    def _link_shapes(self, model: RobotModel) -> list[list[Any]]:
+        """Shapes of every link: the triangles of its meshes, or its convex pieces where there are no meshes."""
+        if model.meshes is None:
+            return [[self._convex(piece) for piece in link] for link in model.pieces]
+        return [[self._triangles(mesh.vertices, mesh.faces) for mesh in link] for link in model.meshes]
+
     def _convex(self, points: Array) -> Any:
         vertices = self._coal.StdVec_Vec3s()
         for point in points:
@@ -325,9 +334,12 @@ class Judge:
         volume = np.einsum("ti,ti->t", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
         if hull.volume - volume <= 1e-6 * hull.volume:
             return self._convex(vertices[hull.vertices])
+        return self._triangles(vertices, mesh.faces)
+
+    def _triangles(self, vertices: Array, faces: NDArray[np.int32]) -> Any:
         made = self._coal.BVHModelOBBRSS()
-        made.beginModel(len(mesh.faces), len(vertices))
+        made.beginModel(len(faces), len(vertices))
         made.addVertices(np.ascontiguousarray(vertices, dtype=float))
-        made.addTriangles(np.ascontiguousarray(mesh.faces, dtype=np.int64))
+        made.addTriangles(np.ascontiguousarray(faces, dtype=np.int64))
         made.endModel()
         return made

@@ -1,4 +1,4 @@
-"""A beam as narrow as it can be and as wide as it must: it goes back where it dies, and comes again wider."""
+"""Beam search that backtracks and widens on failure."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Progress, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
 
-_WIDER = 4
+_WIDENING_FACTOR = 4
 """Each time in a row that the beam dies at one place, it comes back this many times wider ..."""
-_FARTHER = 4
+_RETREAT_FACTOR = 4
 """... from this many times farther back ..."""
-_BACK = 8
+_RETREAT_LEVELS = 8
 """... beginning with so many levels."""
-_AHEAD = 64
+_LOOKAHEAD_STATES = 64
 """States that need no verdict which the narrowest beam keeps, so that the next level has a choice."""
-_AHEAD_SHARE = 16
+_LOOKAHEAD_PER_WIDTH = 16
 """The same for wide beams, as a multiple of the width."""
 
 
 @dataclass(frozen=True)
 class AdaptiveSettings:
-    """Where an adaptive beam begins."""
+    """Direction, initial width and seed of an adaptive beam."""
 
     direction: Direction = Direction.ASSEMBLY
     """Which end to begin at."""
@@ -37,13 +37,13 @@ class AdaptiveSettings:
     """Same seed, same machine, same result."""
 
     def beam(self, strikes: int) -> BeamSettings:
-        """Settings of the beam after so many deaths in a row at one place."""
-        width = self.width * _WIDER**strikes
+        """Return settings of the beam after so many deaths in a row at one place."""
+        width = self.width * _WIDENING_FACTOR**strikes
         return BeamSettings(
             width=width,
             direction=self.direction,
             diversity="none",
-            ahead=max(_AHEAD, _AHEAD_SHARE * width),
+            ahead=max(_LOOKAHEAD_STATES, _LOOKAHEAD_PER_WIDTH * width),
             commit=width == 1,
             retries=0,
             seed=self.seed,
@@ -51,7 +51,7 @@ class AdaptiveSettings:
 
 
 class AdaptiveBeam:
-    """A beam search in which hard places get the width that they need, and the rest stays cheap.
+    """Beam search that widens where it dies and narrows again afterwards.
 
     Where the beam dies, it is taken back some levels and widened; if it dies there again, back farther and wider
     still. Once it is well past the place, it becomes narrow again. Verdicts asked before are in the oracle's memory,
@@ -103,7 +103,7 @@ class AdaptiveBeam:
                 return result
 
     def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """The search as it stands: plain values, and arrays."""
+        """Return the search as it stands: plain values, and arrays."""
         header, arrays = self.search.pack()
         own = {"strikes": self._strikes, "farthest": self._farthest, "easy_from": self._easy_from}
         return header | {"adaptive": own, "base": self.settings.width, "base_seed": self.settings.seed}, arrays
@@ -118,7 +118,7 @@ class AdaptiveBeam:
         *,
         guide: Guide | None = None,
     ) -> AdaptiveBeam:
-        """The search that `pack` described.
+        """Return the search that `pack` described.
 
         Raises:
             KeyError, TypeError, ValueError: not what `pack` returned for this task.
@@ -132,7 +132,7 @@ class AdaptiveBeam:
         return beam
 
     def _eased(self) -> bool:
-        """Whether the beam is wide and well past the place where it died."""
+        """Return whether the beam is wide and well past the place where it died."""
         return self._strikes > 0 and len(self.search.levels) - 1 > self._easy_from and not self.search.done
 
     def _widen(self, widest: int) -> bool:
@@ -143,6 +143,6 @@ class AdaptiveBeam:
         if settings.width > widest:
             return False
         self._strikes, self._farthest = strikes, max(self._farthest, level)
-        self._easy_from = self._farthest + 2 * _BACK
-        self.search.rewind(max(level - _BACK * _FARTHER ** (strikes - 1), 0), settings)
+        self._easy_from = self._farthest + 2 * _RETREAT_LEVELS
+        self.search.rewind(max(level - _RETREAT_LEVELS * _RETREAT_FACTOR ** (strikes - 1), 0), settings)
         return True

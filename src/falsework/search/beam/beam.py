@@ -35,17 +35,17 @@ FORMAT = "falsework.beam/1"
 
 Diversity = Literal["k-means", "none"]
 
-_BACK = 8
+_RETREAT_LEVELS = 8
 """Levels that a beam goes back when it is tried again ..."""
-_FARTHER = 4
+_RETREAT_FACTOR = 4
 """... and this many times more each further time."""
-_REPORTED = 64
+_REPORTED_STATES = 64
 """States handed back as deepest and as rejected, at most."""
 
 
 @dataclass(frozen=True)
 class BeamSettings:
-    """How a beam search walks."""
+    """Settings of a beam search."""
 
     width: int = 64
     """States kept at a level."""
@@ -156,7 +156,7 @@ class BeamSearch:
         return self._before + now + SearchCounters(states=sum(len(level.states) for level in self.levels))
 
     def states(self) -> States:
-        """All states kept so far, level by level from the origin. Shape (count, parts)."""
+        """Return all states kept so far, level by level from the origin. Shape (count, parts)."""
         empty = np.empty((0, self.task.part_count), dtype=np.uint8)
         return np.concatenate([empty, *(level.states for level in self.levels)])
 
@@ -196,8 +196,8 @@ class BeamSearch:
         self._dead = len(choice.kept) == 0
         if self._dead and len(self.levels) > self._farthest:
             self._farthest = len(self.levels)
-            self._deepest = level.states[:_REPORTED]
-            self._rejected = frontier.states(choice.rejected[:_REPORTED])
+            self._deepest = level.states[:_REPORTED_STATES]
+            self._rejected = frontier.states(choice.rejected[:_REPORTED_STATES])
         # A state refused because of the way to it may be reached by another, which was merged with this one.
         self._whole = [*self._whole[: len(self.levels) - 1], choice.exhaustive and not doubt]
         if self._dead:
@@ -215,7 +215,7 @@ class BeamSearch:
         return True
 
     def _confirmed(self, frontier: Frontier, rows: NDArray[np.int64]) -> Mask:
-        """Which candidates with a stable verdict also have a way to them on which every state stands. Shape (rows,)."""
+        """Return whether each stable candidate is reached through stable states only. Shape (rows,)."""
         good = self._ground(frontier.parent[rows])
         if self._histories is not None and good.any():
             rows = rows[good]
@@ -306,10 +306,12 @@ class BeamSearch:
         if self.exhaustive or self.found or self._retried >= self.settings.retries:
             return
         self._retried += 1
-        self.rewind(max(len(self.levels) - 1 - _BACK * _FARTHER ** (self._retried - 1), 0), self.settings)
+        self.rewind(
+            max(len(self.levels) - 1 - _RETREAT_LEVELS * _RETREAT_FACTOR ** (self._retried - 1), 0), self.settings
+        )
 
     def route(self) -> Route:
-        """The best scored way from start to target, in disassembly order; only once `found`."""
+        """Return the best scored way from start to target, in disassembly order; only once `found`."""
         if not self.found:
             raise InputError("the beam search has not reached its goal; there is no route yet")
         row, states, actions = 0, [], []
@@ -342,7 +344,7 @@ class BeamSearch:
             raise InputError(f"{path} is damaged ({error}); begin a new search") from None
 
     def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """The search as it stands: plain values, and arrays."""
+        """Return the search as it stands: plain values, and arrays."""
         header: dict[str, Any] = {
             "task": self.task.to_dict(),
             "settings": asdict(self.settings),
@@ -375,7 +377,7 @@ class BeamSearch:
         *,
         guide: Guide | None = None,
     ) -> BeamSearch:
-        """The search that `pack` described.
+        """Return the search that `pack` described.
 
         Raises:
             KeyError, TypeError, ValueError: not what `pack` returned for this task.
@@ -411,7 +413,7 @@ class BeamSearch:
         )
 
     def result(self, *, interrupted: bool = False) -> SearchResult:
-        """What the search found so far; `interrupted` if somebody stopped it."""
+        """Return the result so far; `interrupted` if the search was stopped from outside."""
         undecided, limit = self._judge.undecided + self._undecided, ""
         sliding = self._judge.sliding + self._sliding
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
@@ -425,7 +427,7 @@ class BeamSearch:
             direction=self.settings.direction,
             steps=self.task.steps,
             reached=max(len(self.levels), self._farthest, 1) - 1,
-            deepest=self.levels[-1].states[:_REPORTED] if farther_now else self._deepest,
+            deepest=self.levels[-1].states[:_REPORTED_STATES] if farther_now else self._deepest,
             rejected=self._rejected[:0] if farther_now else self._rejected,
             counters=self.counters,
             seconds=self._seconds,

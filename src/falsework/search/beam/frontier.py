@@ -1,4 +1,4 @@
-"""All states one move away from a level, merged, and not written down before they are needed."""
+"""Distinct successor states of a beam level, expanded lazily."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from falsework.assembly.state import HELD, Mask, States, held_count
 from falsework.search.problem.hashing import Hashes, StateHash, merge
 from falsework.search.problem.task import Direction, Task
 
-_CHUNK = 4096
+_CHUNK_STATES = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,22 +40,22 @@ class Frontier:
         return self.fixing & self.task.holds_keep_stable
 
     def states(self, rows: NDArray[np.integer] | slice = slice(None)) -> States:
-        """Candidates written down, shape (rows, parts)."""
+        """Return candidates written down, shape (rows, parts)."""
         return self.task.follow(self.level[self.parent[rows]], self.action[rows], self.direction)
 
     def parents(self, rows: NDArray[np.integer] | slice = slice(None)) -> States:
-        """States of the level that the candidates come from, shape (rows, parts)."""
+        """Return states of the level that the candidates come from, shape (rows, parts)."""
         return self.level[self.parent[rows]]
 
     def held(self) -> NDArray[np.int64]:
-        """Parts that robots hold in each candidate, shape (candidates,)."""
+        """Return parts that robots hold in each candidate, shape (candidates,)."""
         before = held_count(self.level, self.task.boundary)[self.parent]
         holds = self.task.moved_value(self.action, self.direction) == HELD
         return before + np.where(holds, 1, -1)
 
 
 def expand(task: Task, direction: Direction, level: States, hashes: Hashes, state_hash: StateHash) -> Frontier:
-    """Every legal move from every state of a level; states reached twice are kept once, dead ends not at all.
+    """Return every legal move from every state of a level; states reached twice are kept once, dead ends not at all.
 
     Args:
         task: rules of the search.
@@ -83,8 +83,8 @@ def expand(task: Task, direction: Direction, level: States, hashes: Hashes, stat
 def _without_dead_ends(frontier: Frontier) -> Frontier:
     count = len(frontier)
     dead = np.zeros(count, dtype=bool)
-    for begin in range(0, count, _CHUNK):
-        rows = slice(begin, begin + _CHUNK)
+    for begin in range(0, count, _CHUNK_STATES):
+        rows = slice(begin, begin + _CHUNK_STATES)
         dead[rows] = frontier.task.dead_ends(frontier.states(rows), frontier.direction)
     return replace(
         frontier,

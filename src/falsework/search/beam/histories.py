@@ -1,4 +1,4 @@
-"""Contact histories of the states of a beam that builds in the order of assembly."""
+"""Contact histories of the states of a beam in the order of assembly."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from falsework.search.beam.beam import Level
     from falsework.stability.contact.replay import History, Replayer
 
-_BYTES = 256 << 20
+_HISTORY_BYTES = 256 << 20
 """Memory for histories; those of the earliest levels are computed anew where they are needed again."""
 
 
 class Histories:
-    """What the structure remembers in each state of a beam, given the way to it; computed when first asked for."""
+    """Contact histories of the states of a beam, computed on demand."""
 
     def __init__(self, replayer: Replayer, levels: list[Level]) -> None:
         """Begin with nothing.
@@ -33,7 +33,7 @@ class Histories:
         self._next: dict[int, History] = {}
 
     def standing(self, rows: NDArray[np.int64], parent: NDArray[np.int64], states: States) -> Mask:
-        """Which candidates come to rest when they are reached from their parents in the last level.
+        """Return whether each candidate comes to rest when reached from its parent in the last level.
 
         Args:
             rows: numbers of the candidates, by which `keep` names them, shape (rows,).
@@ -66,7 +66,7 @@ class Histories:
         self._next = {}
 
     def _history(self, level: int, row: int) -> History | None:
-        """History of a state of a level; None where the way to it does not stand."""
+        """Return the history of a state of a level; None where the way to it does not stand."""
         self._fit(len(self._levels))
         way = [row]
         while way[-1] not in self._known[level + 1 - len(way)] and len(way) <= level:
@@ -96,7 +96,7 @@ class Histories:
         each = 8 * (6 * assembly.parts + 3 * assembly.points)
         count = sum(map(len, self._known))
         for known in self._known[1:-1]:
-            if count * each <= _BYTES:
+            if count * each <= _HISTORY_BYTES:
                 return
             count -= len(known)
             known.clear()

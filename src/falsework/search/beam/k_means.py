@@ -1,4 +1,4 @@
-"""k-means over states: how a beam keeps plans of different kinds alive (paper, section 5.1)."""
+"""k-means over states, which keeps a beam diverse (paper, section 5.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which of the candidates a beam keeps, and for which of them it asks a verdict."""
+"""Selection of the candidates that a beam keeps and of those that need a verdict."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from falsework.search.problem.oracle import Judge
 Rows = NDArray[np.int64]
 Confirmed = Callable[[Rows], Mask]
 
-_BATCH = 4
+_VERDICT_BATCH = 4
 """Candidates asked for at once at least, when verdicts are asked one after the other: enough to share two cores."""
 
 
@@ -34,7 +34,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Selector:
-    """Orders the candidates of one level."""
+    """Selection among the candidates of one level."""
 
     frontier: Frontier
     score: NDArray[np.float64]
@@ -47,7 +47,7 @@ class Selector:
     """Breaks ties and seeds the clusters."""
 
     def order(self, rows: Rows, score: NDArray[np.float64], count: int) -> Rows:
-        """Rows in the order in which they are to be taken, where about `count` are wanted.
+        """Return rows in the order in which they are to be taken, where about `count` are wanted.
 
         Args:
             rows: some candidates, shape (rows,).
@@ -108,7 +108,7 @@ class Selector:
         rejected: list[Rows] = [waiting[:0]]
         position = 0
         while wanted > 0 and position < len(waiting):
-            batch = waiting[position : position + max(wanted, _BATCH)]
+            batch = waiting[position : position + max(wanted, _VERDICT_BATCH)]
             stable = judge.stable(frontier.states(batch), frontier.parents(batch))
             if stable.any():
                 stable[stable] = confirmed(batch[stable])

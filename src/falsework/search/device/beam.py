@@ -1,4 +1,4 @@
-"""Beam search as tensors on one device, by one process or several (paper, section 5.1)."""
+"""Beam search on tensors, on one device, in one process or several (paper, section 5.1)."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     TensorGuide = Callable[[torch.Tensor, torch.Tensor, Direction], torch.Tensor]
     """As `Guide`, on tensors; must give the same scores in every process."""
 
-_REPORTED = 64
+_REPORTED_STATES = 64
 """States handed back as deepest and as rejected, at most."""
-_SAMPLE = 4
+_SAMPLES_PER_CLUSTER = 4
 """Candidates a cluster that the centres are found from; all are assigned to clusters afterwards."""
 _CHUNK_BYTES = 1 << 28
 """States written down at once where they are only looked at, in bytes."""
@@ -70,7 +70,7 @@ class _Candidates:
         return len(self.parent)
 
     def take(self, rows: torch.Tensor | slice) -> _Candidates:
-        """Some of the candidates."""
+        """Return some of the candidates."""
         return _Candidates(*(getattr(self, name)[rows] for name in ("parent", "action", "hashes", "score", "free")))
 
 
@@ -159,7 +159,7 @@ class DeviceBeam:
         return self._host
 
     def states(self) -> States:
-        """All states kept so far, level by level from the origin. Shape (count, parts)."""
+        """Return all states kept so far, level by level from the origin. Shape (count, parts)."""
         empty = np.empty((0, self.task.part_count), dtype=np.uint8)
         return np.concatenate([empty, *(level.states for level in self.levels)])
 
@@ -184,7 +184,7 @@ class DeviceBeam:
         self.exhaustive &= len(rows) <= width
         self._dead = len(rows) == 0
         if self._dead:
-            some = candidates.take(asked[:_REPORTED])
+            some = candidates.take(asked[:_REPORTED_STATES])
             self._rejected = self._written(level, some).cpu().numpy()
             return False
         kept = candidates.take(self._choose(level, candidates.take(rows), rows))
@@ -226,7 +226,7 @@ class DeviceBeam:
         return self.result(interrupted=interrupted)
 
     def route(self) -> Route:
-        """The best scored way from start to target, in disassembly order; only once `found`."""
+        """Return the best scored way from start to target, in disassembly order; only once `found`."""
         if not self.found:
             raise InputError("the beam search has not reached its goal; there is no route yet")
         row, states = 0, []
@@ -238,7 +238,7 @@ class DeviceBeam:
         return Route.through(np.array(states))
 
     def result(self, *, interrupted: bool = False) -> SearchResult:
-        """Where the search stands; `interrupted` if it is to be called unfinished."""
+        """Return the result so far; `interrupted` if the search was stopped from outside."""
         (_, undecided, sliding), limit = self._refused.tolist(), ""
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:
@@ -249,7 +249,7 @@ class DeviceBeam:
             direction=self.settings.direction,
             steps=self.task.steps,
             reached=max(len(self._levels) - 1, 0),
-            deepest=self.levels[-1].states[:_REPORTED] if self._levels else self._rejected[:0],
+            deepest=self.levels[-1].states[:_REPORTED_STATES] if self._levels else self._rejected[:0],
             rejected=self._rejected,
             counters=self.counters,
             seconds=self._seconds,
@@ -273,7 +273,7 @@ class DeviceBeam:
         )
 
     def _expand(self, level: _TensorLevel) -> _Candidates:
-        """Every legal move from a level; states reached twice are kept once, dead ends not at all."""
+        """Return every legal move from a level; states reached twice are kept once, dead ends not at all."""
         torch = import_torch()
         rules = self._rules
         mask = rules.moves(level.states)
@@ -336,7 +336,7 @@ class DeviceBeam:
         return first[:distinct], torch.empty_like(place).scatter_(0, order, place)
 
     def _choose(self, level: _TensorLevel, stable: _Candidates, rows: torch.Tensor) -> torch.Tensor:
-        """Which of the stable candidates the beam keeps: `width` of `rows`, best scored first."""
+        """Choose `width` of the stable candidates `rows`, best scored first."""
         torch = import_torch()
         width = self.settings.width
         words = mix(stable.hashes, (self.settings.seed << 20) + len(self._levels))
@@ -345,7 +345,7 @@ class DeviceBeam:
             room = max(self.settings.pool // self.task.part_count, 2 * width)
             # Candidates are in random order now, so the first ones are a fair sample.
             order = order[:room]
-            sample = order[: _SAMPLE * width]
+            sample = order[: _SAMPLES_PER_CLUSTER * width]
             centers = find_centers(self._written(level, stable.take(sample)), words[sample], width)
             mine, _ = self.shards.block(len(order))
             joined = torch.stack(centers.assign(self._written(level, stable.take(order[mine]))), dim=1)
@@ -365,16 +365,16 @@ class DeviceBeam:
         return order[by[torch.argsort(place_in_group(labels[by]), stable=True)]]
 
     def _written(self, level: _TensorLevel, candidates: _Candidates) -> torch.Tensor:
-        """Candidates written down as states, shape (candidates, parts)."""
+        """Return candidates written down as states, shape (candidates, parts)."""
         return self._rules.follow(level.states[candidates.parent], candidates.action)
 
     def _best_first(self, order: torch.Tensor, score: torch.Tensor) -> torch.Tensor:
-        """An order with the best scored moved to the front; without a guide all scores are the same."""
+        """Return an order with the best scored moved to the front; without a guide all scores are the same."""
         if self._guide is None:
             return order
         return order[import_torch().argsort(-score[order], stable=True)]
 
     def _chunks(self, count: int) -> list[slice]:
-        """Rows whose states fit into a bounded piece of memory."""
+        """Return rows whose states fit into a bounded piece of memory."""
         rows = max(_CHUNK_BYTES // max(self.task.part_count, 1), 1)
         return [slice(begin, begin + rows) for begin in range(0, count, rows)]

@@ -1,4 +1,4 @@
-"""k-means on tensors in whole numbers: the same to the last bit on every device and in every process."""
+"""k-means on tensors in integer arithmetic: bit-identical on every device and in every process."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from falsework.utils.tensors import import_torch, mix, uniform
 if TYPE_CHECKING:
     import torch
 
-_EXACT = 2**24
+_LLOYD_ITERATIONS = 3
+_EXACT_FLOAT32 = 2**24
 """Whole numbers up to this are exact in float32."""
-_FINEST = 64
+_CENTER_RESOLUTION = 64
 """Centres are rounded to this share of a unit, or coarser where there are very many dimensions."""
-_ROUNDS = 8
+_SEEDING_ROUNDS = 8
 """Rounds in which the seeds are drawn."""
-_CHUNK = {"cpu": 1 << 21, "cuda": 1 << 29}
+_CHUNK_DISTANCES = {"cpu": 1 << 21, "cuda": 1 << 29}
 """Distances worked out at once."""
 
 
@@ -37,11 +38,14 @@ class Centers:
     """What a unit is."""
 
     def nearest(self, points: torch.Tensor) -> torch.Tensor:
-        """Nearest centre of each point, the first of several. Shapes (count, dimensions) float32, (count,)."""
+        """Return the nearest centre of each point, the first of several.
+
+        Shapes (count, dimensions) float32, (count,).
+        """
         return _join([gaps.argmin(dim=1) for gaps in _products(points, self)], points.new_empty(0).long())
 
     def assign(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Cluster of each point, and squared distance from its centre.
+        """Return the cluster of each point, and squared distance from its centre.
 
         Args:
             points: `uint8`, values 0, 1 and 2, shape (count, dimensions).
@@ -54,7 +58,7 @@ class Centers:
         return labels, ((self.scaled[labels] - self.scale * x) ** 2).sum(dim=1).long()
 
 
-def find_centers(points: torch.Tensor, words: torch.Tensor, clusters: int, *, iterations: int = 3) -> Centers:
+def find_centers(points: torch.Tensor, words: torch.Tensor, clusters: int) -> Centers:
     """Lloyd's algorithm from seeds drawn in rounds.
 
     The seeds are those of k-means++ with a round of draws in place of each single one: points are drawn with
@@ -66,7 +70,6 @@ def find_centers(points: torch.Tensor, words: torch.Tensor, clusters: int, *, it
         points: different from each other, `uint8`, values 0, 1 and 2, shape (count, dimensions).
         words: random word of each point, int64, shape (count,).
         clusters: number of clusters, at most `count`.
-        iterations: Lloyd iterations.
     """
     torch = import_torch()
     if not 1 <= clusters <= len(points):
@@ -74,11 +77,11 @@ def find_centers(points: torch.Tensor, words: torch.Tensor, clusters: int, *, it
     x = points.float()
     dimensions = x.shape[1]
     # Largest power of two for which a squared norm of a scaled centre stays exact.
-    scale = min(max(2 ** int(np.log2(np.sqrt(_EXACT / (4 * max(dimensions, 1))))), 1), _FINEST)
+    scale = min(max(2 ** int(np.log2(np.sqrt(_EXACT_FLOAT32 / (4 * max(dimensions, 1))))), 1), _CENTER_RESOLUTION)
     centers = Centers(_seeds(x, words, clusters) * scale, scale)
     # One row a point: its values, and a one to count it.
     rows = torch.cat([points, torch.ones_like(points[:, :1])], dim=1).int()
-    for _ in range(iterations):
+    for _ in range(_LLOYD_ITERATIONS):
         sums = torch.zeros((clusters, dimensions + 1), dtype=torch.int32, device=x.device)
         sums.index_add_(0, centers.nearest(x), rows)
         size = sums[:, -1:]
@@ -88,9 +91,9 @@ def find_centers(points: torch.Tensor, words: torch.Tensor, clusters: int, *, it
 
 
 def _seeds(x: torch.Tensor, words: torch.Tensor, clusters: int) -> torch.Tensor:
-    """Points to begin with, drawn in rounds, shape (clusters, dimensions)."""
+    """Return points to begin with, drawn in rounds, shape (clusters, dimensions)."""
     torch = import_torch()
-    rounds = min(_ROUNDS, clusters)
+    rounds = min(_SEEDING_ROUNDS, clusters)
     # All rounds' random numbers at once, by keys that differ from round to round: small kernels cost their launch.
     turns = torch.arange(rounds, device=x.device)[:, None] * 0x1E3779B97F4A7C15
     noise = uniform(mix(words[None] + turns, 0))
@@ -107,15 +110,15 @@ def _seeds(x: torch.Tensor, words: torch.Tensor, clusters: int) -> torch.Tensor:
 
 
 def _products(x: torch.Tensor, centers: Centers) -> Iterator[torch.Tensor]:
-    """Squared distances from centres less the points' own squares, in chunks of shape (rows, centers)."""
+    """Yield squared distances from centres less the points' own squares, in chunks of shape (rows, centers)."""
     torch = import_torch()
     scaled = centers.scaled
     norm = (scaled * scaled).sum(dim=1)
-    rows = max(_CHUNK[x.device.type] // max(len(scaled), 1), 1)
+    rows = max(_CHUNK_DISTANCES[x.device.type] // max(len(scaled), 1), 1)
     for begin in range(0, len(x), rows):
         yield torch.addmm(norm, x[begin : begin + rows], scaled.T, alpha=-2.0 * centers.scale)
 
 
 def _join(chunks: list[torch.Tensor], empty: torch.Tensor) -> torch.Tensor:
-    """The chunks one after the other; without a copy if there is only one."""
+    """Return the chunks one after the other; without a copy if there is only one."""
     return chunks[0] if len(chunks) == 1 else import_torch().cat([*chunks, empty])

@@ -1,4 +1,4 @@
-"""Verdicts on states that are tensors: from the solver on their own device, or from an oracle on the processor."""
+"""Stability oracles on tensors: the GPU solver on the same device, or an oracle on the CPU."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class TensorOracle(Protocol):
-    """Decides stability of batches of states on a device.
+    """Stability oracle for batches of states on a device.
 
     One whose attribute `holds_keep_stable` is true, as of `Stability`, is not asked about parts that become held.
     """
@@ -41,7 +41,7 @@ class TensorOracle(Protocol):
 
 
 class HostOracle:
-    """An oracle on the processor, asked about states on any device."""
+    """Oracle on the CPU for states on any device."""
 
     def __init__(self, oracle: Oracle) -> None:
         self.holds_keep_stable = bool(getattr(oracle, "holds_keep_stable", False))
@@ -54,7 +54,7 @@ class HostOracle:
 
 
 class DeviceOracle:
-    """The solver on a GPU; only states that it leaves open go to the solvers on the processor."""
+    """GPU solver; states that it leaves open go to the CPU solvers."""
 
     def __init__(self, oracle: Stability, device: torch.device) -> None:
         """Copy the problem to the device.
@@ -85,14 +85,14 @@ class DeviceOracle:
         return verdict
 
     def without_exact(self) -> DeviceOracle:
-        """The same solver alone: nothing waits, and the few states that it leaves open stay so."""
+        """Return the same solver alone: nothing waits, and the few states that it leaves open stay so."""
         alone = copy(self)
         alone._settle = None
         return alone
 
 
 def without_exact(oracle: TensorOracle) -> TensorOracle:
-    """An oracle for states that may be given up, such as those of rollouts that are learned from.
+    """Return an oracle for states that may be given up, such as those of rollouts that are learned from.
 
     On a GPU, states that stand by a hair are left open. They are some in ten thousand of dome-72, and the exact solver
     needs a sixth of a second for each, while thousands of others wait.
@@ -101,12 +101,12 @@ def without_exact(oracle: TensorOracle) -> TensorOracle:
 
 
 def oracle_on(oracle: Stability, device: torch.device) -> TensorOracle:
-    """The oracle's verdicts for states on a device: by the solver there, or by the oracle itself on the processor."""
+    """Return the oracle for states on a device: the GPU solver, or the CPU oracle behind copies."""
     return DeviceOracle(oracle, device) if device.type == "cuda" else HostOracle(oracle)
 
 
 class TensorJudge:
-    """Shares batches of states between the processes of a search, in pieces that fit into memory."""
+    """Oracle that splits batches between the processes of a search and into pieces that fit into memory."""
 
     def __init__(self, oracle: TensorOracle, shards: Shards, *, batch: int = 1 << 20) -> None:
         """Begin with pieces of `batch` states; they are halved whenever memory runs out."""
@@ -116,7 +116,7 @@ class TensorJudge:
         self._batch = batch
 
     def verdicts(self, states: torch.Tensor, parents: torch.Tensor, count: int) -> torch.Tensor:
-        """Verdicts of all states from the share of each process.
+        """Return verdicts of all states from the share of each process.
 
         Args:
             states: this process's share, `Shards.interleaved`, shape (share, parts).

@@ -334,7 +334,7 @@ class _Reader(Reader):
             wanted = states * count * width * 8
             # One byte more than wanted shows that there is too much, without unpacking a bomb.
             data = zlib.decompressobj().decompress(packed, wanted + 1)
-        except (TypeError, ValueError, zlib.error):
+        except (TypeError, ValueError, OverflowError, zlib.error):
             self._fail(f"{name}.zlib_base64 cannot be unpacked")
         if len(data) != wanted:
             self._fail(f"{name}.zlib_base64 does not hold {name} of {count} {counted} for each of {states} states")

@@ -1,4 +1,4 @@
-"""Guides: what tells a search which actions to try first."""
+"""Action heuristics of a search."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Guide(Protocol):
-    """Scores actions: the higher, the sooner a search takes them. Any callable will do, a trained policy too."""
+    """Action heuristic: higher scores are tried sooner. Any callable will do, a trained policy too."""
 
     def __call__(self, states: States, actions: Mask, direction: Direction, /) -> NDArray[np.floating]:
         """Score the actions of some states; a search adds the scores up along its way.
@@ -34,7 +34,7 @@ class Guide(Protocol):
 
 
 class SupportGuide:
-    """Prefers parts that lean on much of what is there in assembly, and on little in disassembly.
+    """Heuristic that prefers parts with much support in assembly, and with little in disassembly.
 
     The score of a part is the share of its contact area that touches parts now present. Summed up over an assembly
     that favours compact structures, which are rarely the unstable ones.
@@ -59,7 +59,7 @@ class SupportGuide:
 
 
 class NoveltyGuide:
-    """Prefers actions that make a plan differ from given ones, on top of another guide.
+    """Heuristic that prefers actions unlike those of given plans, on top of another heuristic.
 
     The score of a part that is removed, or in assembly inserted, is the share of the parts now present that a given
     plan removes before it: each is a pair that leaves in another order here.
@@ -86,7 +86,7 @@ class NoveltyGuide:
 
 
 class RememberingGuide:
-    """Asks another guide each question once, and all that are new in a call together.
+    """Memoized heuristic; all new queries of a call are evaluated together.
 
     A network takes hardly longer for many states than for one. What was learned first is forgotten first.
     """

@@ -1,4 +1,4 @@
-"""Hashes of states that follow a single move at once, and exact merging of equal states."""
+"""Zobrist hashes of states, updated in one step per move, and exact merging of equal states."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from falsework.assembly.state import States
 
 Hashes = NDArray[np.uint64]
 
-_CHUNK = 4096
+_CHUNK_STATES = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class StateHash:
 
     @classmethod
     def for_parts(cls, parts: int) -> StateHash:
-        """The words for a structure of `parts` parts; the same in every run."""
+        """Return the words for a structure of `parts` parts; the same in every run."""
         words = np.random.default_rng(0x5EED).integers(0, 2**64, size=(parts, 3), dtype=np.uint64)
         words.setflags(write=False)
         return cls(words)
@@ -37,15 +37,15 @@ class StateHash:
         """Hashes of states `(batch, parts)`, shape (batch,)."""
         hashes = np.empty(len(states), dtype=np.uint64)
         part = np.arange(len(self.words))
-        for begin in range(0, len(states), _CHUNK):
-            rows = slice(begin, begin + _CHUNK)
+        for begin in range(0, len(states), _CHUNK_STATES):
+            rows = slice(begin, begin + _CHUNK_STATES)
             hashes[rows] = np.bitwise_xor.reduce(self.words[part, states[rows]], axis=1)
         return hashes
 
     def after(
         self, hashes: Hashes, part: NDArray[np.integer], old: NDArray[np.integer], new: NDArray[np.integer]
     ) -> Hashes:
-        """Hashes once `part` went from value `old` to `new`; all of shape (batch,)."""
+        """Return hashes once `part` went from value `old` to `new`; all of shape (batch,)."""
         return hashes ^ self.words[part, old] ^ self.words[part, new]
 
 
@@ -63,8 +63,8 @@ def merge(hashes: Hashes, rows: Callable[[NDArray[np.intp]], States]) -> tuple[N
     _, first, inverse = np.unique(hashes, return_index=True, return_inverse=True)
     inverse = inverse.reshape(-1)
     repeated = np.flatnonzero(first[inverse] != np.arange(len(hashes)))
-    for begin in range(0, len(repeated), _CHUNK):
-        chunk = repeated[begin : begin + _CHUNK]
+    for begin in range(0, len(repeated), _CHUNK_STATES):
+        chunk = repeated[begin : begin + _CHUNK_STATES]
         if not np.array_equal(rows(chunk), rows(first[inverse[chunk]])):
             _, first, inverse = np.unique(rows(np.arange(len(hashes))), axis=0, return_index=True, return_inverse=True)
             inverse = inverse.reshape(-1)
@@ -76,7 +76,7 @@ def merge(hashes: Hashes, rows: Callable[[NDArray[np.intp]], States]) -> tuple[N
 
 
 class StateIndex:
-    """Looks states up in a fixed collection."""
+    """Index of a fixed collection of states."""
 
     def __init__(self, states: States, state_hash: StateHash | None = None) -> None:
         """Index distinct `states`, shape (count, parts)."""
@@ -87,11 +87,11 @@ class StateIndex:
         self._sorted = hashes[self._order]
 
     def find(self, states: States) -> NDArray[np.int64]:
-        """Position of each state in the collection, or -1. Shape (batch,)."""
+        """Return the position of each state in the collection, or -1. Shape (batch,)."""
         return self.find_hashed(self._hash(states), lambda rows: states[rows])
 
     def find_hashed(self, hashes: Hashes, rows: Callable[[NDArray[np.intp]], States]) -> NDArray[np.int64]:
-        """Position of each state in the collection, or -1, for states that are not written down.
+        """Return the position of each state in the collection, or -1, for states that are not written down.
 
         Args:
             hashes: shape (batch,).
@@ -108,8 +108,8 @@ class StateIndex:
             open_rows, slot = open_rows[inside], slot[inside]
             place = self._order[slot]
             same = np.zeros(len(open_rows), dtype=bool)
-            for begin in range(0, len(open_rows), _CHUNK):
-                part = slice(begin, begin + _CHUNK)
+            for begin in range(0, len(open_rows), _CHUNK_STATES):
+                part = slice(begin, begin + _CHUNK_STATES)
                 same[part] = (self._states[place[part]] == rows(open_rows[part])).all(axis=1)
             found[open_rows[same]] = place[same]
             # Same hash, another state: look at the next entry with this hash, if there is one.

@@ -1,4 +1,4 @@
-"""What a search asks of stability, and the bookkeeping around it."""
+"""Stability oracle protocol, and a wrapper that splits and counts queries."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from falsework.stability.verdict import Verdicts
 
 
 class Oracle(Protocol):
-    """Decides stability of batches of states; `falsework.stability.Stability` is one."""
+    """Stability oracle for batches of states; `falsework.stability.Stability` is one."""
 
     def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
         """Verdicts without certificates.
@@ -25,7 +25,7 @@ class Oracle(Protocol):
 
 
 class Judge:
-    """Asks an oracle in batches of bounded size and counts."""
+    """Oracle wrapper that queries in batches of bounded size and counts."""
 
     def __init__(self, oracle: Oracle, *, batch: int = 1024) -> None:
         """Batches are bounded so that an interruption never has to wait for a whole level."""
@@ -40,7 +40,7 @@ class Judge:
         self._batch = batch
 
     def stable(self, states: States, parents: States) -> Mask:
-        """Which states are stable; sliding and undecided count as not stable.
+        """Return whether each state is stable; sliding and undecided states count as not stable.
 
         Args:
             states: shape (batch, parts).

@@ -1,4 +1,4 @@
-"""What a search hands back: a route or none, how far it came, and what stopped it."""
+"""Search result: outcome, routes, depth reached, and the limit that stopped the search."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from falsework.search.problem.task import Direction
 
 
 class Outcome(StrEnum):
-    """How a search ended."""
+    """Outcome of a search."""
 
     FOUND = "found"
     """There is at least one plan, and it is in the result."""
@@ -26,7 +26,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """Way from the start to the target of a task, in disassembly order."""
+    """Sequence of states from the start to the target of a task, in disassembly order."""
 
     states: States
     """Shape (steps + 1, parts)."""
@@ -35,13 +35,13 @@ class Route:
 
     @classmethod
     def through(cls, states: States) -> Route:
-        """Route through consecutive states, each one move from the next, in disassembly order."""
+        """Return the route through consecutive states, each one move from the next, in disassembly order."""
         part = (states[1:] != states[:-1]).argmax(axis=1)
         holds = states[np.arange(1, len(states)), part] == HELD
         return cls(states, np.where(holds, part, part + states.shape[1]).astype(np.int64))
 
     def removal_rank(self) -> NDArray[np.int64]:
-        """For each part how many were removed before it, or -1 if it stays. Shape (parts,)."""
+        """Return for each part the number removed before it, or -1 if it stays. Shape (parts,)."""
         parts = self.states.shape[1]
         removed = self.actions[self.actions >= parts] - parts
         rank = np.full(parts, -1, dtype=np.int64)
@@ -52,7 +52,7 @@ class Route:
 def beam_failure(
     width: int, exhaustive: bool, undecided: int, sliding: int = 0, doubt: str = ""
 ) -> tuple[Outcome, str]:
-    """What it means that a beam came to no end, and which limit it met, if any.
+    """Return the outcome of a beam that died, and the limit that it met, if any.
 
     Args:
         width: states that it keeps a level.
@@ -74,7 +74,7 @@ def beam_failure(
 
 @dataclass(frozen=True)
 class SearchCounters:
-    """Work that a search has done."""
+    """Work counters of a search."""
 
     states: int = 0
     """Stable states kept."""
@@ -119,7 +119,7 @@ Stop = Callable[[], bool]
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """End of a search, successful or not."""
+    """Result of a search, successful or not."""
 
     outcome: Outcome
     routes: tuple[Route, ...]

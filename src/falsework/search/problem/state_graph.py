@@ -1,4 +1,4 @@
-"""The state graph: states that a search found, with every valid action between them (paper, section 5.1)."""
+"""State graph: the states that a search found, with every valid action between them (paper, section 5.1)."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ FORMAT = "falsework.graph/1"
 
 _ARRAYS = frozenset({"states", "source", "action", "target", "boundary", "start_state", "target_state"})
 _KEYS = {"format", "name", "identity", "robots", "removable_only_if_clear", "fixed", "missing", "postponed"}
-_CHUNK = 1024
+_CHUNK_STATES = 1024
 
 
 def criterion_of(task: Task) -> Criterion:
-    """What stable means for states of a task that was `judged_by` the oracle which found them."""
+    """Return the stability criterion of a task that was `judged_by` an oracle."""
     return "equilibrium" if task.holds_keep_stable else "contact"
 
 
@@ -85,8 +85,8 @@ class StateGraph:
         index = StateIndex(states, state_hash)
         hashes = state_hash(states)
         edges = []
-        for begin in range(0, len(states), _CHUNK):
-            chunk = states[begin : begin + _CHUNK]
+        for begin in range(0, len(states), _CHUNK_STATES):
+            chunk = states[begin : begin + _CHUNK_STATES]
             row, action = np.nonzero(task.moves(chunk, Direction.DISASSEMBLY))
             part = action % task.part_count
             new = task.moved_value(action, Direction.DISASSEMBLY)
@@ -131,11 +131,14 @@ class StateGraph:
         return self._spread(self.task.start, self.source, self.target, downwards=False)
 
     def unseen(self, states: States) -> Mask:
-        """States of this graph that are not among `states`, such as those to test a policy on. Shape (states,)."""
+        """Return states of this graph that are not among `states`, such as those to test a policy on.
+
+        Shape (states,).
+        """
         return StateIndex(np.unique(states, axis=0)).find(self.states) < 0
 
     def valid_actions(self) -> Mask:
-        """Actions that stay inside the graph, shape (states, 2 parts)."""
+        """Return actions that stay inside the graph, shape (states, 2 parts)."""
         mask = np.zeros((len(self.states), 2 * self.task.part_count), dtype=bool)
         mask[self.source, self.action] = True
         return mask
@@ -145,7 +148,7 @@ class StateGraph:
         return int(self.routes_to_target()[self._position(self.task.start)]) if self._has(self.task.start) else 0
 
     def routes_to_target(self) -> NDArray[np.object_]:
-        """Number of action sequences from each state to the target, Python integers, shape (states,)."""
+        """Return the number of action sequences from each state to the target, Python integers, shape (states,)."""
         count = np.zeros(len(self.states), dtype=object)
         if self._has(self.task.target):
             count[self._position(self.task.target)] = 1
@@ -156,13 +159,13 @@ class StateGraph:
         return count
 
     def edges_by_level(self) -> list[slice]:
-        """Edges that leave each level, from the start on; edges are sorted, so each is a slice."""
+        """Return edges that leave each level, from the start on; edges are sorted, so each is a slice."""
         leaving = self.level[self.source]
         bounds = np.searchsorted(leaving, np.arange(self.task.steps + 1))
         return [slice(int(a), int(b)) for a, b in pairwise(bounds)]
 
     def sample_route(self, rng: np.random.Generator) -> Route | None:
-        """A way from start to target, each action drawn evenly from those that can still reach the target."""
+        """Return a way from start to target, each action drawn evenly from those that can still reach the target."""
         if not self._has(self.task.start) or not self.solvable[self._position(self.task.start)]:
             return None
         useful = self.solvable[self.target]
@@ -275,8 +278,8 @@ def _check(graph: StateGraph, path: Path | str) -> None:
     elif (graph.level[graph.target] != graph.level[graph.source] + 1).any():
         damage = "an edge is no legal action"
     else:
-        for begin in range(0, edges, 64 * _CHUNK):
-            rows = slice(begin, begin + 64 * _CHUNK)
+        for begin in range(0, edges, 64 * _CHUNK_STATES):
+            rows = slice(begin, begin + 64 * _CHUNK_STATES)
             after = graph.task.follow(states[graph.source[rows]], graph.action[rows], Direction.DISASSEMBLY)
             if not np.array_equal(after, states[graph.target[rows]]):
                 damage = "an edge does not lead where it says"

@@ -1,4 +1,4 @@
-"""What is to be planned: from which state to which, with how many robots, under which extra rules."""
+"""Planning task: start and target states, number of robots, and extra rules."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STAGE = np.array([2, 0, 1], dtype=np.int64)
 
 
 class Direction(StrEnum):
-    """Which way a search walks through the states between start and target."""
+    """Order in which a search visits the states between start and target."""
 
     DISASSEMBLY = "disassembly"
     """From the start state, by holding and removing; a removal needs a verdict."""
@@ -42,14 +42,14 @@ class Direction(StrEnum):
 
 
 class Clearance(Protocol):
-    """Says which parts have a free way out."""
+    """Clearance of parts: which of them have a free exit direction."""
 
     def can_leave(self, states: States) -> Mask:
         """Shape (batch, parts): part `i` has an exit that no other present part blocks."""
         ...
 
     def doubt(self, parts: Mask) -> str:
-        """Why some of the parts, shape (parts,), may have exits that `can_leave` does not know; empty if none has."""
+        """Explain why the absence of a plan would not be proven; empty if it would be."""
         ...
 
 
@@ -153,7 +153,7 @@ class Task:
         return int(STAGE[self.target].sum() - STAGE[self.start].sum())
 
     def judged_by(self, oracle: object) -> Task:
-        """The same task with the moves that need no verdict under the criterion of an oracle."""
+        """Return the same task with the moves that need no verdict under the criterion of an oracle."""
         return replace(self, holds_keep_stable=bool(getattr(oracle, "holds_keep_stable", False)))
 
     @cached_property
@@ -164,7 +164,7 @@ class Task:
         return self.clearance.doubt((self.start != REMOVED) & (self.target == REMOVED))
 
     def postpone(self, postponed: Sequence[int]) -> Task:
-        """The same task with other lower bounds on when missing parts go in."""
+        """Return the same task with other lower bounds on when missing parts go in."""
         return replace(self, postponed=tuple(int(steps) for steps in postponed))
 
     def origin(self, direction: Direction) -> States:
@@ -176,11 +176,11 @@ class Task:
         return self.target if direction is Direction.DISASSEMBLY else self.start
 
     def steps_done(self, states: States) -> NDArray[np.int64]:
-        """Steps of disassembly between the start and each state, shape (batch,)."""
+        """Return steps of disassembly between the start and each state, shape (batch,)."""
         return STAGE[states].sum(axis=-1) - STAGE[self.start].sum()
 
     def contains(self, states: States) -> Mask:
-        """Which states lie between start and target and obey the rules, stability aside. Shape (batch,)."""
+        """Return whether states lie between start and target and obey the rules, stability aside. Shape (batch,)."""
         stage = STAGE[states]
         between = ((stage >= STAGE[self.start]) & (stage <= STAGE[self.target])).all(axis=-1)
         inside = between & (held_count(states, self.boundary) <= self.robots)
@@ -190,7 +190,7 @@ class Task:
         return inside
 
     def moves(self, states: States, direction: Direction) -> Mask:
-        """Actions that the rules allow from each state, stability aside.
+        """Return actions that the rules allow from each state, stability aside.
 
         Args:
             states: states between start and target, shape (batch, parts).
@@ -204,7 +204,7 @@ class Task:
         return self._backward(states)
 
     def dead_ends(self, states: States, direction: Direction) -> Mask:
-        """States from which the goal is certainly out of reach, stability aside. Shape (batch,).
+        """Return states from which the goal is certainly out of reach, stability aside. Shape (batch,).
 
         In assembly parts only ever get in the way: one that is still to come and has no way in now never will.
         """
@@ -214,12 +214,12 @@ class Task:
         return (to_come & ~self.clearance.can_leave(states)).any(axis=1)
 
     def fixes(self, actions: NDArray[np.integer], direction: Direction) -> Mask:
-        """Which moves fix a part: a hold, and in assembly an insertion with hold. Shape (batch,)."""
+        """Return whether moves fix a part: a hold, and in assembly an insertion with hold. Shape (batch,)."""
         holds = np.asarray(actions) < self.part_count
         return holds if direction is Direction.DISASSEMBLY else ~holds
 
     def needs_verdict(self, actions: NDArray[np.integer], direction: Direction) -> Mask:
-        """Which moves can make a stable state one that is not. Shape (batch,).
+        """Return whether moves can make a stable state unstable. Shape (batch,).
 
         A removal, and in assembly a release, may. Fixing a part leaves every force that balanced the structure
         admissible, so under the criterion `equilibrium` it never does; under `contact` it may, because a part that is
@@ -235,12 +235,12 @@ class Task:
         return np.where(holds, INSTALLED, HELD).astype(np.uint8)
 
     def follow(self, states: States, actions: NDArray[np.integer], direction: Direction) -> States:
-        """States after one move each. Shapes (batch, parts), (batch,)."""
+        """Return states after one move each. Shapes (batch, parts), (batch,)."""
         step = apply_actions if direction is Direction.DISASSEMBLY else undo_actions
         return step(states, actions)
 
     def to_dict(self) -> dict[str, object]:
-        """All that tells this task from another, as plain JSON values."""
+        """Return all that tells this task from another, as plain JSON values."""
         return {
             "identity": self.identity,
             "boundary": np.flatnonzero(self.boundary).tolist(),
@@ -294,7 +294,7 @@ class Task:
         return mask
 
     def _missing_allowed(self, states: States, offset: int) -> NDArray[np.int64]:
-        """How many missing parts may be present `offset` assembly steps after each state, shape (batch,)."""
+        """Return how many missing parts may be present `offset` assembly steps after each state, shape (batch,)."""
         assembled = self.steps - self.steps_done(states) + offset
         return (np.asarray(self.postponed)[None] < assembled[:, None]).sum(axis=1)
 

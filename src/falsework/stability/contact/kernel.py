@@ -1,4 +1,4 @@
-"""The compiled verdict of one state from rest, and of a run of states without the interpreter's lock."""
+"""Compiled verdict under `contact` of one state at rest, and of a run of states without the GIL."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_sti
 
 
 class ContactOptions(NamedTuple):
-    """Numbers that steer the kernel."""
+    """Numerical options of the kernel."""
 
     tolerance: float
     """Largest residual of a state at rest."""
@@ -51,8 +51,9 @@ def build_contact_structure(
     return ContactStructure(
         normal=stiffness * scale,
         tangential=ratio * stiffness * scale,
-        turned_a=np.ascontiguousarray(problem.transfer_a.transpose(0, 2, 1)),
-        turned_b=np.ascontiguousarray(problem.transfer_b.transpose(0, 2, 1)),
+        # Copies even where there is no pair: a read-only view is another type, for which numba would compile all anew.
+        turned_a=np.array(problem.transfer_a.transpose(0, 2, 1), order="C"),
+        turned_b=np.array(problem.transfer_b.transpose(0, 2, 1), order="C"),
         scale=scale,
         reach=assembly.mass.gyration,
         limit=MOVEMENT * structure_size(assembly),
@@ -117,7 +118,7 @@ def write_forces(structure, work, contact, pairs, out):
 
 @nb.njit(cache=True)
 def lacks_contact(work, pairs):
-    """Whether a part that can move touches nothing that is present."""
+    """Return whether a part that can move touches nothing that is present."""
     touched = np.zeros(len(work.free), dtype=np.bool_)
     for p in range(pairs):
         if work.slot_a[p] >= 0:

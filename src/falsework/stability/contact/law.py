@@ -24,7 +24,7 @@ _FACET = math.tan(math.pi / 8)
 
 @nb.njit(inline="always", fastmath=True)
 def gauge(cone, x, y):
-    """Size of a tangential force: at most `mu f_n` inside the cone."""
+    """Return the size of a tangential force: at most `mu f_n` inside the cone."""
     if cone == QUADRATIC:
         return math.sqrt(x * x + y * y)
     u, v = max(abs(x), abs(y)), min(abs(x), abs(y))
@@ -33,7 +33,7 @@ def gauge(cone, x, y):
 
 @nb.njit(inline="always", fastmath=True)
 def gauge_gradient(cone, x, y):
-    """Gradient of `gauge` where it is not zero."""
+    """Return the gradient of `gauge` where it is not zero."""
     if cone == QUADRATIC:
         size = math.sqrt(x * x + y * y)
         return x / size, y / size
@@ -43,7 +43,7 @@ def gauge_gradient(cone, x, y):
 
 @nb.njit(inline="always", fastmath=True)
 def contact_force(cone, mu, n, x, y):
-    """Force of a contact point whose springs alone would give `(n, x, y)`."""
+    """Return the force of a contact point whose springs alone would give `(n, x, y)`."""
     if n <= 0.0:
         return 0.0, 0.0, 0.0
     size, limit = gauge(cone, x, y), mu * n

@@ -1,4 +1,4 @@
-"""Displacement at which contact forces balance the load, by pseudo-transient Newton iterations.
+"""Pseudo-transient Newton iteration for the displacement at which contact forces balance the load.
 
 The method is that of Kelley and Keyes (1998). Each iteration is a linearly implicit Euler step of `du/dt = r(u)`, the
 motion of the structure in a viscous medium, with `r` the wrenches that contacts and load leave. The time step grows as
@@ -35,7 +35,7 @@ _FAR = 10.0
 
 
 class ContactStructure(NamedTuple):
-    """What the criterion adds to a `Structure`: stiffness in scaled variables, and units of displacement."""
+    """Arrays that the criterion adds to a `Structure`: scaled stiffness, and units of displacement."""
 
     normal: NDArray[np.float64]
     """Normal stiffness of each contact point in scaled variables, median 1, shape (points,)."""
@@ -76,7 +76,7 @@ class ContactWork(NamedTuple):
 
 @nb.njit(cache=True)
 def make_contact_work(structure):
-    """Scratch large enough for every state of a structure."""
+    """Return scratch large enough for every state of a structure."""
     n, blocks = len(structure.elimination.order), len(structure.elimination.row)
     points = len(structure.basis)
     return ContactWork(
@@ -143,7 +143,7 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
     ta, tb, block = structure.transfer_a, structure.transfer_b, structure.elimination.pair_block
     pair, slot_a, slot_b = work.pair, work.slot_a, work.slot_b
     diagonal, lower, filled, upper = work.diagonal, work.lower, work.filled, contact.upper
-    local, scratch = np.empty((6, 6)), (np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)))
+    local, scratch = np.empty((1, 6, 6)), np.empty((3, 6, 6))
     for p in range(pairs):
         local[:] = 0.0
         closed, slides = False, False
@@ -168,7 +168,7 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
                 h1 = b1 * k11 + b2 * k21
                 h2 = b1 * k12 + b2 * k22
                 for k in range(6):
-                    local[i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
+                    local[0, i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
         if closed:
             q, a, b = pair[p], slot_a[p], slot_b[p]
             e = block[q]
@@ -179,7 +179,7 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
 
 @nb.njit(fastmath=FAST, cache=True)
 def largest_residual(structure, work, wrench):
-    """Residual of whitened wrenches: the largest acceleration that they cause, times `measure`."""
+    """Return the residual of whitened wrenches: the largest acceleration that they cause, times `measure`."""
     free, order = work.free, structure.elimination.order
     turn, measure = structure.acceleration, structure.measure
     worst = 0.0
@@ -196,7 +196,10 @@ def largest_residual(structure, work, wrench):
 
 @nb.njit(fastmath=FAST, cache=True)
 def largest_movement(structure, contact_structure, work, displacement):
-    """Largest movement of a part in m: of its centre, or of a point one radius of gyration away by its rotation."""
+    """Return the largest movement of a part, m.
+
+    The movement of a part is that of its centre, or of a point one radius of gyration away by its rotation.
+    """
     free, order, turn = work.free, structure.elimination.order, structure.acceleration
     worst = 0.0
     for j in range(len(free)):

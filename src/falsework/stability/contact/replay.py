@@ -22,6 +22,7 @@ from falsework.stability.contact.kernel import ContactOptions
 from falsework.stability.contact.newton import FIRST_STEP, OPEN, RESTS
 from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.solver import ContactSolver
+from falsework.stability.cpu.layout import COMPILED_LAYOUT
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.stiffness import structure_size
@@ -31,7 +32,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ReplaySettings:
-    """How a replay goes about a step; a plan that stands must not hang on these numbers."""
+    """Numerical settings of a replay; the result for a stable plan must not depend on them."""
 
     increments: int = 4
     """Parts in which the load of a robot is taken up when it lets go."""
@@ -56,7 +57,7 @@ class ReplaySettings:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """What a structure remembers of how it was built."""
+    """Contact history of a structure under construction."""
 
     displacement: Array
     """Displacement of each part since it was placed, m and rad, shape (parts, 6)."""
@@ -66,7 +67,7 @@ class History:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """How a sequence of states went in the order of assembly, up to the first that does not come to rest."""
+    """Result of a replay in the order of assembly, up to the first state that does not come to rest."""
 
     stands: NDArray[np.int8]
     """For each state: 1 it comes to rest, -1 parts move away, 0 not decided or not reached; shape (states,)."""
@@ -99,7 +100,7 @@ class Replay:
 
 
 class Replayer:
-    """Replays sequences of states of one structure."""
+    """Contact replay of state sequences of one structure."""
 
     def __init__(
         self,
@@ -129,7 +130,7 @@ class Replayer:
         self._size = structure_size(assembly)
 
     def vary(self, settings: StabilitySettings | None = None, replay: ReplaySettings | None = None) -> Replayer:
-        """A replayer of the same structure under other settings."""
+        """Return a replayer of the same structure under other settings."""
         return Replayer(self.assembly, settings or self.settings, replay or self.replay_settings)
 
     def replay(self, states: ArrayLike, history: History | None = None, *, increments: int | None = None) -> Replay:
@@ -143,7 +144,7 @@ class Replayer:
         Raises:
             StateError: states of the wrong length or with other values.
         """
-        batch = as_states(states, self.assembly.boundary)
+        batch = np.require(as_states(states, self.assembly.boundary), requirements=COMPILED_LAYOUT)
         count, problem = len(batch), self.problem
         displacement, springs = np.zeros((count, problem.parts, 6)), np.zeros((count, problem.points, 3))
         if history is not None:
@@ -196,7 +197,7 @@ class Replayer:
 
 @dataclass(frozen=True)
 class Variation:
-    """A replay under other numbers, and how far it came."""
+    """Replay under other settings, and the number of its stable steps."""
 
     name: str
     good: bool
@@ -204,7 +205,7 @@ class Variation:
 
 
 def variations(settings: StabilitySettings, draws: int) -> list[tuple[str, StabilitySettings, ReplaySettings]]:
-    """Settings of replay on which the answer must not hang, with names.
+    """Return settings of replay on which the answer must not hang, with names.
 
     Args:
         settings: of the verdicts.

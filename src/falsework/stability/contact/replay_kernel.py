@@ -1,4 +1,4 @@
-"""One step of a replay: contacts with history, and robots that let go slowly.
+"""Compiled step of a replay: contacts with history, and gradual release by robots.
 
 Between two steps the structure remembers where its parts are and the spring forces of its contact points. A part comes
 in unstressed. When a robot lets go, or a part is taken away, the wrenches that are missing then are taken up by the
@@ -52,7 +52,7 @@ def _keep_history(structure, contact_structure, work, contact, pairs, displaceme
 
 @nb.njit(cache=True)
 def _movement(contact_structure, displacement, part):
-    """Movement of a part in m, as `largest_movement`."""
+    """Return the movement of a part in m, as `largest_movement`."""
     worst = 0.0
     for r in range(6):
         worst = max(worst, abs(displacement[part, r]) * (1.0 if r < 3 else contact_structure.reach[part]))

@@ -1,4 +1,4 @@
-"""The solver of the criterion `contact` on the processor: batches of states, one state a thread."""
+"""CPU solver of the criterion `contact`: batches of states, one state per thread."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from falsework.assembly.state import INSTALLED, States
 from falsework.stability.contact.kernel import ContactOptions, build_contact_structure, solve_contact_state
 from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, RESTS, make_contact_work
 from falsework.stability.cpu.kernel import solve_state
-from falsework.stability.cpu.layout import build_structure, make_work
+from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure, make_work
 from falsework.stability.cpu.neighbourhood import RINGS, fall_near
 from falsework.stability.cpu.solver import Workers, kernel_options
 from falsework.stability.cpu.termination import STABLE, UNDECIDED, UNSTABLE
@@ -25,7 +25,7 @@ _SLIDES = int(Verdict.SLIDES)
 
 
 class ContactSolver:
-    """Judges batches of states of one structure under the criterion `contact`.
+    """Solver of batches of states of one structure under the criterion `contact`.
 
     A state that differs from its parent is first searched for parts that fall near the difference, with a proof
     (`neighbourhood.py`). Then a displacement is looked for (`newton.py`); where there is one the state is stable. Where
@@ -65,6 +65,9 @@ class ContactSolver:
             displacement of a state that slides is the one at which parts were seen to move away; NaN where there is
             neither that nor rest.
         """
+        states = np.require(states, requirements=COMPILED_LAYOUT)
+        if parents is not None:
+            parents = np.require(parents, requirements=COMPILED_LAYOUT)
         batch, problem = len(states), self.problem
         verdicts = Verdicts.blank(
             batch,

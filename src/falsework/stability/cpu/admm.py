@@ -1,7 +1,7 @@
 """Over-relaxed ADMM on one state, in the form of Douglas and Rachford: one vector `u` a contact point.
 
-With `z = proj_K(u)`, an iteration solves `S w = G (2 z - u) + g` and adds `1.6 (z - u - G^T w)` to `u`
-(DESIGN, section 4). `z` are the forces, `w` the motion.
+With `z = proj_K(u)`, an iteration solves `S w = G (2 z - u) + g` and adds `relaxation (z - u - G^T w)` to `u`
+(docs/how-it-works). `z` are the forces, `w` the motion.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Friction cones inside compiled loops: projection, its derivative, and support.
+"""Compiled projection onto friction cones, and their support functions.
 
 A cone is an integer here, `OCTAGON` or `QUADRATIC`; both have their axis along the normal (first
 coordinate) and slope `mu`. The octagon is the paper's cone (one normal and eight tangential variables,
@@ -22,7 +22,7 @@ _DIAGONAL = math.sqrt(0.5)
 
 @nb.njit(inline="always", fastmath=True)
 def project(cone, n, x, y, mu):
-    """Nearest point of the cone to `(n, x, y)`."""
+    """Return the nearest point of the cone to `(n, x, y)`."""
     if cone == QUADRATIC:
         t = math.sqrt(x * x + y * y)
         if n >= 0.0 and t <= mu * n:
@@ -56,64 +56,8 @@ def project(cone, n, x, y, mu):
 
 
 @nb.njit(inline="always", fastmath=True)
-def project_derivative(cone, n, x, y, mu, rows):
-    """Write rows `r` with `sum r r^T` an element of the generalised Jacobian of `project`; return how many."""
-    if cone == QUADRATIC:
-        t = math.sqrt(x * x + y * y)
-        if n >= 0.0 and t <= mu * n:
-            return _identity(rows)
-        s = (n + mu * t) / (1.0 + mu * mu)
-        if s <= 0.0:
-            return 0
-        f = 1.0 / math.sqrt(1.0 + mu * mu)
-        cx, cy = x / t, y / t
-        rows[0, 0], rows[0, 1], rows[0, 2] = f, f * mu * cx, f * mu * cy
-        bend = math.sqrt(mu * s / t)
-        rows[1, 0], rows[1, 1], rows[1, 2] = 0.0, -bend * cy, bend * cx
-        return 2
-    ax, ay = abs(x), abs(y)
-    u, v = max(ax, ay), min(ax, ay)
-    p = u * _C + v * _S
-    q = v * _C - u * _S
-    k = mu * _C
-    if n >= 0.0 and p <= k * n:
-        return _identity(rows)
-    t = (n + k * p) / (1.0 + k * k)
-    if t > 0.0 and abs(q) <= mu * _S * t:
-        f = 1.0 / math.sqrt(1.0 + k * k)
-        _unfold(rows, 0, f, f * k, 0.0, x, y)
-        _unfold(rows, 1, 0.0, 0.0, 1.0, x, y)
-        return 2
-    t = n + k * p + mu * _S * abs(q)
-    if t <= 0.0:
-        return 0
-    f = 1.0 / math.sqrt(1.0 + mu * mu)
-    _unfold(rows, 0, f, f * k, math.copysign(f * mu * _S, q), x, y)
-    return 1
-
-
-@nb.njit(inline="always")
-def _identity(rows):
-    for i in range(3):
-        for j in range(3):
-            rows[i, j] = 1.0 if i == j else 0.0
-    return 3
-
-
-@nb.njit(inline="always", fastmath=True)
-def _unfold(rows, row, n, p, q, x, y):
-    """Turn `(n, p, q)` in the folded sector of `(x, y)` back into the contact frame."""
-    u, v = p * _C - q * _S, p * _S + q * _C
-    if abs(y) > abs(x):
-        u, v = v, u
-    rows[row, 0] = n
-    rows[row, 1] = u if x >= 0.0 else -u
-    rows[row, 2] = v if y >= 0.0 else -v
-
-
-@nb.njit(inline="always", fastmath=True)
 def support(cone, n, x, y, mu):
-    """Largest value of `n f_n + x f_x + y f_y` over forces of the cone with `f_n = 1`."""
+    """Return the largest value of `n f_n + x f_x + y f_y` over forces of the cone with `f_n = 1`."""
     if cone == QUADRATIC:
         return n + mu * math.sqrt(x * x + y * y)
     ax, ay = abs(x), abs(y)

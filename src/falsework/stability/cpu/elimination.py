@@ -1,4 +1,4 @@
-"""Sparse block elimination of `S`: the order is found once a structure, the numbers once a state.
+"""Sparse block elimination of `S`: symbolic once per structure, numeric once per state.
 
 `S` has one 6 x 6 block row a part that can move, and a block wherever two such parts touch. Removing or
 holding parts only takes rows away, and the fill of a subgraph lies inside the fill of the whole graph
@@ -36,7 +36,7 @@ class Elimination(NamedTuple):
 
 
 def eliminate(problem: Problem) -> Elimination:
-    """Order the parts by minimum degree and find the fill (George and Liu, 1981, chapter 5)."""
+    """Return the order the parts by minimum degree and find the fill (George and Liu, 1981, chapter 5)."""
     removable = np.flatnonzero(~problem.boundary)
     neighbours: dict[int, set[int]] = {int(part): set() for part in removable}
     for a, b in problem.pair_parts.tolist():
@@ -178,49 +178,66 @@ def factor(elimination, free, diagonal, lower, filled):
     return True
 
 
+@nb.njit(inline="always", fastmath=True)
+def eliminate_below(column, row, lower, filled, x, j):
+    """Forward substitution of column `j`: subtract `L_ij x_j` from every later row."""
+    x0, x1, x2, x3, x4, x5 = x[j, 0], x[j, 1], x[j, 2], x[j, 3], x[j, 4], x[j, 5]
+    for e in range(column[j], column[j + 1]):
+        if filled[e]:
+            i = row[e]
+            for r in range(6):
+                x[i, r] -= (
+                    lower[e, r, 0] * x0
+                    + lower[e, r, 1] * x1
+                    + lower[e, r, 2] * x2
+                    + lower[e, r, 3] * x3
+                    + lower[e, r, 4] * x4
+                    + lower[e, r, 5] * x5
+                )
+
+
+@nb.njit(inline="always", fastmath=True)
+def substitute_back(column, row, upper, filled, x, j):
+    """Backward substitution of row `j`: subtract `U_ji x_i`; `upper` holds the blocks `U_ji^T`."""
+    for e in range(column[j], column[j + 1]):
+        if filled[e]:
+            i = row[e]
+            x0, x1, x2, x3, x4, x5 = x[i, 0], x[i, 1], x[i, 2], x[i, 3], x[i, 4], x[i, 5]
+            for c in range(6):
+                x[j, c] -= (
+                    upper[e, 0, c] * x0
+                    + upper[e, 1, c] * x1
+                    + upper[e, 2, c] * x2
+                    + upper[e, 3, c] * x3
+                    + upper[e, 4, c] * x4
+                    + upper[e, 5, c] * x5
+                )
+
+
+@nb.njit(inline="always", fastmath=True)
+def apply_block(diagonal, x, j):
+    """`x[j] = diagonal[j] x[j]`."""
+    x0, x1, x2, x3, x4, x5 = x[j, 0], x[j, 1], x[j, 2], x[j, 3], x[j, 4], x[j, 5]
+    for r in range(6):
+        x[j, r] = (
+            diagonal[j, r, 0] * x0
+            + diagonal[j, r, 1] * x1
+            + diagonal[j, r, 2] * x2
+            + diagonal[j, r, 3] * x3
+            + diagonal[j, r, 4] * x4
+            + diagonal[j, r, 5] * x5
+        )
+
+
 @nb.njit(fastmath=True, cache=True)
 def solve(elimination, free, diagonal, lower, filled, x):
     """Solve `S x = b` in place with the factor made by `factor`; `x` has shape (n, 6)."""
     column, row = elimination.column, elimination.row
     n = len(free)
     for j in range(n):
-        if not free[j]:
-            continue
-        x0, x1, x2, x3, x4, x5 = x[j, 0], x[j, 1], x[j, 2], x[j, 3], x[j, 4], x[j, 5]
-        for e in range(column[j], column[j + 1]):
-            if filled[e]:
-                i = row[e]
-                for r in range(6):
-                    x[i, r] -= (
-                        lower[e, r, 0] * x0
-                        + lower[e, r, 1] * x1
-                        + lower[e, r, 2] * x2
-                        + lower[e, r, 3] * x3
-                        + lower[e, r, 4] * x4
-                        + lower[e, r, 5] * x5
-                    )
-        for r in range(6):
-            x[j, r] = (
-                diagonal[j, r, 0] * x0
-                + diagonal[j, r, 1] * x1
-                + diagonal[j, r, 2] * x2
-                + diagonal[j, r, 3] * x3
-                + diagonal[j, r, 4] * x4
-                + diagonal[j, r, 5] * x5
-            )
+        if free[j]:
+            eliminate_below(column, row, lower, filled, x, j)
+            apply_block(diagonal, x, j)
     for j in range(n - 1, -1, -1):
-        if not free[j]:
-            continue
-        for e in range(column[j], column[j + 1]):
-            if filled[e]:
-                i = row[e]
-                x0, x1, x2, x3, x4, x5 = x[i, 0], x[i, 1], x[i, 2], x[i, 3], x[i, 4], x[i, 5]
-                for c in range(6):
-                    x[j, c] -= (
-                        lower[e, 0, c] * x0
-                        + lower[e, 1, c] * x1
-                        + lower[e, 2, c] * x2
-                        + lower[e, 3, c] * x3
-                        + lower[e, 4, c] * x4
-                        + lower[e, 5, c] * x5
-                    )
+        if free[j]:
+            substitute_back(column, row, lower, filled, x, j)

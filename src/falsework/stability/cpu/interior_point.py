@@ -1,4 +1,4 @@
-"""A primal-dual interior point method on one state, for what ADMM leaves open.
+"""Primal-dual interior point method on one state, for states that ADMM leaves undecided.
 
 It solves `min 1/2 |r|^2 - g.r` over velocities `r` with `G^T r` in the dual cone (the least residual's own
 dual; its multipliers are the contact forces) and converges in some ten steps however degenerate the
@@ -117,7 +117,7 @@ def _step(octagon, mu, x, s, j, target, second, y0, y1, y2, dx, ds):
 
 @nb.njit(inline="always", fastmath=FAST)
 def _to_boundary(x, dx, j):
-    """Largest step along `dx` that stays in the cone `x0 >= |(x1, x2)|`."""
+    """Return the largest step along `dx` that stays in the cone `x0 >= |(x1, x2)|`."""
     a = dx[j, 0] * dx[j, 0] - dx[j, 1] * dx[j, 1] - dx[j, 2] * dx[j, 2]
     b = x[j, 0] * dx[j, 0] - x[j, 1] * dx[j, 1] - x[j, 2] * dx[j, 2]
     c = x[j, 0] * x[j, 0] - x[j, 1] * x[j, 1] - x[j, 2] * x[j, 2]

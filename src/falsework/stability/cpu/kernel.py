@@ -1,4 +1,4 @@
-"""The compiled verdict of one state, and of a run of states without the interpreter's lock.
+"""Compiled verdict of one state, and of a run of states without the GIL.
 
 ADMM settles most states within fifty cheap iterations; the interior point method settles the rest.
 """

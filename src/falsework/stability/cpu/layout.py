@@ -1,4 +1,4 @@
-"""Compiled building blocks: a structure laid out for the processor, and sparse products with its wrench map."""
+"""Kernel arrays of a structure on the CPU, and sparse products with its wrench map."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from falsework.stability.problem import Problem
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 """Freedoms given to the compiler: all of fast mathematics, but NaN and infinity keep their meaning."""
+COMPILED_LAYOUT = ("C", "W")
+"""Contiguous and writable, for `np.require`: for other arrays of states numba would compile the kernels anew."""
 
 
 class Structure(NamedTuple):
@@ -78,7 +80,7 @@ def build_structure(problem: Problem) -> Structure:
 
 
 class Work(NamedTuple):
-    """Scratch of one thread; pairs and points stand in the compact order of the state at hand."""
+    """Scratch memory of one thread; pairs and points are in the compact order of the current state."""
 
     free: NDArray[np.bool_]
     """Which positions can move, shape (n,)."""
@@ -113,7 +115,7 @@ class Work(NamedTuple):
 
 @nb.njit(cache=True)
 def make_work(structure):
-    """Scratch large enough for every state of a structure."""
+    """Return scratch large enough for every state of a structure."""
     n = len(structure.elimination.order)
     blocks = len(structure.elimination.row)
     pairs = len(structure.pair_parts)
@@ -180,7 +182,7 @@ def restrict(structure, state, work):
 
 @nb.njit(inline="always", fastmath=FAST)
 def pair_strain(transfer_a, transfer_b, q, a, b, velocity):
-    """What pair `q` feels of a velocity: relative velocity and rotation at its middle, six numbers.
+    """Compute the relative velocity and rotation at the middle of pair `q`, six numbers.
 
     `a` and `b` are the positions of its parts, -1 where a part is held or boundary.
     """
@@ -233,7 +235,7 @@ def pair_stress(transfer_a, transfer_b, q, a, b, f0, f1, f2, f3, f4, f5, out):
 
 @nb.njit(inline="always", fastmath=FAST)
 def point_strain(basis, j, s0, s1, s2, s3, s4, s5):
-    """Relative velocity of contact point `j` in its frame, given what its pair feels."""
+    """Return relative velocity of contact point `j` in its frame, given what its pair feels."""
     return (
         basis[j, 0, 0] * s0 + basis[j, 1, 0] * s1 + basis[j, 2, 0] * s2
         + basis[j, 3, 0] * s3 + basis[j, 4, 0] * s4 + basis[j, 5, 0] * s5,
@@ -288,7 +290,7 @@ def clear_matrix(work, shift):
 
 @nb.njit(fastmath=FAST, cache=True)
 def dot(work, left, right):
-    """Inner product over the parts that can move."""
+    """Return the inner product over the parts that can move."""
     free = work.free
     total = 0.0
     for j in range(len(free)):

@@ -1,4 +1,4 @@
-"""Look for what falls near the part that changed, before the whole state is judged.
+"""Local instability test: a search for a mechanism near the changed part before the whole state is solved.
 
 A state differs from one that stands in a part or two, and if it falls, something near them falls. So hold
 every part that is more than a few contacts away and judge what is left: if that is unstable, then so is the

@@ -1,4 +1,4 @@
-"""The solver of the equilibrium problem on the processor: batches of states, one state a thread, no BLAS."""
+"""CPU solver of the equilibrium problem: batches of states, one state per thread, no BLAS."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.stability.cpu.kernel import solve_range
-from falsework.stability.cpu.layout import build_structure
+from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import RINGS, solve_range_near
 from falsework.stability.cpu.termination import Options
 from falsework.stability.problem import Problem
@@ -23,7 +23,7 @@ _TASK = 16
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
-    """The settings as the kernel takes them."""
+    """Return the settings as the kernel takes them."""
     cpu = settings.cpu
     return Options(
         rho=cpu.rho,
@@ -37,7 +37,7 @@ def kernel_options(settings: StabilitySettings) -> Options:
 
 
 class Workers:
-    """Threads that share the rows of a batch; compiled code runs in them without the interpreter's lock."""
+    """Threads that share the rows of a batch; compiled code runs in them without the GIL."""
 
     def __init__(self, threads: int | None) -> None:
         """Start as many threads, or one a core."""
@@ -56,7 +56,7 @@ class Workers:
 
 
 class CpuSolver:
-    """Judges batches of states of one structure with compiled code.
+    """Solver of batches of states of one structure with compiled code.
 
     ADMM on the force with one sparse factor a state, then an interior point method for what it leaves open
     (`docs/decisions/0002`). Both stop at the first proof.
@@ -90,6 +90,9 @@ class CpuSolver:
         Returns:
             Verdicts; `UNDECIDED` where neither proof was found within the limits of the settings.
         """
+        states = np.require(states, requirements=COMPILED_LAYOUT)
+        if parents is not None:
+            parents = np.require(parents, requirements=COMPILED_LAYOUT)
         batch, problem = len(states), self.problem
         verdicts = Verdicts.blank(
             batch, points=problem.points if certificates else None, parts=problem.parts if certificates else None

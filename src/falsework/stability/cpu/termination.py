@@ -1,4 +1,4 @@
-"""The two tests that end a solver's iterations, in float64: forces that hold, a velocity that cannot be held.
+"""Termination tests of the solvers in float64: admissible forces in balance, or a velocity that proves instability.
 
 `certificate.py` repeats both from the meshes' contacts alone; these run inside the compiled loop.
 """
@@ -19,7 +19,7 @@ MARGIN = 1e-3
 
 
 class Options(NamedTuple):
-    """Numbers that steer the kernel; see `CpuSettings` for their meaning."""
+    """Numerical options of the kernel; see `CpuSettings` for their meaning."""
 
     rho: float
     relaxation: float
@@ -32,7 +32,7 @@ class Options(NamedTuple):
 
 @nb.njit(fastmath=FAST, cache=True)
 def judge_forces(structure, work, pairs, forces, options, residual):
-    """Residual that forces of the cone leave, or infinity if they exceed the force bound.
+    """Return the residual that forces of the cone leave, or infinity if they exceed the force bound.
 
     Leaves the whitened residual in `residual`.
     """
@@ -60,7 +60,7 @@ def judge_forces(structure, work, pairs, forces, options, residual):
 
 @nb.njit(fastmath=FAST, cache=True)
 def judge_velocity(structure, work, pairs, velocity, options):
-    """Residual that every force of the cone below the bound leaves at least, as proven by a velocity.
+    """Return the residual that every force of the cone below the bound leaves at least, as proven by a velocity.
 
     For forces `f` of the cone with sum of normals at most `U W`, `velocity . (G f + g)` is at least
     `velocity . g - U W max_c support(-G^T velocity)_c`. It is at most the residual, the largest acceleration
@@ -99,7 +99,7 @@ def judge_velocity(structure, work, pairs, velocity, options):
 
 @nb.njit(fastmath=FAST, cache=True)
 def judge(structure, work, pairs, velocity, options):
-    """Verdict on the current forces `work.z` and a velocity, with the residual that it rests on."""
+    """Return the verdict on the current forces `work.z` and a velocity, with the residual that it rests on."""
     worst = judge_forces(structure, work, pairs, work.z, options, work.residual)
     if worst < (1.0 - MARGIN) * options.tolerance:
         return STABLE, worst

@@ -1,4 +1,4 @@
-"""What the criterion `contact` adds to a structure laid out for the GPU kernel."""
+"""Arrays that the criterion `contact` adds to the GPU layout of a structure."""
 
 from __future__ import annotations
 

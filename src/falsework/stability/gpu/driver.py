@@ -1,4 +1,4 @@
-"""The GPU: compiles the kernel for the device at hand, keeps arrays on it, launches on torch's current stream."""
+"""CUDA driver: compilation for the present device, device arrays, and launches on torch's current stream."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ KERNELS = (
 
 
 class Driver(Protocol):
-    """What the solver needs of a device; the tests run the same kernel on the processor behind it."""
+    """Device interface of the solver; the tests run the same kernel on the CPU behind it."""
 
     multiprocessors: int
     shared_limit: int
@@ -69,7 +69,7 @@ class Driver(Protocol):
         ...
 
     def address(self, array: Any) -> int:
-        """Where a device array lies."""
+        """Return the address of a device array."""
         ...
 
     def blocks(self, kernel: str, threads: int, shared: int) -> int:
@@ -84,7 +84,7 @@ class Driver(Protocol):
 
 
 def kernel_source() -> str:
-    """The whole source: C++17, for NVRTC or, with one thread a block, for any other compiler."""
+    """Return the whole source: C++17, for NVRTC or, with one thread a block, for any other compiler."""
     folder = resources.files("falsework.stability.gpu.kernels")
     return "".join(f'#line 1 "{name}"\n{folder.joinpath(name).read_text(encoding="utf-8")}' for name in SOURCES)
 
@@ -123,11 +123,11 @@ class CudaDriver:
         return self._torch.from_numpy(np.require(array, requirements=["C", "W"])).to(self.device)
 
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
-        """Array on the device, contents undefined."""
+        """Return the array on the device, contents undefined."""
         return self._torch.empty(shape, dtype=self._type(dtype), device=self.device)
 
     def zeros(self, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
-        """Array of zeros on the device."""
+        """Return the array of zeros on the device."""
         return self._torch.zeros(shape, dtype=self._type(dtype), device=self.device)
 
     def get(self, array: Any) -> NDArray:
@@ -135,13 +135,13 @@ class CudaDriver:
         return array.cpu().numpy()
 
     def address(self, array: Any) -> int:
-        """Where a device array lies."""
+        """Return the address of a device array."""
         if array.device != self.device or not array.is_contiguous():
             raise InputError(f"an array on {array.device} cannot be used; give a contiguous one on {self.device}")
         return array.data_ptr()
 
     def blocks(self, kernel: str, threads: int, shared: int) -> int:
-        """Blocks of a kernel that the device holds at a time."""
+        """Return blocks of a kernel that the device holds at a time."""
         function = self._function(kernel, shared)
         each = _ask(self._cuda.cuOccupancyMaxActiveBlocksPerMultiprocessor(function, threads, shared))
         return self.multiprocessors * max(each, 1)
@@ -164,7 +164,7 @@ class CudaDriver:
         return getattr(self._torch, np.dtype(dtype).name)
 
     def _function(self, kernel: str, shared: int) -> Any:
-        """A kernel, compiled and loaded at its first use, that may use this much shared memory."""
+        """Return a kernel, compiled and loaded at its first use, that may use this much shared memory."""
         if kernel not in self._functions:
             defines = {**self._defines, "PART": KERNELS.index(kernel)}
             code = compile_kernel(*self._architecture, tuple(sorted(defines.items())))
@@ -212,7 +212,7 @@ def compile_kernel(major: int, minor: int, defines: tuple[tuple[str, int], ...])
 
 
 def _cache_folder() -> Path:
-    """Where compiled kernels are kept: `FALSEWORK_CACHE`, else the user's cache folder."""
+    """Return the folder of compiled kernels: `FALSEWORK_CACHE`, else the user's cache folder."""
     named = os.environ.get("FALSEWORK_CACHE")
     if named:
         return Path(named)
@@ -220,18 +220,18 @@ def _cache_folder() -> Path:
 
 
 def _identity(options: list[str], nvrtc: Any) -> str:
-    """Digest of all that the machine code depends on."""
+    """Return the digest of all that the machine code depends on."""
     text = "\n".join([kernel_source(), *options, str(nvrtc.nvrtcVersion()[1:])])
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def _bindings(name: str) -> Any:
-    """A module of NVIDIA's bindings, which type checkers cannot look into."""
+    """Return a module of NVIDIA's bindings, which type checkers cannot look into."""
     return import_module(f"cuda.bindings.{name}")
 
 
 def _ask(answer: tuple) -> Any:
-    """Result of a call of the driver, or an error with its name."""
+    """Return the result of a call of the driver, or an error with its name."""
     status, *result = answer
     if int(status) != 0:
         raise SolverError(f"CUDA answered {status.name}; update the driver, or use solver='cpu'")

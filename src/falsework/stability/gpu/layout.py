@@ -1,4 +1,4 @@
-"""A structure laid out for the GPU kernel: elimination by levels, contact points in groups, arrays by columns."""
+"""GPU layout of a structure: elimination by levels, contact points in groups, arrays by columns."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class Layout:
     """Movement of a part that falls, m, under the criterion `contact`."""
 
     def kernel_structure(self, addresses: dict[str, int]) -> KernelStructure:
-        """Argument of the kernel, given where each array was put."""
+        """Return the argument of the kernel, given where each array was put."""
         scalars = {name: getattr(self, name) for name in _SCALAR_FIELDS}
         return KernelStructure(**self.sizes, **addresses, **scalars)
 
@@ -140,36 +140,35 @@ class Layout:
         return self.sizes["groups"]
 
     def admm_bytes(self, share: float = 1.0, *, on_chip: bool = True) -> int:
-        """Memory for ADMM on a state with this share of the structure; iterates may stay in registers."""
+        """Return the memory for ADMM on a state with this share of the structure; iterates may stay in registers."""
         n, groups, blocks = self._counts(share)
         points = 0 if on_chip else groups * self.group_size
         return self._index_bytes(share) + 4 * (36 * (n + blocks) + 18 * n + 6 * points) + 96 * groups
 
     def interior_bytes(self) -> int:
-        """Memory for the interior point method on the largest state."""
+        """Return the memory for the interior point method on the largest state."""
         n, blocks = self.sizes["positions"], self.sizes["blocks"]
         return self._index_bytes(1.0) + 2 * self.ancestors + 8 * (36 * (n + blocks) + 30 * n)
 
-    def contact_bytes(self, share: float = 1.0) -> int:
-        """Memory for the Newton iterations under `contact` on a state with this share of the structure."""
-        n, _, ancestors = self._counts(share)
-        blocks = -int(-(share**1.5) * self.sizes["blocks"] // 1)
-        return self._index_bytes(share) + 2 * ancestors + 8 * (36 * (n + 2 * blocks) + 36 * n)
+    def contact_bytes(self) -> int:
+        """Return the memory for the Newton iterations under `contact` on the largest state."""
+        n, blocks = self.sizes["positions"], self.sizes["blocks"]
+        return self._index_bytes(1.0) + 2 * self.ancestors + 8 * (36 * (n + 2 * blocks) + 36 * n)
 
     def contact_near_bytes(self) -> int:
-        """Memory for the same without the matrices, on the largest state."""
+        """Return the memory for the same without the matrices, on the largest state."""
         return self._index_bytes(1.0) + 2 * self.ancestors + 8 * 36 * self.sizes["positions"]
 
     def group_bytes(self) -> int:
-        """Memory for what the interior point method keeps of all groups; the Newton iterations keep less."""
+        """Return the memory for what the interior point method keeps of all groups; the Newton iterations keep less."""
         return self.groups * (self.group_size * 16 + 21 + 12) * 8
 
     def index_bytes(self) -> int:
-        """Memory for the indices of the largest state; a launch must have it before it can turn a state away."""
+        """Return the memory for the indices of the largest state, which every launch needs to reject a state."""
         return self._index_bytes(1.0)
 
     def _counts(self, share: float) -> tuple[int, int, int]:
-        """Nodes, groups and blocks of the inverse factor: parts have fewer ancestors in a smaller state."""
+        """Return nodes, groups and blocks of the inverse factor: parts have fewer ancestors in a smaller state."""
         n, groups = (-int(-share * self.sizes[name] // 1) for name in ("positions", "groups"))
         return n, groups, -int(-(share**1.5) * self.ancestors // 1)
 
@@ -181,7 +180,7 @@ class Layout:
 
 
 def kernel_options(settings: StabilitySettings) -> KernelOptions:
-    """Argument of the kernel from the settings."""
+    """Return the argument of the kernel from the settings."""
     gpu = settings.gpu
     contact = settings.criterion == "contact"
     return KernelOptions(
@@ -198,19 +197,18 @@ def kernel_options(settings: StabilitySettings) -> KernelOptions:
     )
 
 
-def build_layout(problem: Problem, group_size: int | None = None) -> Layout:
+def build_layout(problem: Problem) -> Layout:
     """Lay a problem out for the kernel.
 
     Args:
         problem: the structure.
-        group_size: most contact points of a pair that one thread takes; by default what wastes least.
 
     Raises:
         InputError: the structure has more contacts or fill than the kernel can index.
     """
     pattern = _eliminate(problem)
-    if group_size is None:
-        group_size = min(_GROUP_SIZES, key=lambda size: (size + _GROUP_COST) * len(_groups(problem, size)[0]))
+    # Contact points of a pair that one thread takes: the size that wastes least.
+    group_size = min(_GROUP_SIZES, key=lambda size: (size + _GROUP_COST) * len(_groups(problem, size)[0]))
     first, count, pair = _groups(problem, group_size)
     groups, n = len(first), len(pattern["column"]) - 1
     if max(groups, len(pattern["block_row"]), n) >= _INDEX_LIMIT:
@@ -248,7 +246,7 @@ def build_layout(problem: Problem, group_size: int | None = None) -> Layout:
 
 
 def _eliminate(problem: Problem) -> dict[str, NDArray]:
-    """Symbolic elimination in an order whose tree is shallow, with positions numbered level by level.
+    """Return the symbolic elimination in an order whose tree is shallow, with positions numbered level by level.
 
     Minimum degree, ties broken by the fewest levels below: the fill of minimum degree with a fifth fewer levels
     (vault-62 17 instead of 21, dome-72 24 instead of 30), and levels are what a solve has to wait for.
@@ -311,7 +309,7 @@ def _ancestors(pattern: dict[str, NDArray]) -> int:
 
 
 def _groups(problem: Problem, size: int) -> tuple[NDArray, NDArray, NDArray]:
-    """First point, number of points and pair of every group: pairs cut into even runs of at most `size` points."""
+    """Cut pairs into even groups of at most `size` points; return first point, number of points and pair of each."""
     first, count, pair = [], [], []
     for q in range(problem.pairs):
         start, stop = int(problem.pair_start[q]), int(problem.pair_start[q + 1])
@@ -323,7 +321,7 @@ def _groups(problem: Problem, size: int) -> tuple[NDArray, NDArray, NDArray]:
 
 
 def _lists(keys: NDArray, values: NDArray, count: int) -> tuple[NDArray, NDArray]:
-    """Values by key in compressed rows; negative keys are left out."""
+    """Return values by key in compressed rows; negative keys are left out."""
     keep = keys >= 0
     keys, values = keys[keep], values[keep]
     start = np.concatenate([[0], np.cumsum(np.bincount(keys, minlength=count))])
@@ -333,7 +331,7 @@ def _lists(keys: NDArray, values: NDArray, count: int) -> tuple[NDArray, NDArray
 def _mechanics(
     problem: Problem, first: NDArray, count: NDArray, pair: NDArray, position: NDArray, size: int
 ) -> tuple[dict[str, NDArray], float]:
-    """Masses, arms and contact points, in float64 and where ADMM reads them in float32 too; the unit of length.
+    """Return masses, arms and contact points, in float64 and where ADMM reads them in float32 too; the unit of length.
 
     Lengths are in shares of the mean radius of gyration, masses of the mean mass, accelerations of gravity, so
     that float32 rounds the same numbers whatever the size of the structure.

@@ -1,4 +1,4 @@
-"""The solver on a GPU: batches of states, one state a thread block, on chip until it is proven."""
+"""GPU solver: batches of states, one state per thread block, on chip until proven."""
 
 from __future__ import annotations
 
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
     from falsework.assembly.model import Assembly
 
+_ADMM_SHARES = (0.5, 1.0)
+"""Sizes of state, as shares of the structure, that ADMM has a launch for: small states leave room on a
+multiprocessor for more of them."""
 _STATIC_SHARED = 4 * 1024
 """Shared memory that the kernels have of their own, at most."""
 _CHUNK_BYTES = 2 << 30
@@ -32,12 +35,12 @@ _CHUNK_BYTES = 2 << 30
 
 
 class MemoryWarning(UserWarning):
-    """A batch did not fit into the memory of the GPU and was halved."""
+    """Batch that did not fit into the memory of the GPU and was halved."""
 
 
 @dataclass(frozen=True)
 class _Stage:
-    """One launch of a chain: the states that do not fit on chip go on to the next."""
+    """One launch of a chain: states that do not fit on chip go on to the next."""
 
     kernel: str
     threads: int
@@ -50,7 +53,7 @@ class _Stage:
 
 
 class GpuSolver:
-    """Judges batches of states of one structure on a GPU.
+    """Solver of batches of states of one structure on a GPU.
 
     The same methods as on the processor, with the same certificates. Of the equilibrium problem (`CpuSolver`), ADMM
     iterates in float32, both proofs are found in float64, and an interior point method in float64 takes what ADMM
@@ -300,7 +303,7 @@ class GpuSolver:
         driver, layout = self.driver, self.layout
         needed = -(-max(layout.groups, 1) // 32) * 32
         stages: list[_Stage] = []
-        for share in (1.0,) if few else self.settings.gpu.admm_shares:
+        for share in (1.0,) if few else _ADMM_SHARES:
             threads = min(driver.most_threads, -(-int(share * needed) // 32) * 32)
             shared = min(_aligned(layout.admm_bytes(share)), self._shared_limit)
             if shared >= layout.index_bytes():
@@ -313,7 +316,7 @@ class GpuSolver:
         return stages
 
     def _interior_stages(self) -> list[_Stage]:
-        """The interior point method, on chip as far as it goes: few states take it, so that one launch is best."""
+        """Return the single stage of the interior point method, on chip as far as it fits; few states take it."""
         driver, layout, threads = self.driver, self.layout, self.driver.most_threads
         largest = _aligned(layout.interior_bytes())
         shared = min(largest, self._shared_limit)

@@ -1,4 +1,4 @@
-"""Discrete elements at rest: an explicit dynamic relaxation that decides whether a structure stands.
+"""Discrete elements at rest: explicit dynamic relaxation as an independent test of stability.
 
 Rigid parts touch at the contact points of the structure through normal springs that cannot pull and tangential
 springs with Coulomb friction, whose force is incremental and so remembers how the part has slid (Cundall and Strack
@@ -37,7 +37,7 @@ _LEAST_AREA = 1e-3
 
 @dataclass(frozen=True)
 class DiscreteElementSettings:
-    """Springs, damping, and how long to wait."""
+    """Springs, damping, and the number of steps."""
 
     tangential: float = 0.7
     """Tangential by normal stiffness; Mindlin's theory of elastic spheres gives 0.67 to 1."""
@@ -66,7 +66,7 @@ class DiscreteElementSettings:
 
 @dataclass(frozen=True, eq=False)
 class Settling:
-    """What became of states, one entry a state."""
+    """Results of the relaxation, one entry per state."""
 
     stands: NDArray[np.int8]
     """1 stands, -1 falls, 0 open after the step limit. Shape (states,)."""
@@ -143,7 +143,7 @@ def replay_by_discrete_elements(
 
 
 class _Answers:
-    """Collects what the compiled loop says, in metres."""
+    """Results of the compiled loop, in metres."""
 
     def __init__(self, size: float) -> None:
         self._size = size
@@ -175,7 +175,7 @@ def _redraw(model: Model, gap: Array, friction: Array, settings: DiscreteElement
 
 
 def _model(assembly: Assembly) -> tuple[float, Model]:
-    """Size of a typical part, metres, and the structure measured in it."""
+    """Return the size of a typical part, metres, and the structure measured in it."""
     contacts, mass = assembly.contacts, assembly.mass
     boxes = np.array([np.ptp(mesh.bounds, axis=0) for mesh in assembly.meshes])
     size = float(np.median(boxes.max(axis=1)))

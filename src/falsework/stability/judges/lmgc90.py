@@ -1,4 +1,4 @@
-"""LMGC90 as a judge: non-smooth contact dynamics of rigid polyhedra with an own contact detection (Dubois et al. 2018).
+"""LMGC90 as an independent test: non-smooth contact dynamics of rigid polyhedra (Dubois et al. 2018).
 
 It sees meshes, densities and the coefficient of friction, and finds the contacts itself; of the assembly's contacts
 only the question is asked whether it found them all. Every state is computed in a process of its own, since the Fortran
@@ -58,7 +58,7 @@ _PATIENCE = 600.0
 
 @dataclass(frozen=True)
 class Lmgc90Answer:
-    """What LMGC90 says about one state."""
+    """Result of LMGC90 for one state."""
 
     answer: Literal["stands", "falls", "not judged"]
     moved: float
@@ -155,7 +155,7 @@ def _unjudged(reason: str) -> Lmgc90Answer:
 
 
 def _lost(assembly: Assembly, state: States, found: set[tuple[int, int]]) -> tuple[int, int] | None:
-    """First pair of parts in contact, one of them free, that is not among those found."""
+    """Return the first pair of parts in contact, one of them free, that is not among those found."""
     for a, b in np.unique(assembly.contacts.parts, axis=0):
         acts = REMOVED not in (state[a], state[b]) and INSTALLED in (state[a], state[b])
         if acts and (int(a), int(b)) not in found:
@@ -184,7 +184,7 @@ def _run(folder: Path) -> str:
 
 
 def _error(said: str) -> str:
-    """First error of what was printed with the line after it, or else the last line."""
+    """Return the first error of what was printed with the line after it, or else the last line."""
     lines = [" ".join(line.split()) for line in said.splitlines() if line.strip()]
     first = next((k for k, line in enumerate(lines) if "error" in line.lower()), len(lines) - 1)
     return " ".join(lines[first : first + 2])

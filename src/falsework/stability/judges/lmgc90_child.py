@@ -1,4 +1,4 @@
-"""Child process that lets LMGC90 compute one state; it imports nothing of falsework, so that it starts quickly.
+"""Child process in which LMGC90 computes one state; it imports nothing of falsework and so starts quickly.
 
 `lmgc90.py` runs this file with the folder of `scene.npz`. The answer goes to `answer.json` in the same folder; there is
 none if LMGC90 stops the process.

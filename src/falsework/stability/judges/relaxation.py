@@ -1,4 +1,4 @@
-"""The compiled loop of the discrete elements: explicit steps of unit length until a state rests or has fallen."""
+"""Compiled loop of the discrete elements: explicit steps of unit length until a state rests or has fallen."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def relax(model, state, gap, friction, tangential, damping, ramp, steps):
 
 @nb.njit(cache=True, nogil=True)
 def _active(model, state):
-    """Contacts that act, both parts present and one of them free, and how many points they have."""
+    """Return contacts that act, both parts present and one of them free, and how many points they have."""
     active = np.empty(len(model.parts), np.int64)
     count, points = 0, 0
     for c in range(len(model.parts)):
@@ -140,7 +140,7 @@ def _active(model, state):
 
 @nb.njit(cache=True, nogil=True)
 def _inertia(bodies, side_a, side_b, first, frames, arm_a, arm_b, local, stiff, tangential):
-    """Masses that make a unit step stable, shape (bodies, 6).
+    """Return masses that make a unit step stable, shape (bodies, 6).
 
     Row sums of the absolute stiffness bound the squares of all frequencies by one; a step is stable up to four, of
     which half is used.
@@ -233,7 +233,7 @@ def _contact(va, vb, load_a, load_b, f, ra, rb, local, stiff, gap, slide, begin,
 
 @nb.njit(cache=True, nogil=True)
 def _largest(moved, radius, free):
-    """Largest displacement of a part, and the part."""
+    """Return the largest displacement of a part, and the part."""
     largest, part = -1.0, -1
     for body in range(len(free)):
         u = moved[body]
@@ -246,7 +246,7 @@ def _largest(moved, radius, free):
 
 @nb.njit(cache=True, nogil=True)
 def _balanced(load, weight):
-    """Whether the unbalanced force of every part is small against its weight."""
+    """Return whether the unbalanced force of every part is small against its weight."""
     for body in range(len(weight)):
         for i in range(6):
             if abs(load[body, i]) > _REST * weight[body]:

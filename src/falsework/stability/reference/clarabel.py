@@ -1,4 +1,4 @@
-"""The exact solver: a textbook interior point method on the textbook problem, slow and right (Clarabel).
+"""Exact solver: the textbook equilibrium problem by Clarabel's interior point method; slow and accurate.
 
 It shares nothing with the fast solvers but the wrench maps of `Problem`, and sits in judgement over them in
 tests, in `validate_plan`, and for the few states that they leave undecided.
@@ -38,9 +38,9 @@ _clarabel: Any = clarabel  # its classes come out of a compiled module that type
 
 
 class ExactSolver:
-    """Judges states one at a time, with Clarabel.
+    """Solver of one state at a time with Clarabel.
 
-    First the least-squares problem of DESIGN section 4; its forces prove nearly every stable state, its
+    First the least-squares problem of the residual (docs/how-it-works); its forces prove nearly every stable state, its
     residual nearly every unstable one. What lies between (the least-squares residual is above the tolerance,
     yet other forces might stay below it) is settled by the linear program that minimises the residual of
     `certificate.py` itself, whose dual is the best virtual velocity there is.

@@ -1,4 +1,4 @@
-"""The textbook programs of equilibrium, in a form that any conic solver takes.
+"""Textbook conic programs of equilibrium, in a form that any conic solver takes.
 
 They use nothing but the wrench maps of `Problem`: no scaling, factoring or projection of the fast solvers.
 """
@@ -131,7 +131,7 @@ def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: Claim)
 
 
 def wrench_matrix(problem: Problem, free: Mask, active: Mask) -> sp.csc_matrix:
-    """Wrenches on the free parts per force at the active points, shape (6 free, 3 active)."""
+    """Return wrenches on the free parts per force at the active points, shape (6 free, 3 active)."""
     slot = np.full(problem.parts, -1)
     slot[free] = np.arange(free.sum())
     points = np.flatnonzero(active)
@@ -163,7 +163,7 @@ def into_cone(forces: Array, friction: float, cone: str) -> Array:
 
 
 def without_slip(problem: Problem, free: Mask, active: Mask, velocity: Array) -> Array:
-    """Nearest velocity of the free parts at which no acting contact point slips, shape (free, 6).
+    """Return the nearest velocity of the free parts at which no acting contact point slips, shape (free, 6).
 
     Friction counts the last digits of a slip in full; where it is very large, only a motion without any proves much.
     """
@@ -177,7 +177,7 @@ def without_slip(problem: Problem, free: Mask, active: Mask, velocity: Array) ->
 
 
 def _force_units(problem: Problem, points: int) -> Array:
-    """Forces in N of variables of 1 at every contact point, shape (3 points,).
+    """Return forces in N of variables of 1 at every contact point, shape (3 points,).
 
     Where friction is below 1, tangential variables count in shares of it, so that the cone keeps its slope. Without
     friction their columns vanish, and the cone still says that the normal force is not negative.
@@ -187,7 +187,7 @@ def _force_units(problem: Problem, points: int) -> Array:
 
 
 def _cone_rows(problem: Problem, points: int, cone: str) -> sp.csc_matrix:
-    """Rows `A` that keep variables in the friction cones: `A x <= 0`, or `-A x` in a second-order cone."""
+    """Return rows `A` that keep variables in the friction cones: `A x <= 0`, or `-A x` in a second-order cone."""
     slope = max(problem.friction, 1.0)
     if cone == "quadratic":
         block = -np.diag([slope, 1.0, 1.0])
@@ -202,6 +202,6 @@ def _stack(blocks: list[list]) -> sp.csc_matrix:
 
 
 def _normalised(velocity: Array) -> Array:
-    """Velocities of the free parts with largest entry 1, shape (free, 6)."""
+    """Return velocities of the free parts with largest entry 1, shape (free, 6)."""
     largest = np.abs(velocity).max(initial=0.0)
     return (velocity / largest if largest > 0 else velocity).reshape(-1, 6)

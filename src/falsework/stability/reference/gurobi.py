@@ -1,4 +1,4 @@
-"""The exact solver on Gurobi instead of Clarabel, for those who have it (extra `gurobi`)."""
+"""Exact solver on Gurobi instead of Clarabel (extra `gurobi`)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TOLERANCE = 1e-9  # the smallest that Gurobi takes
 
 
 class GurobiSolver(ExactSolver):
-    """Judges states one at a time, with Gurobi.
+    """Solver of one state at a time with Gurobi.
 
     It asks at once for the smallest residual, which settles every state; with the octagon that is
     a linear program, which the licence that comes with `pip install gurobipy` takes up to 2,000 rows.

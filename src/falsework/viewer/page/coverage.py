@@ -1,4 +1,4 @@
-"""Which states a policy comes through: what it covers of a state graph."""
+"""States of a state graph that a policy completes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What has gone wrong on site, marked by clicking, and the question to the planner that it makes."""
+"""Disruptions on site, marked by clicks, and the replanning request that they make."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Tool(StrEnum):
-    """What a click on a part does."""
+    """Effect of a click on a part."""
 
     LOOK = "look at it"
     MISSING = "mark as missing"
@@ -28,7 +28,7 @@ class Tool(StrEnum):
 
 @dataclass(frozen=True)
 class Disruption:
-    """How things on site differ from the plan."""
+    """Deviations on site from the plan."""
 
     missing: frozenset[int] = frozenset()
     """Parts that have not been delivered."""
@@ -41,7 +41,7 @@ class Disruption:
     robots: int = 2
 
     def toggled(self, tool: Tool, part: int, assembly: Assembly) -> Disruption:
-        """The same with one mark set, or taken away where it was set.
+        """Return the same with one mark set, or taken away where it was set.
 
         Raises:
             InputError: the part is boundary, which nothing can happen to.
@@ -74,7 +74,7 @@ class Disruption:
         return site
 
     def question(self, assembly: Assembly, state: States, direction: Direction) -> dict[str, Any]:
-        """Arguments for `falsework.replanning.replanner.replan`.
+        """Return arguments for `falsework.replanning.replanner.replan`.
 
         Args:
             assembly: the structure.
@@ -105,7 +105,7 @@ class Disruption:
         }
 
     def words(self, assembly: Assembly) -> str:
-        """What is marked, for people; empty if nothing is."""
+        """Describe the marks; empty if there are none."""
         texts = []
         for word, parts in (
             ("missing", self.missing),
@@ -119,7 +119,7 @@ class Disruption:
 
 
 def chance_of_parts(probabilities: np.ndarray) -> np.ndarray:
-    """Probability of the action on each part, NaN where none is legal.
+    """Return the probability of the action on each part, NaN where none is legal.
 
     Args:
         probabilities: of all actions, illegal ones zero, shape (2 parts,).

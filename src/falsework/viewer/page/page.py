@@ -1,4 +1,4 @@
-"""The page in the browser: what viser draws and the controls beside it; all decisions are the model's."""
+"""Interactive page: the viser scene and its controls; all decisions are in the viewer state."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import html
 import io
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -18,12 +18,11 @@ from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import bounds_with_arms
 from falsework.viewer.arrows import KINDS
 from falsework.viewer.page.disruption import Tool
+from falsework.viewer.page.origin_guard import LOCAL, WILDCARDS, OriginGuard, start_server
 from falsework.viewer.page.page_text import about_text, legend_text, marked_text, where_text
 from falsework.viewer.page.scene import SIZE, Scene
 from falsework.viewer.page.viewer_state import Model
 
-LOCAL = ("localhost", "127.0.0.1", "::1")
-"""Hosts that nobody else can reach."""
 FRAMES = 15.0
 """Frames a second of a plan that is played."""
 NO_MORE_THAN = 400
@@ -39,7 +38,7 @@ body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
 
 
 def import_viser() -> Any:
-    """The package that serves the page.
+    """Return the package that serves the page.
 
     Raises:
         DependencyError: it is not installed.
@@ -52,16 +51,18 @@ def import_viser() -> Any:
 
 
 class Page:
-    """One page with one model; every browser that opens it sees the same."""
+    """Browser page of one model, shared by all clients."""
 
-    def __init__(self, model: Model, *, host: str = "127.0.0.1", port: int = 8080, title: str = "") -> None:
+    def __init__(
+        self, model: Model, *, host: str = "127.0.0.1", port: int = 8080, allowed_hosts: Iterable[str] = ()
+    ) -> None:
         """Start to serve.
 
         Args:
             model: what is shown.
             host: address to listen at.
             port: port to listen at; the next free one is taken if it is not free.
-            title: line at the top; the name of the structure if not given.
+            allowed_hosts: names other than `host` under which browsers may open the page.
 
         Raises:
             DependencyError: viser is not installed.
@@ -69,8 +70,7 @@ class Page:
         """
         viser = import_viser()
         try:
-            with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner where results belong
-                self.server = viser.ViserServer(host=host, port=port, verbose=False)
+            self.server = start_server(viser, host, port, OriginGuard(host, allowed_hosts))
         except OSError as error:
             raise InputError(f"cannot listen at {host} port {port} ({error.strerror}); choose another") from None
         self.model = model
@@ -80,7 +80,7 @@ class Page:
         self._playing = threading.Event()
         self._quiet = False
         self.scene = Scene(self.server.scene, model.timeline)
-        self._arrange(title or model.assembly.name)
+        self._arrange()
         self._controls()
         self.server.scene.on_click()(self._clicked)
         self._player = threading.Thread(target=self._play, name="falsework-player", daemon=True)
@@ -95,7 +95,7 @@ class Page:
     @property
     def address(self) -> str:
         """What to type into a browser."""
-        name = "localhost" if self.host in (*LOCAL, "0.0.0.0") else self.host
+        name = "localhost" if self.host in (*LOCAL, *WILDCARDS) else self.host
         return f"http://{name}:{self.port}"
 
     def close(self) -> None:
@@ -110,11 +110,6 @@ class Page:
         """Serve until interrupted."""
         while not self._stop.wait(1.0):
             pass
-
-    def sync(self) -> None:
-        """Bring slider, scene and words up to date after the model was changed from outside."""
-        self._set_slider()
-        self.refresh()
 
     def refresh(self) -> None:
         """Bring scene and words up to date with the model."""
@@ -131,10 +126,10 @@ class Page:
 
     # What the page is made of.
 
-    def _arrange(self, title: str) -> None:
+    def _arrange(self) -> None:
         gui, scene = self.server.gui, self.server.scene
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=(0, 114, 178))
-        gui.set_panel_label(f"falsework: {title}")
+        gui.set_panel_label(f"falsework: {self.model.assembly.name}")
         scene.set_up_direction("+z")
         scene.configure_environment_map(None)
         scene.configure_default_lights(enabled=True, cast_shadow=self.model.assembly.part_count <= 400)
@@ -376,7 +371,7 @@ class Page:
 
 
 def check_host(host: str) -> str | None:
-    """A warning if others can reach the page, None if not.
+    """Return a warning if others can reach the page, None if not.
 
     Raises:
         InputError: the host is empty.

@@ -1,4 +1,4 @@
-"""What the page says in words: where the plan is, what is marked, what is known of a part, what colours mean."""
+"""Texts of the page: plan position, marks, facts about a part, and the colour legend."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from falsework.viewer.timeline import NOBODY
 
 
 def where_text(model: Model, *, ask: bool) -> str:
-    """The step and what it does, in Markdown.
+    """Return the step and what it does, in Markdown.
 
     Args:
         model: what is shown.
@@ -31,13 +31,13 @@ def where_text(model: Model, *, ask: bool) -> str:
 
 
 def marked_text(model: Model) -> str:
-    """Which parts are marked as missing, already there or not to be touched."""
+    """Describe the parts marked as missing, already there or not to be touched."""
     words = model.disruption.words(model.assembly)
     return f"Marked {words}." if words else "Nothing is marked: choose what a click does."
 
 
 def about_text(model: Model) -> str:
-    """A table of what is known of the part that was clicked, in HTML."""
+    """Return a table of what is known of the part that was clicked, in HTML."""
     if model.selected is None:
         return "<div style='margin:0.5em 1em;color:#666'>Click a part to learn about it.</div>"
     rows = "".join(
@@ -49,7 +49,7 @@ def about_text(model: Model) -> str:
 
 
 def legend_text(model: Model, shown: Collection[str]) -> str:
-    """What the colours mean that are in use, in HTML.
+    """Return the legend of the colours in use, in HTML.
 
     Args:
         model: what is shown.

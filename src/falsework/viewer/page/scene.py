@@ -1,4 +1,4 @@
-"""Parts, arrows and arms as nodes of a viser scene: few merged meshes, and only what changed is sent.
+"""Parts, arrows and arms as nodes of a viser scene: few merged meshes with incremental updates.
 
 A node a part would be thousands of draw calls. Instead the parts that stand by themselves are merged by the order in
 which they leave, some dozens to a mesh, so that a step changes one or two meshes and a jump mostly shows and hides
@@ -36,7 +36,7 @@ _SHARP = np.cos(np.radians(25.0))
 
 
 class Scene:
-    """What the browser draws; `show` brings it up to date."""
+    """Browser scene; `show` updates it."""
 
     def __init__(self, scene: Any, timeline: Timeline) -> None:
         """Fill a scene.
@@ -79,11 +79,11 @@ class Scene:
         self._chunk = rank // CHUNK
 
     def place(self, points: Array) -> Array:
-        """From metres to the coordinates of the scene."""
+        """Convert metres to the coordinates of the scene."""
         return (points - self.origin) * self.scale
 
     def ray(self, origin: Sequence[float], direction: Sequence[float]) -> tuple[Array, Array]:
-        """From a ray of the scene to one in metres."""
+        """Convert a ray of the scene to metres."""
         return np.asarray(origin, dtype=float) / self.scale + self.origin, np.asarray(direction, dtype=float)
 
     def show(
@@ -284,7 +284,7 @@ class Scene:
                 self._labels[part] = (words, self._scene.add_label(f"/labels/{part}", words, position=at))
 
     def _fresh(self, name: str, key: bytes) -> bool:
-        """Whether a node must be sent; one that is only hidden is shown again."""
+        """Return whether a node must be sent; one that is only hidden is shown again."""
         if self._shown.get(name) == key:
             return False
         if name in self._nodes and self._nodes[name][0] == key:
@@ -306,7 +306,7 @@ class Scene:
 
 
 def sharp_edges(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> NDArray[np.float32]:
-    """Edges of a mesh at which its surface turns, shape (edges, 2, 3).
+    """Return edges of a mesh at which its surface turns, shape (edges, 2, 3).
 
     Args:
         vertices: shape (vertices, 3); vertices in one place count as one.

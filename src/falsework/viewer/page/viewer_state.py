@@ -1,4 +1,4 @@
-"""What the page shows and what a click does, without any browser: place, selection, marks, proofs, new plans."""
+"""State of the page independent of the browser: position, selection, marks, proofs and new plans."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _PROOFS = 64
 
 @dataclass(frozen=True, eq=False)
 class NewPlan:
-    """What became of a question to the planner."""
+    """Result of a replanning request."""
 
     found: bool
     words: str
@@ -47,7 +47,7 @@ class NewPlan:
 
 
 class Model:
-    """State of one page. Its methods may be called from several threads; each takes the lock for itself."""
+    """State of one page. Its methods are thread-safe: each takes the lock."""
 
     def __init__(
         self,
@@ -133,7 +133,7 @@ class Model:
                 self.place = len(self.timeline) - self.place
 
     def look(self) -> Look:
-        """How all parts are seen now."""
+        """Return the present appearance of all parts."""
         with self.lock:
             disrupted = bool(self.disruption.missing or self.disruption.there)
             marks = self.sliding | dict.fromkeys(self.disruption.fixed, FIXED)
@@ -151,7 +151,7 @@ class Model:
             return look if moment is None or disrupted else look_with_arms(look, moment)
 
     def moment(self) -> Moment | None:
-        """Where the arms are now; None where there are none."""
+        """Return the present arm poses; None where there are no arms."""
         with self.lock:
             return None if self.arms is None else self.arms.at(self.place)
 
@@ -163,7 +163,7 @@ class Model:
         return [int(part) for part in np.flatnonzero(self.site == REMOVED) if part not in self.disruption.missing]
 
     def labels(self, look: Look) -> dict[int, str]:
-        """Short words at parts: who holds them, which one is selected, and what is marked."""
+        """Return short words at parts: who holds them, which one is selected, and what is marked."""
         labels = {int(part): f"R{look.holder[part] + 1}" for part in np.flatnonzero(look.holder != NOBODY)}
         if self.selected is not None:
             name = self.assembly.names[self.selected]
@@ -222,7 +222,7 @@ class Model:
             self.disruption = replace(self.disruption, robots=int(robots))
 
     def about(self, part: int) -> list[tuple[str, str]]:
-        """What there is to know of a part, as pairs of words."""
+        """Return the facts about a part, as pairs of label and text."""
         assembly, timeline = self.assembly, self.timeline
         contacts = assembly.contacts
         mine = np.flatnonzero((contacts.parts == part).any(axis=1))
@@ -252,7 +252,7 @@ class Model:
         return facts
 
     def proof(self) -> StateProof:
-        """Verdict on the state as it is marked, with its proof."""
+        """Return the verdict on the state as it is marked, with its proof."""
         site = self.site
         key = site.tobytes()
         with self.lock:
@@ -291,7 +291,7 @@ class Model:
             return chance_of_parts(np.exp(scores[0]))
 
     def visited(self, rollouts: int = 32) -> States:
-        """States that the policy comes through from the start, greedily and at random. Shape (count, parts)."""
+        """Return states that the policy comes through from the start, greedily and at random. Shape (count, parts)."""
         from falsework.viewer.page.coverage import visited_states
 
         assert self._guide is not None or self.policy is not None

@@ -1,4 +1,4 @@
-"""Pictures of a timeline without a screen: one state, or a contact sheet of some of them."""
+"""Pictures of a timeline without a display: one state, or a contact sheet."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _ARROW = 0.006
 
 
 def solids_of(assembly: Assembly, look: Look) -> list[Solid]:
-    """All parts that are seen, as meshes with their colours."""
+    """Return all parts that are seen, as meshes with their colours."""
     solids = []
     for part in np.flatnonzero(look.opacity > 0):
         mesh = assembly.meshes[part]
@@ -55,7 +55,7 @@ def draw(
     extra: Sequence[Solid] = (),
     samples: int = 3,
 ) -> Image:
-    """Picture of one state.
+    """Return the picture of one state.
 
     Args:
         assembly: the structure.
@@ -89,7 +89,7 @@ def contact_sheet(
     title: str = "",
     proofs: Mapping[int, StateProof] | None = None,
 ) -> Pixels:
-    """Some states of a timeline with their steps, and the legend.
+    """Return some states of a timeline with their steps, and the legend.
 
     Args:
         timeline: what is shown, in its order.
@@ -142,7 +142,7 @@ def one_state(
     marks: Mapping[int, str] | None = None,
     samples: int = 3,
 ) -> Pixels:
-    """Picture of one place of a timeline, with what is done there and the legend.
+    """Return the picture of one place of a timeline, with what is done there and the legend.
 
     Args:
         timeline: what is shown.
@@ -186,7 +186,7 @@ def one_state(
 
 
 def legend(timeline: Timeline, sliding: bool = False) -> list[tuple[str, str]]:
-    """Colour and words of all that a timeline shows; `sliding` if parts are marked that slide."""
+    """Return the colour and words of all that a timeline shows; `sliding` if parts are marked that slide."""
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "stands by itself")]
     for robot in range(min(int(timeline.holders.max(initial=NOBODY)) + 1, len(ROBOTS))):
         entries.append((robot_color(robot), f"held by robot {robot + 1}"))
@@ -196,7 +196,7 @@ def legend(timeline: Timeline, sliding: bool = False) -> list[tuple[str, str]]:
 
 
 def caption(timeline: Timeline, place: int, proof: StateProof | None = None) -> str:
-    """The step that leads to a state, such as `step 3 of 90: hold block-7`, and that it slides or falls if it does."""
+    """Return the caption of a state, such as `step 3 of 90: hold block-7`, with its verdict if it is not stable."""
     verdict = "" if proof is None else f" ({proof.verdict})" if not proof.stable else ""
     if len(timeline) == 0:
         return timeline.assembly.name + verdict
@@ -230,7 +230,7 @@ def bounds_with_ways(timeline: Timeline) -> NDArray[np.float64]:
 
 
 def to_pixels(image: Image) -> Pixels:
-    """An image of floats as bytes."""
+    """Return an image of floats as bytes."""
     return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
@@ -246,7 +246,7 @@ def write_png(path: Path | str, pixels: Pixels) -> None:
 
 
 def import_pillow() -> Any:
-    """The package that writes pictures.
+    """Return the package that writes pictures.
 
     Raises:
         DependencyError: it is not installed.

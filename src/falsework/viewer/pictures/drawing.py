@@ -32,7 +32,7 @@ _LINE = 24.0
 
 
 def flat_axis(assembly: Assembly) -> int:
-    """Axis, 0 for x or 1 for y, along which nothing about a structure changes.
+    """Return axis, 0 for x or 1 for y, along which nothing about a structure changes.
 
     Raises:
         InputError: there is none; the structure is not two-dimensional.
@@ -79,7 +79,7 @@ def drawing(
     key: Sequence[tuple[str, str]] | None = None,
     proofs: Mapping[int, StateProof] | None = None,
 ) -> str:
-    """Line drawings of some states, with the legend, as SVG.
+    """Return the line drawings of some states, with the legend, as SVG.
 
     Args:
         timeline: what is shown.
@@ -169,7 +169,7 @@ def write_svg(path: Path | str, text: str) -> None:
 
 
 def _is_prism(triangles: Array, axis: int) -> bool:
-    """Whether every face of a mesh is parallel or square to an axis."""
+    """Return whether every face of a mesh is parallel or square to an axis."""
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
     along = np.abs(normals[lengths > 0, axis]) / lengths[lengths > 0]

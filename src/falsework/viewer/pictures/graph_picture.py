@@ -1,4 +1,4 @@
-"""The state graph as a picture: one column a step, one row a state, and what a policy covers of it."""
+"""Picture of a state graph: one column per step, one row per state, with the states that a policy visits."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def places_of(graph: StateGraph) -> Array:
 
 
 def covered(graph: StateGraph, visited: States) -> NDArray[np.bool_]:
-    """Which states of a graph are among those that somebody visited.
+    """Return whether each state of a graph is among the visited ones.
 
     Args:
         graph: the graph.
@@ -147,7 +147,7 @@ def write_figure(path: Path | str, figure: Any) -> None:
 
 
 def figure_pixels(figure: Any, dpi: int = 110) -> NDArray[np.uint8]:
-    """A figure as an array, shape (height, width, 3)."""
+    """Return a figure as an array, shape (height, width, 3)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     figure.set_dpi(dpi)

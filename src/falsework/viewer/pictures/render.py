@@ -1,4 +1,4 @@
-"""A small renderer for pictures of blocks: orthographic, with depth buffer, shadows and edges, in software.
+"""Software renderer for pictures of blocks: orthographic, with depth buffer, shadows and edges.
 
 Plotting libraries sort whole polygons by depth, which is wrong for interlocking blocks; a depth buffer is right for
 every pixel. Pictures need no display and no graphics driver.
@@ -46,14 +46,14 @@ class Camera:
         return np.stack([right, np.cross(towards, right), towards])
 
     def fit(self, bounds: Array) -> tuple[float, Array]:
-        """Pixels per metre, and the point in the plane of the picture that is its middle, shape (2,)."""
+        """Return pixels per metre, and the point in the plane of the picture that is its middle, shape (2,)."""
         corners = np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
         flat = corners @ self.axes[:2].T
         low, high = flat.min(0), flat.max(0)
         return self.zoom * min(self.width / (high[0] - low[0]), self.height / (high[1] - low[1])), (low + high) / 2
 
     def project(self, points: Array, bounds: Array) -> Array:
-        """Pixel coordinates of points, x to the right and y down, shape (..., 2)."""
+        """Return pixel coordinates of points, x to the right and y down, shape (..., 2)."""
         scale, center = self.fit(bounds)
         flat = (np.asarray(points) @ self.axes[:2].T - center) * scale
         return np.stack([self.width / 2 + flat[..., 0], self.height / 2 - flat[..., 1]], axis=-1)
@@ -61,7 +61,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Solid:
-    """One mesh and its colour."""
+    """Mesh with one colour."""
 
     vertices: Array
     """Shape (vertices, 3), metres."""
@@ -74,7 +74,7 @@ class Solid:
 
 
 def render(solids: Sequence[Solid], camera: Camera, bounds: Array, *, floor: bool = True, samples: int = 3) -> Image:
-    """Picture of some solids.
+    """Return the picture of some solids.
 
     Args:
         solids: what to show.
@@ -121,7 +121,7 @@ class _Surface:
 
 
 class _Eye:
-    """Draws surfaces for one camera; light and shadows included."""
+    """Renderer of surfaces for one camera, with light and shadows."""
 
     def __init__(self, camera: Camera, bounds: Array, samples: int) -> None:
         self._view = camera.axes
@@ -135,7 +135,7 @@ class _Eye:
         self._reach = float(np.linalg.norm(bounds[1] - bounds[0]))
 
     def draw(self, surface: _Surface, *, floor: bool, behind: Array | None = None) -> tuple[NDArray[np.float32], Array]:
-        """Red, green, blue times opacity, and opacity, shape (height, width, 4), and the depth at each pixel.
+        """Return red, green, blue times opacity, and opacity, shape (height, width, 4), and the depth at each pixel.
 
         Args:
             surface: what to draw.
@@ -170,7 +170,7 @@ class _Eye:
 
 
 def moved(solid: Solid, shift: Array) -> Solid:
-    """The same solid elsewhere; `shift` has shape (3,), metres."""
+    """Return the same solid elsewhere; `shift` has shape (3,), metres."""
     return replace(solid, vertices=solid.vertices + shift)
 
 
@@ -204,7 +204,7 @@ def _average(image, samples):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True)
 def _depth_buffer(triangles, facing, width, height):  # pragma: no cover - compiled
-    """Index of the nearest triangle at each pixel (-1 where there is none) and its depth."""
+    """Return the index of the nearest triangle at each pixel (-1 where there is none) and its depth."""
     face = np.full((height, width), -1, dtype=np.int64)
     depth = np.full((height, width), -np.inf)
     for index in range(len(triangles)):
@@ -242,7 +242,7 @@ def _shade(
     face, depth, normals, owner, colors, view, center, scale, ground, whole, floor,
     light_axes, middle, light_scale, shadow, reach, ink,
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Colours of pixels whose nearest triangle is known: light, shadow and edges."""
+    """Return colours of pixels whose nearest triangle is known: light, shadow and edges."""
     height, width = face.shape
     size = shadow.shape[0]
     image = np.zeros((height, width, 4), dtype=np.float32)

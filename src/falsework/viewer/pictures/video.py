@@ -1,4 +1,4 @@
-"""A timeline as a film: MP4 through the ffmpeg that imageio-ffmpeg brings, or GIF."""
+"""Video of a timeline: MP4 through the ffmpeg of imageio-ffmpeg, or GIF."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def frames_of(
     proofs: Mapping[int, StateProof] | None = None,
     samples: int = 2,
 ) -> Iterator[Pixels]:
-    """Pictures of a film, one after the other.
+    """Yield pictures of a film, one after the other.
 
     Args:
         timeline: what is shown, in its order.
@@ -73,7 +73,7 @@ def frames_of(
 
 
 def frame_places(steps: int, seconds: float, rate: float) -> list[float]:
-    """Places of a timeline that are shown, in steps.
+    """Return places of a timeline that are shown, in steps.
 
     Raises:
         InputError: a step of no length, or no pictures a second.
@@ -158,7 +158,7 @@ def _write_gif(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
 
 
 def _gif_colors() -> NDArray[np.uint8]:
-    """The 256 colours of all frames, so that none flickers: every colour of the scheme in light and shade.
+    """Return the 256 colours of all frames, so that none flickers: every colour of the scheme in light and shade.
 
     Shape (256, 3).
     """

@@ -1,0 +1,481 @@
+"""The tables that `benchmarks/tables.py` makes: which records they show, and in which columns."""
+
+from __future__ import annotations
+
+from tables import Line, Record, Runs, Table, look_up, number, spread
+
+EQUILIBRIUM, CONTACT = "equilibrium", "contact"
+
+
+def quiet(record: Record) -> bool:
+    """Return whether the machine was idle before the run, as far as is known; other runs count, but are not timed."""
+    return record.get("load_before", 0) <= 2
+
+
+def on_gpu(record: Record) -> bool:
+    """Return whether a run was made on a GPU."""
+    return "NVIDIA" in record["device"]
+
+
+def all_states(record: Record) -> bool:
+    """Return whether a policy was evaluated on all states, after training on the states of wide searches on a GPU."""
+    return record["data"] == "wide" and record["evaluated"] == "all states" and on_gpu(record)
+
+
+def earlier_success(_: Runs, earlier: Runs) -> str:
+    """Write the success of all earlier runs."""
+    found = [look_up(run, "test.success") for run in earlier]
+    return f"{spread(found, '%')}, {len(found)} run{'s' if len(found) > 1 else ''}" if found else ""
+
+
+def behind(runs: Runs, _: Runs) -> str:
+    """Write whether a policy is ahead of the paper's."""
+    ours, paper = look_up(runs[0], "test.success"), look_up(runs[0], "paper.test")
+    return f"{'ahead' if ours > paper else 'behind'} by {number(abs(ours - paper), '%')}"
+
+
+def times(over: str, under: str) -> str:
+    """Return a template for the quotient of two times, which are figures of one record."""
+    return f"{{{over}/{under}}}"
+
+
+STRUCTURE = (("structure", "{structure}"),)
+STRUCTURE_AND_ROBOTS = (("structure", "{structure}"), ("robots", "{robots}"))
+PUBLISHED = "{shared_inverse.ms_a_state}"
+
+TABLES = {
+    "plans": Table(
+        "contact",
+        STRUCTURE,
+        (
+            ("plan with proofs and replay, s", "{seconds}"),
+            ("without proofs and last replay, s", "{seconds_before_replay}"),
+            ("verdicts", "{verdicts}"),
+            ("states of the plans that fail the replay", "{states_that_fail_the_replay} of {states}"),
+        ),
+        benchmark="contact plan",
+        where=quiet,
+    ),
+    "contact-verdicts": Table(
+        "contact",
+        STRUCTURE,
+        (
+            ("states", "{asked}"),
+            ("contact, ms a state", "{ms_each.contact}"),
+            ("equilibrium, ms a state", "{ms_each.equilibrium}"),
+            ("ratio", "{ratio}"),
+            ("repetitions", "{repeat}"),
+            ("one verdict without a neighbour, ms", "{cold_ms}"),
+        ),
+        benchmark="contact verdicts",
+        where=quiet,
+    ),
+    "replays": Table(
+        "contact",
+        STRUCTURE,
+        (("states", "{states}"), ("replay of a plan, s", "{seconds}"), ("repetitions", "{repeat}")),
+        benchmark="contact replay",
+        where=quiet,
+    ),
+    "agreement": Table(
+        "stability",
+        STRUCTURE,
+        (
+            ("same verdict as the exact solver", "{agree} of {states}"),
+            ("certificates accepted", "{accepted} of {states}"),
+            ("undecided", "{undecided}"),
+        ),
+        benchmark="stability verdicts",
+    ),
+    "stability": Table(
+        "stability",
+        STRUCTURE,
+        (
+            ("ms a state", "{milliseconds}"),
+            ("exact solver, one core, ms a state", "{exact_milliseconds}"),
+            ("ratio, with a neighbouring state", "{speedup}"),
+            ("ratio, without", "{speedup_alone}"),
+        ),
+        benchmark="stability verdicts",
+        where=quiet,
+    ),
+    "cold": Table(
+        "stability",
+        STRUCTURE,
+        (("one verdict without a neighbour, ms", "{verdict_milliseconds}"),),
+        benchmark="stability cold",
+        where=quiet,
+    ),
+    "search-plans": Table(
+        "search",
+        (*STRUCTURE, ("criterion", "{criterion}")),
+        (("meshes to proven plan, s", "{seconds}"), ("search, s", "{search_seconds}"), ("verdicts", "{verdicts}")),
+        benchmark="search plan",
+        where=quiet,
+    ),
+    "state-graphs": Table(
+        "search",
+        (*STRUCTURE, ("width", "{width}")),
+        (("states", "{states}"), ("not found at width 64", "{unseen}"), ("paper", "{paper}")),
+        benchmark="search graph",
+    ),
+    "contacts": Table("contacts", STRUCTURE, (("contacts, s", "{seconds}"),), where=quiet),
+    "clearance": Table(
+        "clearance",
+        (*STRUCTURE, ("directions", "{directions}")),
+        (("clearance table, s", "{seconds}"),),
+        where=quiet,
+    ),
+    "scaling": Table(
+        "scaling",
+        (("parts", "{parts}"),),
+        (
+            ("contact points", "{contact_points}"),
+            ("contacts, s", "{contacts_s}"),
+            ("problem, s", "{problem_s}"),
+            ("verdict with proof, s", "{verdict_s}"),
+            ("memory, GiB", "{memory_gib}"),
+        ),
+        where=quiet,
+    ),
+    "scaling-exponents": Table(
+        "scaling",
+        (("", "fitted exponent"),),
+        (
+            ("contacts", "{exponent.contacts_s}"),
+            ("problem", "{exponent.problem_s}"),
+            ("verdict with proof", "{exponent.verdict_s}"),
+            ("memory", "{exponent.memory_gib}"),
+        ),
+        benchmark="scaling fit",
+        where=quiet,
+    ),
+    "gpu-stability": Table(
+        "gpu_stability",
+        (*STRUCTURE, ("states", "{states} {drawn_from}")),
+        (
+            ("device time, batches of 1,024, ms a state", "{ms_a_state.1024}"),
+            ("of 16,384", "{ms_a_state.16384}"),
+            ("whole call with certificates, 1,024, ms a state", "{check_ms.1024}"),
+            ("published method, re-implemented, ms a state", PUBLISHED),
+            ("ratio of device times", times("shared_inverse.ms_a_state", "ms_a_state.1024")),
+            ("ratio of whole calls", times("shared_inverse.ms_a_state", "check_ms.1024")),
+            ("wrong: published method", "{shared_inverse.wrong} of {shared_inverse.states}"),
+            ("same verdict as on the processor", "{same_as_cpu} of {states}"),
+        ),
+        where=lambda record: bool(record.get("shared_inverse")),
+    ),
+    "gpu-published": Table(
+        "gpu_stability",
+        STRUCTURE,
+        (
+            ("published implementation, ms a state", "{published_ms}"),
+            ("device time, batches of 1,024, ms a state", "{ms_a_state.1024}"),
+            ("ratio", "{ratio.1024}"),
+            ("ratio in batches of 256", "{ratio.256}"),
+        ),
+        benchmark="gpu_stability published",
+    ),
+    "gpu-errors": Table(
+        "gpu_stability",
+        (("states", "{states}"),),
+        (
+            ("wrong: falsework", "{wrong}"),
+            ("published implementation, the paper's settings", "{published_wrong}"),
+            ("published implementation, its defaults", "{published_wrong_defaults}"),
+        ),
+        benchmark="gpu_stability published-errors",
+    ),
+    "gpu-criteria": Table(
+        "gpu_stability",
+        (*STRUCTURE, ("criterion", "{criterion}")),
+        (
+            ("batches of 1,024, ms a state", "{ms_a_state.1024}"),
+            ("of 4,096", "{ms_a_state.4096}"),
+            ("of 16,384", "{ms_a_state.16384}"),
+            ("same verdict as on the processor", "{same_as_cpu} of {states}"),
+            ("undecided", "{verdicts.undecided}"),
+        ),
+        where=lambda record: record.get("cone") == "quadratic",
+    ),
+    "gpu-counters": Table(
+        "gpu_stability",
+        (*STRUCTURE, ("method", "{method}")),
+        (
+            ("ms for 16,384 states", "{ms}"),
+            ("TFLOP/s", "{tflop_per_s}"),
+            ("% of the measured ceiling", "{percent_of_ceiling}"),
+            ("% of issue slots", "{percent_of_issue_slots}"),
+            ("% of warps resident", "{percent_of_warps}"),
+            ("device memory, MB", "{memory_mb}"),
+        ),
+        benchmark="gpu_stability counters",
+    ),
+    "gpu-search": Table(
+        "gpu_search",
+        (*STRUCTURE, ("width", "{width}"), ("GPUs", "{processes}")),
+        (("seconds", "{seconds}"), ("verdicts", "{asked}"), ("states kept", "{states}")),
+    ),
+    "policies": Table(
+        "learning",
+        (*STRUCTURE_AND_ROBOTS, ("criterion", "{criterion}")),
+        (
+            ("unseen states", "{test.states}"),
+            ("success, %", "{test.success:%}"),
+            ("seconds, data included", "{seconds}"),
+            ("success in earlier runs, %", earlier_success),
+            ("paper, %", "{paper.test:%}"),
+            ("paper, hours", "{paper.hours}"),
+        ),
+        benchmark="learning table3",
+        where=all_states,
+    ),
+    "data-collection": Table(
+        "learning",
+        (*STRUCTURE_AND_ROBOTS, ("criterion", "{criterion}")),
+        (("collecting data, s", "{data_seconds}"), ("states", "{states_learned_from}")),
+        benchmark="learning data",
+    ),
+    "policies-short": Table(
+        "train",
+        (*STRUCTURE_AND_ROBOTS, ("criterion", "{criterion}")),
+        (("success, %", "{test.success:%}"), ("unseen states", "{test.states}"), ("seconds", "{seconds}")),
+    ),
+    "policies-paper-data": Table(
+        "learning",
+        STRUCTURE_AND_ROBOTS,
+        (
+            ("unseen states, %", "{test.success:%}"),
+            ("paper, %", "{paper.test:%}"),
+            ("percentage points", behind),
+            ("training states, %", "{train.success:%}"),
+            ("seconds", "{seconds}"),
+        ),
+        benchmark="learning table3",
+        where=lambda record: record["data"] == "width64",
+    ),
+    "pairs": Table(
+        "learning",
+        STRUCTURE,
+        (
+            ("unseen pairs, %", "{test.success:%}"),
+            ("uniformly random legal actions, %", "{random:%}"),
+            ("training pairs, %", "{train.success:%}"),
+            ("seconds", "{seconds}"),
+        ),
+        benchmark="learning table4",
+        where=lambda record: record["two_states"] and record.get("evaluated") == "all unseen pairs" and on_gpu(record),
+    ),
+    "pairs-not-told": Table(
+        "learning",
+        STRUCTURE,
+        (("unseen pairs, %", "{test.success:%}"), ("training pairs, %", "{train.success:%}")),
+        benchmark="learning table4",
+        where=lambda record: not record["two_states"],
+    ),
+    "networks": Table(
+        "learning",
+        (("network", "{policy}"), ("device", "{device}")),
+        (
+            ("unseen states, %", "{test.success:%}"),
+            ("training states, %", "{train.success:%}"),
+            ("optimizer steps", "{steps}"),
+            ("seconds", "{seconds}"),
+        ),
+        benchmark="learning table5",
+    ),
+    "network-cost": Table(
+        "policies",
+        (("network", "{kind}"), ("structure", "{structure}")),
+        (
+            ("layers", "{layers}"),
+            ("channels", "{channels}"),
+            ("weights", "{parameters}"),
+            ("operations a state, forward", "{flops_forward}"),
+        ),
+        benchmark="policies cost",
+    ),
+    "network-speed": Table(
+        "policies",
+        (("network", "{kind}"), ("compiled", "{compiled}")),
+        (
+            ("evaluated, states/s", "{states_per_second.evaluated}"),
+            ("trained on, states/s", "{states_per_second.trained}"),
+            ("memory, GB", "{memory_gb}"),
+        ),
+        benchmark="policies speed",
+    ),
+    "transfer": Table(
+        "policies",
+        (("network", "{kind}"), ("trained on", "{source}"), ("asked about", "{target}")),
+        (
+            ("its unseen states, %", "{test_success:%}"),
+            ("its training states, %", "{train_success:%}"),
+            ("unseen, fine-tuned, %", "{fine_tuned_success:%}"),
+        ),
+        benchmark="policies transfer",
+    ),
+    "environment": Table(
+        "environment",
+        (*STRUCTURE, ("work", "{row}"), ("processes", "{processes}")),
+        (
+            ("environment steps/s", "{steps_a_second}"),
+            ("environments at once", "{rollouts_at_once}"),
+            ("times MaskablePPO of sb3-contrib", "{times_sb3}"),
+        ),
+    ),
+    "replanning": Table(
+        "replan",
+        (*STRUCTURE, ("device", "{device}")),
+        (
+            ("median, s", "{seconds.1}"),
+            ("slowest, s", "{seconds.3}"),
+            ("with a plan", "{found} of {asked}"),
+            ("paper, s", "{paper_seconds}"),
+        ),
+        benchmark="replan complete",
+        where=quiet,
+    ),
+    "replanning-midway": Table(
+        "replan",
+        STRUCTURE,
+        (
+            ("median, s", "{seconds.1}"),
+            ("95 %, s", "{seconds.2}"),
+            ("slowest, s", "{seconds.3}"),
+            ("with a plan", "{found} of {asked}"),
+        ),
+        benchmark="replan midway",
+        where=quiet,
+    ),
+    "replanning-batch": Table(
+        "replan",
+        (*STRUCTURE, ("requests together", "{together}")),
+        (("answers/s", "{answers_per_second}"),),
+        benchmark="replan batch",
+        where=quiet,
+    ),
+    **{
+        f"service-{what}": Table(
+            "service",
+            STRUCTURE,
+            (
+                ("requests/s", "{per_second}"),
+                ("scheduled", "{scheduled_per_second}"),
+                ("errors", "{errors}"),
+                ("p50, s", "{p50}"),
+                ("p99, s", "{p99}"),
+                ("slowest, s", "{max}"),
+                ("with a plan", "{outcomes.found} of {requests}"),
+                ("cores used", "{cores}"),
+            ),
+            benchmark=f"service {what}",
+            where=lambda record: record["kind"] in ("all", "200 ms") and quiet(record),
+        )
+        for what in ("replan", "stability", "deadline")
+    },
+    "motion": Table(
+        "motion",
+        (("cell", "{cell}"), ("shapes", "{shapes}")),
+        (
+            ("configurations/s", "{ours_per_second}"),
+            ("Pinocchio and Coal, configurations/s", "{coal_per_second}"),
+            ("missed collisions", "{missed} of {compared}"),
+            ("too careful", "{too_careful}"),
+        ),
+        benchmark="motion checks",
+    ),
+    **{
+        f"motion-{what}": Table(
+            "motion",
+            (("cell", "{cell}"),),
+            (
+                ("found", "{found} of {plans}"),
+                ("median, ms", "{ours_ms_median}"),
+                ("95 %, ms", "{ours_ms_95}"),
+                ("OMPL, found", "{ompl_found} of {ompl_plans}"),
+                ("OMPL, median, ms", "{ompl_ms_median}"),
+                ("OMPL, 95 %, ms", "{ompl_ms_95}"),
+            ),
+            benchmark=f"motion plan {what}",
+        )
+        for what in ("free", "carried")
+    },
+    "robots": Table(
+        "robots",
+        (("cell", "{cell}"), ("arms", "{robots}"), ("policy as guide", "{guided}")),
+        (
+            ("found", "{found} of {runs}"),
+            ("passed the independent check", "{checked_good} of {runs}"),
+            ("median, s", "{seconds}"),
+            ("paper, s", "{paper_seconds}"),
+        ),
+        where=lambda record: "checked_good" in record and quiet(record),
+    ),
+    "viewer": Table("viewer", (("parts", "{parts}"),), (("one step of the page, ms", "{step_ms}"),), "viewer page"),
+}
+
+HEADLINE = (
+    Line(
+        "Plan for vault-62 with two robots, every state proven, the whole plan replayed",
+        "contact",
+        {"benchmark": "contact plan", "structure": "vault-62"},
+        "{seconds:s}",
+    ),
+    Line(
+        "The same for dome-72",
+        "contact",
+        {"benchmark": "contact plan", "structure": "dome-72"},
+        "{seconds:s}",
+    ),
+    Line(
+        "A verdict of vault-62 on a GPU, device time, batches of 1,024 (`equilibrium`)",
+        "gpu_stability",
+        {"benchmark": "gpu_stability", "structure": "vault-62", "drawn_from": "states that a search asks about"},
+        "{ms_a_state.1024:ms}, {same_as_cpu} of {states} verdicts as on the processor",
+        "published method, re-implemented: {shared_inverse.ms_a_state} ms, "
+        "{shared_inverse.wrong} of {shared_inverse.states} wrong",
+    ),
+    Line(
+        "The same, whole call with certificates",
+        "gpu_stability",
+        {"benchmark": "gpu_stability", "structure": "vault-62", "drawn_from": "states that a search asks about"},
+        "{check_ms.1024:ms}",
+        "{shared_inverse.ms_a_state/check_ms.1024} times less than the re-implemented method",
+    ),
+    Line(
+        "Device time beside the published implementation, in another run",
+        "gpu_stability",
+        {"benchmark": "gpu_stability published", "structure": "vault-62"},
+        "{ms_a_state.1024:ms}",
+        "{published_ms:ms}",
+    ),
+    Line(
+        "Wrong verdicts in that run, states of five structures",
+        "gpu_stability",
+        {"benchmark": "gpu_stability published-errors"},
+        "{wrong} of {states}",
+        "{published_wrong} of {states} with the paper's settings, {published_wrong_defaults} with the defaults",
+    ),
+    Line(
+        "Policy for vault-62, success from unseen states, criterion `contact`",
+        "learning",
+        {"benchmark": "learning table3", "structure": "vault-62", "robots": 2, "criterion": CONTACT},
+        "{test.success:%} % of {test.states} after {seconds} s",
+        "paper, under equilibrium: {paper.test:%} % after {paper.hours} hours",
+    ),
+    Line(
+        "The same for dome-72, criterion `equilibrium`",
+        "learning",
+        {"benchmark": "learning table3", "structure": "dome-72", "data": "wide", "evaluated": "all states"},
+        "{test.success:%} % of {test.states} after {seconds} s",
+        "paper: {paper.test:%} % after {paper.hours} hours",
+    ),
+    Line(
+        "Policy for vault-62 trained on the paper's own data, criterion `equilibrium`",
+        "learning",
+        {"benchmark": "learning table3", "structure": "vault-62", "robots": 2, "data": "width64"},
+        "{test.success:%} %",
+        "paper: {paper.test:%} %",
+    ),
+)

@@ -1,0 +1,257 @@
+"""The tables of README, documentation and RESULTS.md, made from `benchmarks/results/*.jsonl`: `make results`.
+
+    python benchmarks/tables.py            # fill every block
+    python benchmarks/tables.py --list     # names of the tables
+
+A page holds a table between `<!-- results: NAME -->` and `<!-- /results -->`. A row gathers the runs of one subject at
+the newest commit that has them: the median over runs, with the range in brackets. Numbers have three digits,
+from 10 on four, percentages two decimals.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+RESULTS = REPOSITORY / "benchmarks" / "results"
+PAGES = (
+    REPOSITORY / "README.md",
+    REPOSITORY / "benchmarks" / "RESULTS.md",
+    *sorted(path for path in (REPOSITORY / "docs").rglob("*.md") if not path.parent.name.startswith("_")),
+)
+BLOCK = re.compile(r"(<!-- results: ([\w-]+) -->\n).*?(<!-- /results -->)", re.DOTALL)
+
+Record = dict[str, Any]
+Runs = Sequence[Record]
+"""Records of one row."""
+
+
+@cache
+def records(source: str) -> tuple[Record, ...]:
+    """Return all records of a file, the oldest first."""
+    lines = (RESULTS / f"{source}.jsonl").read_text(encoding="utf-8").splitlines()
+    return tuple(json.loads(line) for line in lines)
+
+
+def look_up(record: Record, path: str) -> Any:
+    """Return the value at a path such as `test.success`; None where there is none."""
+    value: Any = record
+    for word in path.split("."):
+        if isinstance(value, list) and word.isdigit():
+            value = value[int(word)] if int(word) < len(value) else None
+        else:
+            value = value.get(word) if isinstance(value, dict) else None
+    return value
+
+
+def number(value: float, form: str = "") -> str:
+    """Write a number: three digits, four from 10 on, percentages (form `%`) with two decimals, no trailing zeros."""
+    if form == "%":
+        return f"{100 * value:.2f}".rstrip("0").rstrip(".")
+    if isinstance(value, int) or abs(value) >= 100:
+        return f"{value:,.0f}"
+    text = f"{value:.{3 if abs(value) < 10 else 4}g}"
+    return f"{value:.6f}".rstrip("0") if "e" in text else text
+
+
+def spread(values: Sequence[float], form: str = "") -> str:
+    """Write the median with its unit (any form but `%`) and the range, the range only where it is one."""
+    low, middle, high = (number(value, form) for value in (min(values), median(values), max(values)))
+    unit = "" if form in ("", "%") else f" {form}"
+    return middle + unit if low == high else f"{middle}{unit} ({low} to {high})"
+
+
+def typical(value: Any) -> float | None:
+    """Return a figure, or the median of several."""
+    return median(value) if isinstance(value, list) else value
+
+
+def figure(runs: Runs, path: str, form: str = "") -> str:
+    """Write the figure at a path, or the quotient of two, over some runs; empty where no run has it."""
+    if "/" in path:
+        over, under = (typical(look_up(runs[-1], one)) for one in path.split("/"))
+        return "" if over is None or under is None else number(over / under)
+    found = [value for value in (look_up(run, path) for run in runs) if value is not None]
+    if not found:
+        return ""
+    if isinstance(found[0], str | bool):
+        found = [one if isinstance(one, str) else "yes" if one else "no" for one in found]
+        return ", ".join(dict.fromkeys(found))
+    if isinstance(found[0], dict) and "median" in found[0]:
+        if len(found) > 1:
+            return spread([value["median"] for value in found], form)
+        if "least" in found[0]:
+            return spread([found[0]["least"], found[0]["median"], found[0]["most"]], form)
+        most = found[0].get("most")
+        return number(found[0]["median"], form) + ("" if most is None else f" (worst {number(most, form)})")
+    return spread([one for value in found for one in (value if isinstance(value, list) else [value])], form)
+
+
+def fill_in(template: str, runs: Runs) -> str:
+    """Put figures into a template such as `{agree} of {states}`; empty where one is missing."""
+    found = [figure(runs, *match.split(":")) for match in re.findall(r"{([^}]*)}", template)]
+    return "" if not all(found) else re.sub(r"{[^}]*}", lambda _: found.pop(0), template)
+
+
+def seeds(runs: Runs) -> str:
+    """Write how many seeds were run; empty where it is not known or nothing is random."""
+    count = sum(len(run["seeds"]) for run in runs)
+    return str(count) if count else ""
+
+
+def notes(runs: Runs) -> str:
+    """Write what a reader must know of the runs: notes, shared machines, missing origins."""
+    found = [run["note"] for run in runs if run.get("note")]
+    loads = [run["load_before"] for run in runs if run.get("load_before", 0) > 1]
+    if loads:
+        found.append(f"shared machine, load {number(max(loads))}")
+    if any(run["command"] is None for run in runs):
+        found.append("no command kept")
+    return "; ".join(dict.fromkeys(found))
+
+
+def commits(runs: Runs) -> str:
+    """Write the commits of some runs."""
+    return ", ".join(dict.fromkeys(run["commit"] or "not recorded" for run in runs))
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with a row for each subject, from the runs at the newest commit that has it."""
+
+    source: str
+    """Name of the file of records."""
+    key: tuple[tuple[str, str], ...]
+    """Head and template of the columns that say what a row is about."""
+    columns: tuple[tuple[str, str | Callable[[Runs, Runs], str]], ...]
+    """Head, and template or function of the runs of a row and of all earlier runs of the same subject."""
+    benchmark: str = ""
+    """Of the records; the name of the file if empty."""
+    where: Callable[[Record], bool] = lambda _: True
+    """Which records belong to the table."""
+
+    def rows(self) -> list[tuple[Runs, Runs]]:
+        """Return the newest and the earlier runs of each subject, in the order of their first records."""
+        groups: dict[tuple[str, ...], list[Record]] = {}
+        for record in records(self.source):
+            if record["benchmark"] == (self.benchmark or self.source) and self.where(record):
+                groups.setdefault(tuple(fill_in(template, [record]) for _, template in self.key), []).append(record)
+        found = []
+        for runs in groups.values():
+            newest = [run for run in runs if run["commit"] == runs[-1]["commit"]]
+            found.append((newest, [run for run in runs if run["commit"] != runs[-1]["commit"]]))
+        return found
+
+    def text(self, page: Path) -> str:
+        """Return the table as Markdown, with its devices and a link to its data."""
+        rows = self.rows()
+        heads = [head for head, _ in (*self.key, *self.columns)]
+        body = [
+            [fill_in(template, runs) for _, template in self.key]
+            + [column(runs, earlier) if callable(column) else fill_in(column, runs) for _, column in self.columns]
+            + [seeds(runs), commits(runs), notes(runs)]
+            for runs, earlier in rows
+        ]
+        used = [run for runs, _ in rows for run in runs]
+        return markdown([*heads, "seeds", "commit", "note"], body) + "\n\n" + origin(used, (self.source,), page)
+
+
+def markdown(heads: Sequence[str], body: Sequence[Sequence[str]]) -> str:
+    """Write a table without its empty columns."""
+    shown = [n for n in range(len(heads)) if any(row[n] for row in body)]
+    lines = [[heads[n] for n in shown], ["---"] * len(shown), *([row[n] for n in shown] for row in body)]
+    return "\n".join(re.sub(r"  (?=\|)", " ", f"| {' | '.join(line)} |") for line in lines)
+
+
+def origin(runs: Iterable[Record], sources: Sequence[str], page: Path) -> str:
+    """Write where and when runs were made, and where their data and commands are."""
+    devices: dict[str, dict[str, None]] = {}
+    for run in runs:
+        devices.setdefault(f"{run['device']}, {run['date']}", {})[run["commit"] or "not recorded"] = None
+    places = "; ".join(f"{device} ({', '.join(names)})" for device, names in devices.items())
+    files = ", ".join(data_link(source, page) for source in dict.fromkeys(sources))
+    return f"{places}. Data and commands: {files}."
+
+
+def data_link(source: str, page: Path) -> str:
+    """Write a link to a file of records; its path alone in the pages that Sphinx builds."""
+    path = RESULTS / f"{source}.jsonl"
+    if "docs" in page.relative_to(REPOSITORY).parts:
+        return f"`benchmarks/results/{path.name}`"
+    return f"[{path.name}]({path.relative_to(page.parent).as_posix()})"
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of the table `headline`."""
+
+    subject: str
+    source: str
+    where: dict[str, Any]
+    """Values by path that the records must have."""
+    value: str
+    comparison: str = ""
+
+    def runs(self) -> Runs:
+        """Return the records at the newest commit."""
+        found = [r for r in records(self.source) if all(look_up(r, path) == want for path, want in self.where.items())]
+        return [run for run in found if run["commit"] == found[-1]["commit"]]
+
+
+def headline(page: Path) -> str:
+    """Return the table of the README: few figures, each with what it compares with."""
+    from table_list import HEADLINE
+
+    found = [(line, line.runs()) for line in HEADLINE]
+    body = [
+        [line.subject, fill_in(line.value, runs), fill_in(line.comparison, runs), seeds(runs), commits(runs)]
+        for line, runs in found
+    ]
+    heads = ["", "falsework", "compared with", "seeds", "commit"]
+    used = [run for _, runs in found for run in runs]
+    return markdown(heads, body) + "\n\n" + origin(used, [line.source for line, _ in found], page)
+
+
+def table(name: str, page: Path) -> str:
+    """Return a table by its name."""
+    from table_list import TABLES
+
+    if name == "headline":
+        return headline(page)
+    if name not in TABLES:
+        raise SystemExit(f"{page}: there is no table {name}; give headline or one of {', '.join(TABLES)}")
+    return TABLES[name].text(page)
+
+
+def filled(page: Path) -> str:
+    """Return the text of a page with every block made anew."""
+    text = page.read_text(encoding="utf-8")
+    return BLOCK.sub(lambda block: f"{block[1]}{table(block[2], page)}\n{block[3]}", text)
+
+
+def main() -> None:
+    """Fill the blocks of all pages."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--list", action="store_true", help="print the names of the tables")
+    if parser.parse_args().list:
+        from table_list import TABLES
+
+        print("\n".join(["headline", *TABLES]))
+        return
+    for page in PAGES:
+        text = filled(page)
+        if text != page.read_text(encoding="utf-8"):
+            page.write_text(text, encoding="utf-8")
+            print(page.relative_to(REPOSITORY))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,162 @@
+"""Closed surfaces that one part is made of: which bound hollows, which overlap, and their union."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+
+from falsework.errors import MeshError
+from falsework.geometry.mesh.collision import Body, inside, interpenetrate, shrink
+from falsework.geometry.mesh.mesh import TriangleMesh
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+_SHALLOW = 1e-6
+"""Depth, relative to the diagonal of a part, up to which surfaces that overlap count as touching."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shells:
+    """The closed surfaces of a part, each as a solid of its own that faces outwards."""
+
+    surface: NDArray[np.int32]
+    """Shell that each face belongs to, shape (faces,)."""
+    outward: NDArray[np.bool_]
+    """Whether the shell faced outwards as it was given, shape (shells,)."""
+    solids: tuple[TriangleMesh, ...]
+
+    @staticmethod
+    def of(points: Array, corners: Faces) -> Shells:
+        """Split a closed mesh, shapes (vertices, 3) and (faces, 3)."""
+        surface = _surfaces(corners)
+        local = points[corners] - points.mean(axis=0)
+        six_volumes = np.einsum("ij,ij->i", local[:, 0], np.cross(local[:, 1], local[:, 2]))
+        outward = np.bincount(surface, six_volumes) > 0
+        solids = []
+        for shell in range(len(outward)):
+            used, faces = np.unique(corners[surface == shell], return_inverse=True)
+            faces = faces.reshape(-1, 3)
+            solids.append(TriangleMesh.from_arrays("", points[used], faces if outward[shell] else faces[:, ::-1]))
+        return Shells(surface, outward, tuple(solids))
+
+    def outward_faces(self, corners: Faces) -> Faces:
+        """Faces turned away from the material: outwards, or inwards where a shell bounds a hollow."""
+        turned = corners.copy()
+        wrong = (self.outward == self._hollow)[self.surface]
+        turned[wrong] = turned[wrong][:, ::-1]
+        return turned
+
+    def overlap(self) -> bool:
+        """Whether shells share space of which neither encloses the other."""
+        return any(
+            interpenetrate(self.solids[a], self.solids[b], self._shallow)
+            for a, b in combinations(range(len(self.solids)), 2)
+            if not (self._within[a, b] or self._within[b, a]) and self._near(a, b)
+        )
+
+    def unite(self, name: str) -> tuple[Array, Faces, float]:
+        """Vertices and faces of the union, and the volume that counted more than once, m3.
+
+        Raises:
+            MeshError: manifold3d is not installed, or it cannot use the shells.
+        """
+        try:
+            import manifold3d
+        except ImportError:
+            raise MeshError(
+                f"part {name}: closed surfaces in it overlap, and what they have in common would count twice; "
+                "unite them in the modeller, or let this be done: pip install 'falsework[repair]'"
+            ) from None
+        kernel: Any = manifold3d
+        solids = [
+            kernel.Manifold(kernel.Mesh64(np.array(solid.vertices), np.array(solid.faces, dtype=np.uint64)))
+            for solid in self.solids
+        ]
+        depth = self._within.sum(axis=1)
+        filled = []
+        for outer in np.flatnonzero(~self._hollow).tolist():
+            hollows = np.flatnonzero(self._within[:, outer] & (depth == depth[outer] + 1)).tolist()
+            filled.append(
+                solids[outer] - kernel.Manifold.batch_boolean([solids[k] for k in hollows], kernel.OpType.Add)
+            )
+        union = kernel.Manifold.batch_boolean(filled, kernel.OpType.Add)
+        if union.status() != kernel.Error.NoError:
+            raise MeshError(f"part {name}: closed surfaces in it overlap; unite them in the modeller")
+        mesh = union.to_mesh64()
+        twice = sum(solid.volume() for solid in filled) - union.volume()
+        return np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, dtype=np.int64), twice
+
+    @cached_property
+    def _within(self) -> NDArray[np.bool_]:
+        """Whether the first shell lies inside the second, shape (shells, shells)."""
+        count = len(self.solids)
+        found = np.zeros((count, count), dtype=bool)
+        for inner, outer in ((a, b) for a in range(count) for b in range(count) if a != b and self._near(a, b)):
+            small, large = self.solids[inner], self.solids[outer]
+            if inside(small.vertices, large.triangles).all():
+                # Of a shell that is bent, one can leave between its corners.
+                shrunk = Body(shrink(small, self._shallow), small.faces)
+                found[inner, outer] = not shrunk.hits(Body(large.vertices, large.faces))
+        return found
+
+    @property
+    def _hollow(self) -> NDArray[np.bool_]:
+        """Shells inside an odd number of others, shape (shells,)."""
+        return self._within.sum(axis=1) % 2 == 1
+
+    @cached_property
+    def _shallow(self) -> float:
+        bounds = np.array([solid.bounds for solid in self.solids])
+        return _SHALLOW * float(np.linalg.norm(bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)))
+
+    def _near(self, a: int, b: int) -> bool:
+        low, high = (
+            np.maximum(*(self.solids[k].bounds[0] for k in (a, b))),
+            np.minimum(*(self.solids[k].bounds[1] for k in (a, b))),
+        )
+        return bool((high - low > self._shallow).all())
+
+
+def directed_edges(corners: Faces) -> tuple[Faces, Faces]:
+    """Start and end of the three edges of every face, shapes (3 faces,); edges of one face are consecutive."""
+    return corners.ravel(), corners[:, [1, 2, 0]].ravel()
+
+
+def is_closed(corners: Faces) -> bool:
+    """Whether every edge is passed as often one way as the other, which makes the surface a closed one."""
+    tail, head = directed_edges(corners)
+    count = int(corners.max()) + 1
+    return bool((tail != head).all() and (np.sort(tail * count + head) == np.sort(head * count + tail)).all())
+
+
+def edge_mates(corners: Faces) -> tuple[Faces, Faces, bool]:
+    """Pairs of directed edges between the same vertices, and whether any edge has more than two faces."""
+    tail, head = directed_edges(corners)
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    order = np.lexsort((high, low))
+    same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
+    return order[:-1][same], order[1:][same], bool((same[1:] & same[:-1]).any())
+
+
+def _surfaces(corners: Faces) -> NDArray[np.int32]:
+    """Shell of each face: faces that hang together by edges of two faces, or by any edges if that leaves holes."""
+    tail, head = directed_edges(corners)
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    edge = low * (int(corners.max()) + 1) + high
+    one, two, _ = edge_mates(corners)
+    _, which, uses = np.unique(edge, return_inverse=True, return_counts=True)
+    for keep in (uses[which[one]] == 2, np.ones(len(one), dtype=bool)):
+        links = (one[keep] // 3, two[keep] // 3)
+        graph = csr_matrix((np.ones(len(links[0])), links), shape=(len(corners), len(corners)))
+        count, surface = connected_components(graph, directed=False)
+        if all(is_closed(corners[surface == shell]) for shell in range(count)):
+            break
+    return surface

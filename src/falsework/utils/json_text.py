@@ -1,0 +1,38 @@
+"""JSON text from outside, parsed within limits that keep everything after it out of trouble."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+LEVELS = 64
+"""Levels of lists and objects that a file may have."""
+
+
+def parse_json(text: str) -> Any:
+    """Parse JSON text.
+
+    Raises:
+        ValueError: it is no JSON, has more than `LEVELS` levels, or an integer that does not fit into 64 bits.
+    """
+    try:
+        data = json.loads(text, parse_int=_integer)
+    except RecursionError:
+        raise ValueError(f"it is nested deeper than {LEVELS} levels") from None
+    level = [data]
+    for _ in range(LEVELS + 1):
+        level = [
+            entry
+            for holder in level
+            for entry in (holder.values() if isinstance(holder, dict) else holder if isinstance(holder, list) else ())
+            if isinstance(entry, (dict, list))
+        ]
+        if not level:
+            return data
+    raise ValueError(f"it is nested deeper than {LEVELS} levels")
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > 20 or not -(2**63) <= int(digits) < 2**63:
+        raise ValueError(f"the integer {digits[:12]}... in it does not fit into 64 bits")
+    return int(digits)

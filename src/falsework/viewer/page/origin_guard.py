@@ -1,0 +1,113 @@
+"""Guard of the viewer's web server: only requests that name the served address open the page and steer it."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import ipaddress
+import socket
+import threading
+from collections.abc import Callable, Iterable
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import urlsplit
+
+from falsework.errors import DependencyError
+
+LOCAL = ("localhost", "127.0.0.1", "::1")
+"""Names of this machine that no other machine can reach."""
+WILDCARDS = ("0.0.0.0", "::")
+"""Addresses that stand for every address of this machine."""
+_SERVING = threading.Lock()
+
+
+class OriginGuard:
+    """Decision on the `Host` and `Origin` headers of requests.
+
+    A browser lets a page of any site open a web socket to any address and names that site in `Origin`; and a site
+    whose name resolves to this machine (DNS rebinding) is named in `Host`. Both are refused. An IP address in `Host`
+    cannot come from rebinding, so a server on all interfaces accepts every one.
+    """
+
+    def __init__(self, host: str, allowed: Iterable[str] = ()) -> None:
+        """Collect the names that the server answers to.
+
+        Args:
+            host: address that the server listens at.
+            allowed: further names under which browsers reach it, such as that of a proxy.
+        """
+        self._extra = {name.strip().lower() for name in allowed} - {""}
+        self._names = {*LOCAL, host.lower(), *self._extra}
+        self._any_address = host in WILDCARDS
+        if self._any_address:
+            self._names |= {socket.gethostname().lower(), socket.getfqdn().lower()}
+
+    def refusal(self, hosts: list[str], origins: list[str]) -> str | None:
+        """Why a request is refused, in a line, or None if it is not.
+
+        Args:
+            hosts: all `Host` headers.
+            origins: all `Origin` headers; programs other than browsers send none.
+        """
+        name = _host_name(f"//{hosts[0]}") if len(hosts) == 1 else None
+        if name is None or not (name in self._names or (self._any_address and _is_address(name))):
+            return f"host {', '.join(hosts) or 'not given'} is not served; start with --allow-host to serve it"
+        for origin in origins:
+            site = _host_name(origin)
+            same = site is not None and urlsplit(origin).netloc.lower() == hosts[0].lower()
+            if not same and site not in self._extra:
+                return f"pages of {origin} may not use this server; start with --allow-host to let them"
+        return None
+
+
+def start_server(viser: Any, host: str, port: int, guard: OriginGuard) -> Any:
+    """Start viser's server behind a guard.
+
+    viser has no setting for this, so `websockets.asyncio.server.serve` is replaced while the server starts.
+
+    Raises:
+        OSError: the address cannot be listened at.
+        DependencyError: this version of viser starts its server in another way.
+    """
+    from websockets.asyncio import server as sockets
+
+    plain, guarded = sockets.serve, False
+
+    def serve(*arguments: Any, process_request: Callable[..., Any] | None = None, **options: Any) -> Any:
+        nonlocal guarded
+        guarded = True
+
+        def checked(connection: Any, request: Any) -> Any:
+            refusal = guard.refusal(request.headers.get_all("Host"), request.headers.get_all("Origin"))
+            if refusal is not None:
+                return connection.respond(HTTPStatus.FORBIDDEN, f"{refusal}\n")
+            return None if process_request is None else process_request(connection, request)
+
+        return plain(*arguments, process_request=checked, **options)
+
+    with _SERVING, contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner where results belong
+        sockets.serve = serve  # type: ignore[assignment]
+        try:
+            made = viser.ViserServer(host=host, port=port, verbose=False)
+        finally:
+            sockets.serve = plain  # type: ignore[misc]
+        if not guarded:
+            made.stop()
+            raise DependencyError("this version of viser cannot be guarded; pip install 'falsework[viewer]'")
+    return made
+
+
+def _host_name(url: str) -> str | None:
+    """Name in a URL, lower case; None where there is none."""
+    try:
+        return urlsplit(url).hostname
+    except ValueError:
+        return None
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True

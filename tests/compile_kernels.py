@@ -1,0 +1,78 @@
+"""Compilation of what the tests run, in two processes side by side; numba keeps it beside the sources."""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor, wait
+from multiprocessing import get_context
+
+import numpy as np
+
+from falsework.assembly import Assembly, load_structure
+from falsework.assembly.state import States, complete_state
+from falsework.stability import StabilitySettings
+from falsework.stability.problem import Problem, build_problem
+
+
+def _arch() -> tuple[Assembly, States, Problem]:
+    assembly = load_structure("arch:blocks=5")
+    return assembly, np.stack([complete_state(assembly.boundary)] * 2), build_problem(assembly)
+
+
+def _equilibrium() -> None:
+    from falsework.stability.cpu.solver import CpuSolver
+
+    _, states, problem = _arch()
+    solver = CpuSolver(problem, StabilitySettings())
+    solver.check(states)
+    solver.check(states, parents=states)
+
+
+def _replay() -> None:
+    from falsework.stability.contact.replay import Replayer
+
+    assembly, states, _ = _arch()
+    Replayer(assembly).replay(states)
+
+
+def _contact() -> None:
+    from falsework.stability.contact.solver import ContactSolver
+
+    assembly, states, problem = _arch()
+    ContactSolver(assembly, problem, StabilitySettings()).check(states)
+
+
+def _motion() -> None:
+    from falsework.robots.planning.warm_up import compile_kernels
+
+    compile_kernels()
+
+
+def _judge() -> None:
+    from falsework.stability.judges.discrete_elements import settle
+
+    assembly, states, _ = _arch()
+    settle(assembly, states[0])
+
+
+def _picture() -> None:
+    from falsework.viewer.pictures.render import Camera, Solid, render
+
+    assembly, _, _ = _arch()
+    colours = ((1.0, 0.0, 0.0), 1.0), ((0.0, 1.0, 0.0), 0.5)
+    solids = [Solid(mesh.vertices, mesh.faces, *colour) for mesh, colour in zip(assembly.meshes, colours, strict=False)]
+    render(solids, Camera(width=64, height=48), np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]]))
+
+
+def _clearance() -> None:
+    from falsework.geometry.clearance.table import clearance_table
+
+    assembly, states, _ = _arch()
+    clearance_table(assembly.meshes, assembly.contacts, tolerance=1e-4).can_leave(states)
+
+
+if __name__ == "__main__":
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        apart = [pool.submit(_equilibrium), pool.submit(_replay)]  # which share little
+        wait(apart)
+        for done in [*apart, *map(pool.submit, (_contact, _motion, _judge, _picture, _clearance))]:
+            done.result()

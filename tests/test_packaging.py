@@ -1,0 +1,92 @@
+"""The wheel and the sdist hold all that the package needs, and the version is stated once."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from falsework import __version__
+
+pytest.importorskip("hatchling", reason="needs hatchling, of the dependency group test")
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+CACHES = {".pyc", ".nbi", ".nbc"}
+USE = """
+import falsework
+from pathlib import Path
+assert Path(falsework.__file__).is_relative_to(Path.cwd()), falsework.__file__
+from falsework.robots.cells.cell_file import builtin_cells
+from falsework.robots.plans.robot_plan_file import robot_plan_schema
+from falsework.search import plan_schema
+from falsework.stability.gpu.driver import kernel_source
+assert builtin_cells() and robot_plan_schema() and plan_schema() and kernel_source()
+"""
+
+
+def build(target: str, source: Path, folder: Path) -> Path:
+    """Build a wheel or an sdist as a build frontend does, in a process of its own."""
+    command = [sys.executable, "-m", "hatchling", "build", "-t", target, "-d", str(folder)]
+    subprocess.run(command, cwd=source, check=True, capture_output=True, timeout=120)
+    return next(folder.iterdir())
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sdist, unpacked."""
+    archive = build("sdist", REPOSITORY, tmp_path_factory.mktemp("sdist"))
+    folder = tmp_path_factory.mktemp("unpacked")
+    with tarfile.open(archive) as file:
+        file.extractall(folder, filter="data")
+    return next(folder.iterdir())
+
+
+@pytest.fixture(scope="module")
+def wheel(sdist: Path, tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
+    """The wheel that the sdist builds, not the repository."""
+    return zipfile.ZipFile(build("wheel", sdist, tmp_path_factory.mktemp("wheel")))
+
+
+def test_the_wheel_holds_every_file_of_the_package(wheel: zipfile.ZipFile) -> None:
+    source = REPOSITORY / "src"
+    files = [path for path in (source / "falsework").rglob("*") if path.is_file() and path.suffix not in CACHES]
+    expected = {path.relative_to(source).as_posix() for path in files}
+    packed = {name for name in wheel.namelist() if ".dist-info/" not in name}
+    assert packed == expected
+    for suffix in (".cuh", ".schema.json", ".toml", "py.typed"):
+        assert any(name.endswith(suffix) for name in packed), f"no {suffix} in the wheel"
+
+
+def test_the_wheel_works_from_its_own_files(wheel: zipfile.ZipFile, tmp_path: Path) -> None:
+    """CUDA sources, schemas and cells are read where the wheel was unpacked."""
+    wheel.extractall(tmp_path)
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", USE], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_wheel_has_licence_version_and_command(wheel: zipfile.ZipFile) -> None:
+    info = f"falsework-{__version__}.dist-info"
+    metadata = wheel.read(f"{info}/METADATA").decode()
+    assert f"\nVersion: {__version__}\n" in metadata
+    assert "\nLicense-Expression: Apache-2.0\n" in metadata
+    assert f"{info}/licenses/LICENSE" in wheel.namelist()
+    assert "falsework = falsework.cli.main:main" in wheel.read(f"{info}/entry_points.txt").decode()
+
+
+def test_the_sdist_can_be_tested(sdist: Path) -> None:
+    for name in ("tests/conftest.py", "Makefile", "CHANGELOG.md", "CITATION.cff", "src/falsework/_version.py"):
+        assert (sdist / name).is_file(), f"no {name} in the sdist"
+
+
+@pytest.mark.parametrize(("name", "pattern"), [("CITATION.cff", r"^version: (\S+)$"), ("CHANGELOG.md", r"^## (\d\S*)")])
+def test_other_files_name_the_same_version(name: str, pattern: str) -> None:
+    found = re.search(pattern, (REPOSITORY / name).read_text(encoding="utf-8"), re.MULTILINE)
+    assert found is not None
+    assert found[1] == __version__

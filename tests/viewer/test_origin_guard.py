@@ -1,0 +1,107 @@
+"""Other web pages cannot open or steer the page: handshakes with a foreign host or origin are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from http.client import HTTPConnection
+
+import pytest
+
+pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
+
+import viser
+
+from falsework.errors import DependencyError
+from falsework.viewer.page.origin_guard import OriginGuard, start_server
+from falsework.viewer.page.page import Page
+from falsework.viewer.page.viewer_state import Model
+from falsework.viewer.timeline import Timeline
+
+PORT = 8230
+
+
+@pytest.fixture
+def page(timeline: Timeline) -> Iterator[Page]:
+    opened = Page(Model(timeline), port=PORT, allowed_hosts=["plans.example"])
+    yield opened
+    opened.close()
+
+
+def handshake(port: int, host: str, origin: str | None) -> int:
+    """Status that an upgrade request gets; `PORT` in the names is the port."""
+    headers = {
+        "Host": host.replace("PORT", str(port)),
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+        "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}",
+    }
+    if origin is not None:
+        headers["Origin"] = origin.replace("PORT", str(port))
+    connection = HTTPConnection("127.0.0.1", port, timeout=10)
+    try:
+        connection.request("GET", "/", headers=headers)
+        return connection.getresponse().status
+    finally:
+        connection.close()
+
+
+def test_foreign_hosts_and_origins_are_refused(page: Page) -> None:
+    for host, origin in (
+        ("evil.example", "http://evil.example"),
+        ("evil.example:PORT", "http://evil.example:PORT"),
+        ("localhost:PORT", "http://evil.example"),
+        ("localhost:PORT", "http://localhost:1"),
+        ("localhost:PORT", "null"),
+        ("192.168.0.7:PORT", "http://192.168.0.7:PORT"),
+    ):
+        assert handshake(page.port, host, origin) == 403, (host, origin)
+
+
+def test_the_page_itself_is_served(page: Page) -> None:
+    for host, origin in (
+        ("localhost:PORT", "http://localhost:PORT"),
+        ("127.0.0.1:PORT", "http://127.0.0.1:PORT"),
+        ("localhost:9000", "http://localhost:9000"),  # a tunnel from another port
+        ("plans.example", "https://plans.example"),
+        ("localhost:PORT", "https://plans.example"),  # a proxy that names itself to the server
+        ("localhost:PORT", None),
+    ):
+        assert handshake(page.port, host, origin) == 101, (host, origin)
+
+
+def test_files_of_the_page_are_guarded_too(page: Page) -> None:
+    for host, status in (("localhost", 200), ("evil.example", 403)):
+        connection = HTTPConnection("127.0.0.1", page.port, timeout=10)
+        connection.request("GET", "/", headers={"Host": host})
+        assert connection.getresponse().status == status
+        connection.close()
+
+
+def test_a_server_on_all_interfaces_answers_to_addresses_but_not_to_names() -> None:
+    guard = OriginGuard("0.0.0.0")
+    assert guard.refusal(["192.168.0.7:8080"], ["http://192.168.0.7:8080"]) is None
+    assert guard.refusal(["[fe80::1]:8080"], ["http://[fe80::1]:8080"]) is None
+    assert "evil.example" in str(guard.refusal(["evil.example:8080"], ["http://evil.example:8080"]))
+    assert "not given" in str(guard.refusal([], []))
+    assert guard.refusal(["localhost", "localhost"], []) is not None
+    assert guard.refusal(["[broken"], []) is not None
+
+
+def test_a_server_that_the_guard_does_not_reach_is_stopped() -> None:
+    class Unguarded:
+        stopped = False
+
+        def __init__(self, **_: object) -> None:
+            pass
+
+        def stop(self) -> None:
+            Unguarded.stopped = True
+
+    class Package:
+        ViserServer = Unguarded
+
+    with pytest.raises(DependencyError, match="cannot be guarded"):
+        start_server(Package, "127.0.0.1", PORT, OriginGuard("127.0.0.1"))
+    assert Unguarded.stopped
