@@ -27,7 +27,7 @@ from record import report, write_to
 from states import asked_states, find, real_structures
 
 from falsework.assembly import Assembly, load_structure
-from falsework.stability import Criterion, Problem, StabilitySettings, Verdict, accept, build_problem
+from falsework.stability import Criterion, Problem, StabilitySettings, Verdict, build_problem, verify_certificates
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
@@ -202,7 +202,7 @@ def time_structure(assembly: Assembly, states: np.ndarray, criterion: Criterion,
         "verdicts": {kind.name.lower(): int((verdicts.verdict == kind).sum()) for kind in Verdict},
         "iterations": np.percentile(verdicts.iterations[verdicts.stable], [50, 95, 100]).tolist(),
         "certificates": len(sample),
-        "accepted": int(accept(assembly, sample, proven, settings.claim).sum()),
+        "accepted": int(verify_certificates(assembly, sample, proven, settings.claim).sum()),
         "ms_a_state": {},
         "check_ms": {},
     }

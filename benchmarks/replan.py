@@ -30,7 +30,7 @@ from states import find
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import States, complete_state
 from falsework.replanning.replanner import Replan, Replanner, Request
-from falsework.search import BeamSearch, BeamSettings, Task
+from falsework.search import BeamSearch, BeamSettings, Task, validate_plan
 from falsework.stability import Stability, StabilitySettings
 
 
@@ -138,7 +138,7 @@ def complete(options: Options) -> None:
             load.append(seconds)
             request = case.request(complete_state(case.assembly.boundary), seed=seed)
             answers += replanner.replan_many([request])
-        proven = all(plan.validate(case.assembly).good for plan in answers[0].plans)
+        proven = all(validate_plan(plan, case.assembly).good for plan in answers[0].plans)
         values = {"load_seconds": quantiles(load), "exact_solver_agrees": proven}
         show(
             "complete",

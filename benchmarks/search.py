@@ -39,6 +39,7 @@ from falsework.search import (
     StateGraph,
     find_plans,
     task_of,
+    validate_proofs,
 )
 from falsework.stability import Stability, StabilitySettings
 from falsework.stability.settings import EQUILIBRIUM
@@ -120,7 +121,7 @@ def plan(options: Options) -> None:
             seconds=round(seconds, 3),
             criterion=options.criterion,
             replay_stands=planning.found and planning.plans[0].replay is not None and planning.plans[0].replay.stands,
-            proofs_accepted=planning.found and planning.plans[0].validate_proofs(assembly, oracle.settings).good,
+            proofs_accepted=planning.found and validate_proofs(planning.plans[0], assembly, oracle.settings).good,
         )
 
 

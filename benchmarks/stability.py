@@ -41,7 +41,7 @@ from falsework.stability import (
     SharedInverseSettings,
     Stability,
     StabilitySettings,
-    accept,
+    verify_certificates,
 )
 
 Measure = Literal["verdicts", "cold", "baseline"]
@@ -107,7 +107,7 @@ def measure_verdicts(name: str, assembly: Assembly, states: States, parents: Sta
     settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
     checked = Stability(assembly, settings)
     verdicts = checked.check(states)
-    accepted = int(accept(assembly, states, verdicts, settings.claim).sum())
+    accepted = int(verify_certificates(assembly, states, verdicts, settings.claim).sum())
     exact = ExactSolver(assembly, settings)
     with one_core():
         exact.check(states[:1])

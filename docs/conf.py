@@ -58,8 +58,7 @@ autodoc_mock_imports = [
     "reportlab",
 ]
 
-# Names such as Policy and Outcome mean different things in different rooms, and annotations give the short name only.
-suppress_warnings = ["misc.highlighting_failure", "ref.python"]
+suppress_warnings = ["misc.highlighting_failure"]
 
 
 def _code_in_backticks(_app, _what, _name, _object, _options, lines: list[str]) -> None:

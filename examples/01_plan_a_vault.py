@@ -5,16 +5,15 @@ Run: python examples/01_plan_a_vault.py
 
 from __future__ import annotations
 
-from falsework.assembly import load_structure
-from falsework.search import find_plans, task_of
+import falsework as fw
 
 
 def main() -> None:
     """From a structure to a plan on disk."""
-    vault = load_structure("vault")
+    vault = fw.load_structure("vault")
     print(f"{vault.name}: {vault.part_count} parts, {len(vault.contacts)} contacts")
 
-    planning = find_plans(vault, task_of(vault, robots=2))
+    planning = fw.find_plans(vault, robots=2)
     print(f"found in {planning.result.seconds:.1f} s, {planning.result.counters.asked} verdicts")
 
     # A plan takes a structure apart; reversed, it builds it.
@@ -22,9 +21,9 @@ def main() -> None:
     for step in range(len(plan)):
         print(f"{step + 1:4d}  {plan.describe(step)}")
 
-    report = plan.validate(vault)
+    report = fw.validate_plan(plan, vault)
     print(f"{report.checked} of {report.states} states proven stable by the exact solver")
-    plan.save("vault-plan.json")
+    fw.save_plan(plan, "vault-plan.json")
 
 
 if __name__ == "__main__":

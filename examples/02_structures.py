@@ -5,20 +5,19 @@ Run: python examples/02_structures.py
 
 from __future__ import annotations
 
-from falsework.assembly.library import arch, build, structures
-from falsework.assembly.state import complete_state
+from falsework.assembly import complete_state, library, load_structure
 from falsework.stability import Stability
 
 
 def verdict(spec: str) -> str:
     """Whether a structure stands when it is complete and nobody holds a part."""
-    assembly = build(spec)
+    assembly = load_structure(spec)
     return "stands" if Stability(assembly).stable(complete_state(assembly.boundary)[None])[0] else "falls"
 
 
 def main() -> None:
     """Print the catalogue, then look for the thinnest arch and the thinnest vault."""
-    for entry in structures():
+    for entry in library.structures():
         assembly = entry()
         print(
             f"{entry.name:10} {assembly.part_count:3} parts, {len(assembly.contacts):3} contacts: {entry.description}"
@@ -26,7 +25,7 @@ def main() -> None:
         print(f"{'':10} " + ", ".join(f"{name}={value}" for name, value in entry.parameters.items()))
 
     print("\nParameters carry their ranges and units:")
-    for parameter in arch.details:
+    for parameter in library.arch.details:
         print(f"  {parameter.name}: {parameter.range_text}")
 
     print("\nA semicircular arch needs 0.1075 of its radius (Milankovitch 1907):")

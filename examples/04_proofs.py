@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.assembly import load_structure
-from falsework.assembly.state import complete_state
-from falsework.stability import Stability, accept
+from falsework.assembly import complete_state, load_structure
+from falsework.stability import Stability, verify_certificates
 
 
 def main() -> None:
@@ -20,7 +19,7 @@ def main() -> None:
         verdicts = Stability(arch).check(state)
 
         # The checker starts from the assembly alone and trusts no solver.
-        assert accept(arch, state, verdicts).all()
+        assert verify_certificates(arch, state, verdicts).all()
 
         if verdicts.stable[0]:
             assert verdicts.forces is not None

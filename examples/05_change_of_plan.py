@@ -5,17 +5,15 @@ Run: python examples/05_change_of_plan.py
 
 from __future__ import annotations
 
-from falsework.assembly import load_structure
-from falsework.search import PlannerSettings, Task, find_plans
+import falsework as fw
 
 
 def main() -> None:
     """A dome whose key and one more block have not been delivered."""
-    dome = load_structure("dome:rings=2,blocks=6")
+    dome = fw.load_structure("dome:rings=2,blocks=6")
     late = [part for part in range(dome.part_count) if not dome.boundary[part]][-2:]
 
-    task = Task.create(dome.boundary, robots=2, missing=late, identity=dome.identity)
-    planning = find_plans(dome, task, settings=PlannerSettings(alternatives=3))
+    planning = fw.find_plans(dome, robots=2, missing=late, settings=fw.PlannerSettings(alternatives=3))
     for need in planning.plans[0].needs:
         print(f"{dome.names[need.part]} is needed after {need.after_parts} other parts are placed")
 
@@ -23,7 +21,7 @@ def main() -> None:
     for row in planning.alternatives.distance:
         print("  ", " ".join(f"{value:.2f}" for value in row))
     for plan in planning.plans:
-        assert plan.validate(dome).good
+        assert fw.validate_plan(plan, dome).good
 
 
 if __name__ == "__main__":

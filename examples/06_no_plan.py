@@ -20,7 +20,7 @@ def main() -> None:
             f"{robots} robots: {census.states} states, {census.solvable_states} of them not dead ends, "
             f"{census.plans} plans ({census.result.outcome})"
         )
-    print("verdicts:", oracle.counters.as_dict())
+    print("verdicts:", oracle.counters.to_dict())
 
 
 if __name__ == "__main__":

@@ -6,18 +6,15 @@ Run: python examples/07_replan.py
 from __future__ import annotations
 
 from falsework.assembly import load_structure
-from falsework.replanning.plan_diff import difference
-from falsework.replanning.replanner import Replanner
-from falsework.search import Task, find_plans
-from falsework.search.problem.task import Direction
+from falsework.replanning import Replanner, difference
+from falsework.search import Direction, find_plans, validate_plan
 
 
 def main() -> None:
     """A dome that three robots build."""
     dome = load_structure("dome:rings=3,blocks=6")
-    task = Task.create(dome.boundary, robots=3, identity=dome.identity)
-    old = find_plans(dome, task).plans[0].reverse()
-    replanner = Replanner(dome)  # hand in policy=load_run("my-run").policy once you have trained one
+    old = find_plans(dome, robots=3).plans[0].reverse()
+    replanner = Replanner(dome)  # hand in policy=falsework.load_policy("my-run") once you have trained one
 
     # Some steps are done when word comes that the next part to go in is late.
     done = next(step for step in range(len(old) // 3, len(old)) if old.actions[step] >= dome.part_count)
@@ -36,7 +33,7 @@ def main() -> None:
         print(f"with two robots: {answer.outcome.value}, {answer.reason}")
     for plan in answer.plans:
         print(f"with two robots: {len(plan)} steps, first {plan.describe(0)}, then {plan.describe(1)}")
-        assert plan.validate(dome).good
+        assert validate_plan(plan, dome).good
 
 
 if __name__ == "__main__":

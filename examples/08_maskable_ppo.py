@@ -12,10 +12,9 @@ from falsework.stability import Stability
 
 def main(steps: int = 2048) -> None:
     """Learn from the states of a search, and count from how many of them the policy gets to the end."""
-    import gymnasium
     from sb3_contrib import MaskablePPO
 
-    from falsework.learn.env.gymnasium_env import ID  # registers the environment
+    from falsework.learn import DisassemblyEnv
 
     arch = load_structure("arch:blocks=5")
     oracle = Stability(arch)
@@ -24,7 +23,7 @@ def main(steps: int = 2048) -> None:
     graph = StateGraph.build(task_of(arch), search.states())
 
     # Episodes begin at states of the graph: from the complete arch alone, chance hardly ever gets to the end.
-    environment = gymnasium.make(ID, structure=arch, starts=graph, oracle=oracle)
+    environment = DisassemblyEnv(arch, starts=graph, oracle=oracle)
     model = MaskablePPO("MlpPolicy", environment, n_steps=512, batch_size=128, learning_rate=2e-3, gamma=0.95, seed=0)
 
     starts = graph.states[graph.solvable & (graph.level < graph.task.steps)]

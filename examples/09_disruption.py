@@ -15,15 +15,19 @@ from pathlib import Path
 import numpy as np
 
 from falsework.assembly import Assembly, load_structure
-from falsework.replanning.plan_diff import difference
-from falsework.robots.cells.cell_file import load_cell
-from falsework.robots.model.cell import Cell, Placement
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.keyframe_graph import KeyframeGraph
-from falsework.robots.plans.check import check_robot_plan
-from falsework.robots.plans.export import export_plan
-from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search import Task
+from falsework.replanning import difference
+from falsework.robots import (
+    Cell,
+    KeyframeGraph,
+    Placement,
+    RobotPlan,
+    check_robot_plan,
+    export_plan,
+    load_cell,
+    plan_robots,
+    save_robot_plan,
+)
+from falsework.search import task_of
 from falsework.stability import Stability
 
 
@@ -59,7 +63,7 @@ def main() -> None:
     free = np.flatnonzero(~bottle.boundary)
     late = free[np.argsort(bottle.mass.center[free, 2], kind="stable")[:3]].tolist()
     print(f"late: {', '.join(bottle.names[part] for part in late)}")
-    task = Task.create(bottle.boundary, cell.robot_count, missing=late, identity=bottle.identity)
+    task = task_of(bottle, cell.robot_count, missing=late)
     second = plan_robots(bottle, cell, task=task, oracle=oracle, graph=graph)
     assert second.plan is not None, second.explanation
     other = second.plan.reverse()
@@ -72,7 +76,7 @@ def main() -> None:
     again = second.statistics["free_motions_used_again"]
     print(f"{again} free motions were known from the first plan")
 
-    other.save("robot_plan.json")
+    save_robot_plan(other, "robot_plan.json")
     files = export_plan(other, "motions", "ros2-json")
     print(f"robot_plan.json, and {len(files)} files for ROS 2 in motions")
 

@@ -8,26 +8,21 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from falsework.assembly import load_structure
-from falsework.interop.assembly_instructions import sheet_csv, site_sheet, way_in_words
-from falsework.interop.compas_read import load_compas
-from falsework.interop.compas_write import write_compas
-from falsework.interop.gltf import write_gltf
-from falsework.interop.usd import write_usd
-from falsework.search import find_plans
+import falsework as fw
+from falsework.interop import sheet_csv, site_sheet, way_in_words
 
 
 def main() -> None:
     """An arch, built by two robots or by a crew with two props."""
-    arch = load_structure("arch:blocks=7")
-    plan = find_plans(arch).plans[0].reverse()
+    arch = fw.load_structure("arch:blocks=7")
+    plan = fw.find_plans(arch).plans[0].reverse()
 
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        write_gltf(folder / "arch.glb", arch, plan)
-        write_usd(folder / "arch.usda", arch, plan)
-        write_compas(folder / "arch.json", arch, "dem")
-        assert load_compas(folder / "arch.json").identity == arch.identity  # nothing is lost on the way
+        fw.export(plan, folder / "arch.glb", arch)
+        fw.export(plan, folder / "arch.usda", arch)
+        fw.export(arch, folder / "arch.json", format="compas-dem")
+        assert fw.load_structure(folder / "arch.json").identity == arch.identity  # nothing is lost on the way
         for file in sorted(folder.iterdir()):
             print(f"{file.name}: {file.stat().st_size} bytes")
 

@@ -14,10 +14,9 @@ import pytest
 
 from falsework.errors import CellError, InputError, PlanError
 from falsework.interop.compas_read import load_compas
+from falsework.robots import load_robot_plan
 from falsework.robots.cells.cell_file import load_cell
-from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search import Plan, find_plans, task_of
-from falsework.search.problem.state_graph import StateGraph
+from falsework.search import find_plans, load_plan, load_state_graph, task_of
 from falsework.utils.archive import read_archive
 from falsework.utils.json_text import LEVELS, parse_json
 
@@ -81,7 +80,7 @@ def test_arrays_that_claim_too_much(falsework: Run, stack: Path, tmp_path: Path,
         out.writestr("states.npy", npy(shape))
     refused(falsework("view", archive), "graph.npz")
     with pytest.raises(InputError, match="damaged"):
-        StateGraph.load(archive)
+        load_state_graph(archive)
 
 
 @pytest.mark.parametrize("value", VALUES.values(), ids=VALUES)
@@ -128,10 +127,10 @@ def replaced(data: Any, path: tuple[Any, ...], value: Any) -> Any:
 def plan_data() -> dict[str, Any]:
     """A small plan as JSON values."""
     from falsework.assembly import load_structure
-    from falsework.search.plans.plan_file import to_json
+    from falsework.search.plans.plan_file import plan_to_dict
 
     assembly = load_structure("arch:blocks=3")
-    return to_json(find_plans(assembly, task_of(assembly, 2)).plans[0], proofs=True)
+    return plan_to_dict(find_plans(assembly, task_of(assembly, 2)).plans[0], proofs=True)
 
 
 def test_plans(falsework: Run, tmp_path: Path, plan_data: dict[str, Any]) -> None:
@@ -144,7 +143,7 @@ def test_plans(falsework: Run, tmp_path: Path, plan_data: dict[str, Any]) -> Non
         for value in (10**30, 10**400, float("inf"), float("nan"), -(2**63)):
             file.write_text(json.dumps(replaced(plan_data, path, value)))
             with pytest.raises(PlanError, match=r"plan\.json"):
-                Plan.load(file)
+                load_plan(file)
         file.write_text(json.dumps(replaced(plan_data, path, 2**63 - 1)))  # a fine number of robots
         assert "defect" not in falsework("check", file, "--structure", "arch:blocks=3").error, path
 
@@ -168,7 +167,7 @@ def test_robot_plans(falsework: Run, tmp_path: Path, plan_data: dict[str, Any]) 
     }
     file = tmp_path / "robot_plan.json"
     file.write_text(json.dumps(data))
-    RobotPlan.load(file)
+    load_robot_plan(file)
     for value in VALUES.values():
         file.write_text(value)
         refused(falsework("robots", "check", file, "--cell", "dome-37"), "robot_plan.json")
@@ -177,7 +176,7 @@ def test_robot_plans(falsework: Run, tmp_path: Path, plan_data: dict[str, Any]) 
             file.write_text(json.dumps(replaced(data, path, value)))
             if path[-1] != "do":
                 with pytest.raises(PlanError, match=r"robot_plan\.json"):
-                    RobotPlan.load(file)
+                    load_robot_plan(file)
 
 
 @pytest.mark.parametrize("value", [*NESTED.values(), *HUGE.values(), "inf", "nan"], ids=[*NESTED, *HUGE, "inf", "nan"])

@@ -13,7 +13,7 @@ import pytest
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.store import save_assembly
-from falsework.search import Plan
+from falsework.search import load_plan
 from falsework.search.problem.task import Direction
 
 Run = Callable[..., Any]
@@ -51,8 +51,18 @@ def run(tmp_path: Path) -> Path:
     return tmp_path / "run"
 
 
+def test_a_run_is_opened_in_python_too(run: Path) -> None:
+    import falsework as fw
+    from falsework.learn import Policy
+
+    shown = fw.open_file(run)
+    assert (shown.kind, shown.assembly.identity) == ("run", ARCH.identity)
+    for policy in (shown.policy, fw.load_policy(run), fw.open_file("arch:blocks=5").with_policy(run).policy):
+        assert isinstance(policy, Policy)
+
+
 def test_take_down_what_is_there(falsework: Run, old: Path, tmp_path: Path) -> None:
-    state = Plan.load(old).states[5]
+    state = load_plan(old).states[5]
     out = tmp_path / "new.json"
     finished = falsework("replan", "arch:blocks=5", "--state", digits(state), "--out", out, "--json")
     assert finished.code == 0, finished.error
@@ -61,7 +71,7 @@ def test_take_down_what_is_there(falsework: Run, old: Path, tmp_path: Path) -> N
     assert record["outcome"] == "found"
     assert record["decided_by"] == "search"
     assert record["direction"] == "disassembly"
-    plan = Plan.load(out)
+    plan = load_plan(out)
     assert len(plan) == record["steps"] == 5
     np.testing.assert_array_equal(plan.states[0], state)
     assert falsework("check", out).code == 0
@@ -69,7 +79,7 @@ def test_take_down_what_is_there(falsework: Run, old: Path, tmp_path: Path) -> N
 
 def test_build_on_without_a_part(falsework: Run, old: Path, tmp_path: Path) -> None:
     """From a state on the way up, with a part late: assembly, and what changes against the old plan."""
-    plan = Plan.load(old)
+    plan = load_plan(old)
     state, late = plan.states[2], int(plan.removed_parts[1])
     out = tmp_path / "new.json"
     words = ("replan", "arch:blocks=5", "--state", digits(state), "--missing", late, "--compare", old, "--out", out)
@@ -79,7 +89,7 @@ def test_build_on_without_a_part(falsework: Run, old: Path, tmp_path: Path) -> N
     assert "from here on: " in finished.out
     assert f"{ARCH.names[late]} is needed after" in finished.out
     assert f"compared with {old}" in finished.out
-    new = Plan.load(out)
+    new = load_plan(out)
     assert new.direction is Direction.ASSEMBLY
     assert new.removed_parts[0] != late
     assert falsework("check", out).code == 0
@@ -196,4 +206,4 @@ def test_a_state_that_slides_is_no_beginning_under_contact(falsework: Run, tmp_p
     found = falsework("replan", tmp_path / "clamp", "--out", out, "--json", "--criterion", "equilibrium")
     assert found.code == 0, found.error
     assert found.records[0]["criterion"] == "equilibrium"
-    assert Plan.load(out).claim.criterion == "equilibrium"
+    assert load_plan(out).claim.criterion == "equilibrium"

@@ -18,8 +18,8 @@ from falsework.geometry.mesh.obj import obj_text
 from falsework.interop.compas_read import load_compas
 from falsework.interop.compas_write import compas_of
 from falsework.interop.gltf import gltf_of
-from falsework.search import Plan
-from falsework.search.plans.plan_file import to_json
+from falsework.search import Plan, load_plan
+from falsework.search.plans.plan_file import plan_to_dict
 
 MANY = settings(
     max_examples=120,
@@ -80,15 +80,15 @@ def small() -> Assembly:
 @given(edits=EDITS)
 def test_damaged_plans(edits: Any, plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
-    path.write_bytes(damage(json.dumps(to_json(plan)).encode(), edits))
-    only_one_line(lambda: Plan.load(path))
+    path.write_bytes(damage(json.dumps(plan_to_dict(plan)).encode(), edits))
+    only_one_line(lambda: load_plan(path))
 
 
 @MANY
 @given(data=st.data())
 def test_plans_with_wrong_values(data: st.DataObject, plan: Plan, tmp_path: Path) -> None:
     """JSON that is well formed, with one value exchanged somewhere."""
-    content: Any = json.loads(json.dumps(to_json(plan)))
+    content: Any = json.loads(json.dumps(plan_to_dict(plan)))
     place = content
     while True:
         keys = list(place) if isinstance(place, dict) else list(range(len(place)))
@@ -101,7 +101,7 @@ def test_plans_with_wrong_values(data: st.DataObject, plan: Plan, tmp_path: Path
         break
     path = tmp_path / "plan.json"
     path.write_text(json.dumps(content))
-    only_one_line(lambda: Plan.load(path))
+    only_one_line(lambda: load_plan(path))
 
 
 @MANY

@@ -16,7 +16,15 @@ from falsework.assembly import load_structure  # noqa: E402
 from falsework.cli.main import main  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn.config.train import TrainSettings  # noqa: E402
-from falsework.learn.data.dataset import FORMAT, Dataset, DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.data.dataset import (  # noqa: E402
+    FORMAT,
+    Dataset,
+    DataSettings,
+    build_dataset,
+    load_dataset,
+    save_dataset,
+    task_for,
+)
 from falsework.learn.training.train import train  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 from falsework.search.device.oracle import HostOracle  # noqa: E402
@@ -63,29 +71,29 @@ def test_a_file_names_its_criterion(arch: Any, data: Dataset, tmp_path: Path) ->
     """One from before there was a choice is of equilibrium."""
     assert data.criterion == "contact"
     path = tmp_path / "data.npz"
-    data.save(path)
+    save_dataset(data, path)
     header, arrays = read_archive(path, FORMAT)
     assert header.pop("criterion") == "contact"
     write_archive(path, header.pop("format"), header, arrays)
-    assert Dataset.load(path, arch).criterion == "equilibrium"
+    assert load_dataset(path, arch).criterion == "equilibrium"
     settings = TrainSettings(steps=1, method="imitation", criterion="equilibrium")
     with pytest.raises(InputError, match="criterion contact, and the run is of equilibrium"):
         train(arch, settings, folder=None, device="cpu", logs=(), dataset=data)
 
 
 def test_saved_and_loaded(arch: Any, data: Dataset, tmp_path: Path) -> None:
-    data.save(tmp_path / "data.npz")
-    again = Dataset.load(tmp_path / "data.npz", arch)
+    save_dataset(data, tmp_path / "data.npz")
+    again = load_dataset(tmp_path / "data.npz", arch)
     for name in ("train", "test", "more"):
         assert np.array_equal(getattr(again, name), getattr(data, name))
-    assert again.task.describe() == data.task.describe()
+    assert again.task.to_dict() == data.task.to_dict()
     with pytest.raises(InputError, match="of arch:blocks=8, not of arch:blocks=9"):
-        Dataset.load(tmp_path / "data.npz", load_structure("arch:blocks=9"))
+        load_dataset(tmp_path / "data.npz", load_structure("arch:blocks=9"))
     with pytest.raises(InputError, match="there is no file"):
-        Dataset.load(tmp_path / "none.npz", arch)
+        load_dataset(tmp_path / "none.npz", arch)
     (tmp_path / "bad.npz").write_bytes((tmp_path / "data.npz").read_bytes()[:200])
     with pytest.raises(InputError, match="damaged"):
-        Dataset.load(tmp_path / "bad.npz", arch)
+        load_dataset(tmp_path / "bad.npz", arch)
 
 
 @pytest.mark.parametrize("wrong", [{"train_width": 0}, {"widths": (64, 0)}, {"seed": -1}])
@@ -103,7 +111,7 @@ def test_the_command_counts_states_by_level(tmp_path: Path, capsys: pytest.Captu
     assert record["test"] == sum(record["levels"]["test"])
     assert len(record["levels"]["train"]) == 13  # six blocks, two steps each, both ends counted
     assert record["levels"]["train"][0] == record["levels"]["train"][-1] == 1
-    assert Dataset.load(out, load_structure("arch:blocks=6")).test.shape == (record["test"], 8)
+    assert load_dataset(out, load_structure("arch:blocks=6")).test.shape == (record["test"], 8)
 
 
 def test_the_command_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

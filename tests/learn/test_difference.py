@@ -90,7 +90,7 @@ def test_words_and_json(plans: tuple[Plan, ...]) -> None:
     assert "later" in text
     assert "earlier" in text
     assert "\n" not in text
-    record = json.loads(json.dumps(change.record()))
+    record = json.loads(json.dumps(change.to_dict()))
     assert record["text"] == text
     assert len(record["moved"]) == len(change.moved)
     assert abs(record["moved"][0]["places"]) == max(abs(move.places) for move in change.moved)

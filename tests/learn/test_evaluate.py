@@ -23,7 +23,7 @@ from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.networks.policy import make_policy  # noqa: E402
 from falsework.learn.training.evaluate import EvaluateSettings, evaluate, greedy_success, sample  # noqa: E402
 from falsework.learn.training.train import train  # noqa: E402
-from falsework.search import StateGraph  # noqa: E402
+from falsework.search.problem.state_graph import load_state_graph  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
 WIDE = "arch:blocks=13"
@@ -114,7 +114,7 @@ def test_the_criterion_is_that_of_the_run_unless_given(tmp_path: Path, capsys: p
             file = str(tmp_path / f"{command}.npz")
             assert main([command, "arch:blocks=5", "--json", "--out", file, "--criterion", criterion]) == 0
             assert json.loads(capsys.readouterr().out)["criterion"] == criterion
-    assert StateGraph.load(file).criterion == "equilibrium"
+    assert load_state_graph(file).criterion == "equilibrium"
 
 
 def test_a_policy_is_asked_about_another_structure(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,6 +19,7 @@ from falsework.learn.networks.policy import PolicySettings, make_policy
 from falsework.replanning.result import Decider
 from falsework.search import ExhaustiveSearch, StateGraph
 from falsework.search.find import task_of
+from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.task import Task
 
 ARCH = load_structure("arch:blocks=5")
@@ -172,7 +173,7 @@ def test_on_a_gpu(graph: StateGraph) -> None:
     assert solve_all(environment, policy, states[good]).share == 1.0
     answer = Replanner(ARCH, policy).replan(environment.rules.complete()[0].cpu().numpy(), confidences=True)
     assert answer.plan is not None
-    assert answer.plan.validate(ARCH).good
+    assert validate_plan(answer.plan, ARCH).good
 
 
 def test_bad_numbers(environment: Environment, solvable: torch.Tensor, policy: Any) -> None:

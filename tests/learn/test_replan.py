@@ -20,6 +20,7 @@ from falsework.errors import FalseworkError, InputError, StateError
 from falsework.replanning.replanner import Decider, Replanner, ReplanSettings, Request, replan
 from falsework.search import ExhaustiveSearch, Outcome, find_plans
 from falsework.search.planner import Planner
+from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.task import Direction
 from falsework.stability import Proof, Stability, StabilitySettings
 from falsework.stability.contact.replay import History, Replay, Replayer
@@ -141,7 +142,7 @@ def test_every_answer_is_true(
     assert answer.outcome is not Outcome.NOT_FOUND  # so small a structure leaves no doubt
     assert len(answer.plans) <= alternatives
     for plan in answer.plans:
-        assert plan.validate(ARCH).good
+        assert validate_plan(plan, ARCH).good
         assert plan.direction is answer.direction is request.way(ARCH)
         np.testing.assert_array_equal(plan.states[0], state)
         if target is not None:
@@ -232,7 +233,7 @@ def test_alternatives_differ(policy: bool, alone: Replanner, guided: Replanner) 
     assert len({plan.actions.tobytes() for plan in answer.plans}) == 4
     assert answer.distance[~np.eye(4, dtype=bool)].min() > 0.3
     for plan in answer.plans:
-        assert plan.validate(ARCH).good
+        assert validate_plan(plan, ARCH).good
 
 
 def test_batch_is_as_good_as_one_by_one(guided: Replanner) -> None:
@@ -252,7 +253,7 @@ def test_batch_is_as_good_as_one_by_one(guided: Replanner) -> None:
         (single,) = guided.replan_many([request])
         assert answer.outcome is single.outcome
         for found in answer.plans:
-            assert found.validate(ARCH).good
+            assert validate_plan(found, ARCH).good
             np.testing.assert_array_equal(found.states[0], np.asarray(request.state))
 
 
@@ -274,7 +275,7 @@ def test_deadline_is_kept(name: str) -> None:
             assert f"deadline of {deadline} s" in answer.reason
         else:
             assert answer.plan is not None
-            assert answer.plan.validate(assembly).good
+            assert validate_plan(answer.plan, assembly).good
 
 
 def test_deadline_is_kept_in_company() -> None:
@@ -352,7 +353,7 @@ def test_a_plan_is_replayed(alone: Replanner) -> None:
         # Replayed a few steps at a time, and in one go.
         assert replayed.moved == pytest.approx(whole.largest, rel=1e-9)
         assert replayed.moved > 0
-    record = answer.record()
+    record = answer.to_dict()
     assert record["criterion"] == "contact"
     assert record["replay"] == record["replays"][0]
     assert record["replay"]["stands"] is True
@@ -361,9 +362,9 @@ def test_a_plan_is_replayed(alone: Replanner) -> None:
 
 def test_equilibrium_knows_no_history() -> None:
     answer = Replanner(ARCH, oracle=Stability(ARCH, StabilitySettings(criterion="equilibrium"))).replan(COMPLETE)
-    assert answer.criterion == answer.record()["criterion"] == "equilibrium"
+    assert answer.criterion == answer.to_dict()["criterion"] == "equilibrium"
     assert answer.replays == ()
-    assert "replay" not in answer.record()
+    assert "replay" not in answer.to_dict()
     assert (answer.plans[0].proofs == Proof.FORCES).all()
 
 
@@ -380,7 +381,7 @@ def test_a_plan_whose_replay_falls_is_not_delivered(policy: bool, alternatives: 
         assert len(answer.plans) == alternatives
         for plan, replayed in zip(answer.plans, answer.replays, strict=True):
             assert replayed.stands is True
-            assert plan.validate(ARCH).good
+            assert validate_plan(plan, ARCH).good
             assert not {state.tobytes() for state in plan.states} & bad
         bad |= {answer.plans[0].states[4].tobytes(), answer.plans[0].states[5].tobytes()}
     assert len(bad) == 4
@@ -437,7 +438,7 @@ def test_a_replay_goes_as_far_as_the_deadline_allows(policy: bool) -> None:
     (replayed,) = answer.replays
     assert replayed.stands is None
     assert replayed.steps < replayed.of == len(answer.plans[0])
-    assert answer.record()["replay"]["stands"] is None
+    assert answer.to_dict()["replay"]["stands"] is None
     assert answer.spent["replays"] > 0.3
 
 
@@ -450,7 +451,7 @@ def test_at_the_deadline_a_plan_that_falls_is_said_to_fall() -> None:
     assert answer.deadline_passed
     assert answer.replays[0].stands is False
     assert answer.replays[0].steps == 0
-    assert answer.record()["replay"]["stands"] is False
+    assert answer.to_dict()["replay"]["stands"] is False
 
 
 def test_a_state_that_slides_is_no_proof() -> None:

@@ -31,7 +31,7 @@ from falsework.learn.config.train import (  # noqa: E402
     RefinePhase,
     TrainSettings,
 )
-from falsework.learn.data.dataset import Dataset  # noqa: E402
+from falsework.learn.data.dataset import load_dataset  # noqa: E402
 from falsework.learn.training import checkpoint  # noqa: E402
 from falsework.learn.training import train as module  # noqa: E402
 from falsework.learn.training.checkpoint import load_run  # noqa: E402
@@ -137,7 +137,7 @@ def test_the_seed_decides(arch: Any, tmp_path: Path) -> None:
         runs[name] = weights(tmp_path / name)
     assert all(torch.equal(tensor, runs["two"][name]) for name, tensor in runs["one"].items())
     assert any(not torch.equal(tensor, runs["other"][name]) for name, tensor in runs["one"].items())
-    data = [Dataset.load(tmp_path / name / "data.npz", arch) for name in ("one", "other")]
+    data = [load_dataset(tmp_path / name / "data.npz", arch) for name in ("one", "other")]
     assert (data[0].test == data[1].test).all()  # one test set for all seeds
 
 
@@ -206,7 +206,7 @@ def test_test_states_are_not_learned_from(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(module, "Trainer", keep)
     for method in ("search", "refine"):
         result = train(arch, replace(SMALL, method=method), folder=tmp_path / method, device="cpu")
-        test = Dataset.load(tmp_path / method / "data.npz", arch).test
+        test = load_dataset(tmp_path / method / "data.npz", arch).test
         solved, environment = kept["trainer"]._solved, kept["trainer"]._environment
         assert solved.forbidden == len(test) > 0
         assert not solved.contains(torch.from_numpy(test)).any()
@@ -219,7 +219,7 @@ def test_test_states_are_not_learned_from(tmp_path: Path, monkeypatch: pytest.Mo
 def test_the_papers_data_alone(arch: Any, tmp_path: Path) -> None:
     settings = replace(SMALL, method="imitation", data="width64", steps=5)
     result = train(arch, settings, folder=tmp_path / "run", device="cpu")
-    data = Dataset.load(tmp_path / "run" / "data.npz", arch)
+    data = load_dataset(tmp_path / "run" / "data.npz", arch)
     assert len(data.more) == 0
     assert result.solved == len(data.train)
 
@@ -293,7 +293,7 @@ def test_two_processes_are_one_training(tmp_path: Path, run_processes: Callable[
         assert numbers[0]["test"] == numbers[1]["test"]
         assert numbers[0]["processes"] == 2
         assert load_run(folder / "run").metadata["results"]["processes"] == 2
-        learned = Dataset.load(folder / "run" / "data.npz", load_structure("arch:blocks=13")).train
+        learned = load_dataset(folder / "run" / "data.npz", load_structure("arch:blocks=13")).train
         assert len(one["solved"]) > len(learned)  # rollouts of either process found more
 
 

@@ -14,7 +14,17 @@ import pytest
 
 from falsework.assembly import Assembly, load_structure
 from falsework.errors import InputError, PlanError
-from falsework.search import Direction, Plan, Task, find_plans, plan_schema
+from falsework.search import (
+    Direction,
+    Plan,
+    Task,
+    find_plans,
+    load_plan,
+    plan_schema,
+    save_plan,
+    validate_plan,
+    validate_proofs,
+)
 from falsework.stability import Stability
 from falsework.stability.settings import EQUILIBRIUM
 
@@ -28,7 +38,7 @@ def plan(small_arch: Assembly, arch_oracle: Stability) -> Plan:
 
 @pytest.fixture
 def data(plan: Plan, tmp_path: Path) -> dict[str, Any]:
-    plan.save(tmp_path / "plan.json", proofs=True)
+    save_plan(plan, tmp_path / "plan.json", proofs=True)
     return json.loads((tmp_path / "plan.json").read_text())
 
 
@@ -48,20 +58,20 @@ def test_plans_of_version_1_are_under_equilibrium(small_arch: Assembly, tmp_path
     oracle = Stability(small_arch, EQUILIBRIUM)
     made = find_plans(small_arch, oracle=oracle).plans[0]
     assert made.replay is None
-    made.save(tmp_path / "plan.json", proofs=True)
+    save_plan(made, tmp_path / "plan.json", proofs=True)
     content = json.loads((tmp_path / "plan.json").read_text())
     content["format"] = "falsework.plan/1"
     del content["stability"]["criterion"], content["stability"]["stiffness_ratio"]
     content["stability"]["tolerance"] = 1e-3  # m/s2 then
     (tmp_path / "old.json").write_text(json.dumps(content))
-    old = Plan.load(tmp_path / "old.json")
+    old = load_plan(tmp_path / "old.json")
     assert old.claim == made.claim
-    assert old.validate_proofs(small_arch, EQUILIBRIUM).good
-    assert "claims equilibrium only" in old.validate(small_arch).reason
+    assert validate_proofs(old, small_arch, EQUILIBRIUM).good
+    assert "claims equilibrium only" in validate_plan(old, small_arch).reason
 
 
 def test_every_state_is_proven_anew(plan: Plan, small_arch: Assembly) -> None:
-    report = plan.validate(small_arch)
+    report = validate_plan(plan, small_arch)
     assert report.good
     assert report.checked == report.states == len(plan) + 1 == 2 * 7 + 1
     assert report.residual <= 1e-4
@@ -69,7 +79,7 @@ def test_every_state_is_proven_anew(plan: Plan, small_arch: Assembly) -> None:
 
 
 def test_every_state_is_proven_by_its_displacement(plan: Plan, small_arch: Assembly) -> None:
-    report = plan.validate_proofs(small_arch)
+    report = validate_proofs(plan, small_arch)
     assert report.good
     assert report.residual == pytest.approx(plan.residuals.max())
 
@@ -79,8 +89,8 @@ def test_the_reverse_of_the_reverse(plan: Plan, small_arch: Assembly) -> None:
     assert back.direction is Direction.ASSEMBLY
     assert np.array_equal(back.states, plan.states[::-1])
     assert same(back.reverse(), plan)
-    assert back.validate(small_arch).good
-    assert back.validate_proofs(small_arch).good
+    assert validate_plan(back, small_arch).good
+    assert validate_proofs(back, small_arch).good
     assert np.array_equal(back.route.states, plan.states)
     words = [back.describe(step).split()[0] for step in range(len(back))]
     assert words[0] == "insert"
@@ -93,13 +103,13 @@ def test_comes_back_from_disk(plan: Plan, tmp_path: Path, assembly_order: bool) 
     ordered = plan.reverse() if assembly_order else plan
     path = tmp_path / "plan.json"
     written = replace(ordered, forces=None)  # they follow from the displacements
-    ordered.save(path, proofs=True)
-    assert same(Plan.load(path), written)
-    assert Plan.load(path).claim == ordered.claim
-    assert Plan.load(path).replay == ordered.replay
-    ordered.save(path)
-    assert Plan.load(path).displacement is None
-    assert same(replace(Plan.load(path), displacement=ordered.displacement), written)
+    save_plan(ordered, path, proofs=True)
+    assert same(load_plan(path), written)
+    assert load_plan(path).claim == ordered.claim
+    assert load_plan(path).replay == ordered.replay
+    save_plan(ordered, path)
+    assert load_plan(path).displacement is None
+    assert same(replace(load_plan(path), displacement=ordered.displacement), written)
     assert [entry.name for entry in tmp_path.iterdir()] == ["plan.json"]
 
 
@@ -108,7 +118,7 @@ def test_files_follow_the_published_schema(plan: Plan, tmp_path: Path, assembly_
     schema = plan_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
     path = tmp_path / "plan.json"
-    (plan.reverse() if assembly_order else plan).save(path, proofs=assembly_order)
+    save_plan(plan.reverse() if assembly_order else plan, path, proofs=assembly_order)
     jsonschema.validate(json.loads(path.read_text()), schema)
 
 
@@ -182,7 +192,7 @@ def test_reads_strictly(data: dict[str, Any], tmp_path: Path, change: Any, messa
     path = tmp_path / "bad.json"
     path.write_text(json.dumps(data))
     with pytest.raises(PlanError) as caught:
-        Plan.load(path)
+        load_plan(path)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -196,28 +206,28 @@ def test_the_schema_is_as_strict(data: dict[str, Any], change: Any, message: str
 
 def test_fragments_are_rejected(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
-    plan.save(path)
+    save_plan(plan, path)
     text = path.read_bytes()
     for keep in range(0, len(text.rstrip()), 97):
         path.write_bytes(text[:keep])
         with pytest.raises(PlanError, match="truncated"):
-            Plan.load(path)
+            load_plan(path)
     for other in (b"[]", b"3", b'"falsework.plan/1"', b"{}"):
         path.write_bytes(other)
         with pytest.raises(PlanError, match="not a valid plan"):
-            Plan.load(path)
+            load_plan(path)
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(PlanError, match="cannot be read"):
-        Plan.load(path)
+        load_plan(path)
     with pytest.raises(PlanError, match="there is no plan file"):
-        Plan.load(tmp_path / "none.json")
+        load_plan(tmp_path / "none.json")
 
 
 def test_a_plan_is_for_one_structure(plan: Plan, small_arch: Assembly) -> None:
     with pytest.raises(PlanError, match="for another structure: its hash"):
-        plan.validate(small_arch.replace(friction=0.3))
+        validate_plan(plan, small_arch.replace(friction=0.3))
     with pytest.raises(PlanError, match="with 9 parts"):
-        plan.validate(load_structure("arch:blocks=5"))
+        validate_plan(plan, load_structure("arch:blocks=5"))
 
 
 def test_the_first_unstable_state_is_found(plan: Plan, small_arch: Assembly) -> None:
@@ -237,9 +247,9 @@ def test_the_first_unstable_state_is_found(plan: Plan, small_arch: Assembly) -> 
         forces=None,
     )
     # The states do not follow from the actions, which is found without any solver.
-    assert "do not lead through" in fallen.validate(small_arch).reason
+    assert "do not lead through" in validate_plan(fallen, small_arch).reason
     begins = replace(fallen, states=np.array([loose, after]), actions=np.array([hold]))
-    report = begins.validate(small_arch)
+    report = validate_plan(begins, small_arch)
     assert not report.good
     assert report.checked == 0
     assert report.bad_step == -1
@@ -257,7 +267,7 @@ def test_a_removal_without_support_is_found_where_it_happens(small_arch: Assembl
     states = np.repeat(plan.states[:1], 3, axis=0)
     states[1:, block] = [2, 0]
     bad = replace(plan, states=states, actions=np.array([block, parts + block]), forces=None)
-    report = bad.validate(small_arch)
+    report = validate_plan(bad, small_arch)
     assert report.checked == 2
     assert report.bad_step == 1
     assert f"after step 2 (remove {plan.part_names[block]})" in report.reason
@@ -265,26 +275,26 @@ def test_a_removal_without_support_is_found_where_it_happens(small_arch: Assembl
 
 def test_broken_rules_are_found(plan: Plan, small_arch: Assembly) -> None:
     one = replace(plan, robots=1)
-    assert "all 1 robots are holding" in one.validate(small_arch).reason
+    assert "all 1 robots are holding" in validate_plan(one, small_arch).reason
     fixed = replace(plan, fixed=(int(plan.actions[0]),))
-    assert "touches a fixed part" in fixed.validate(small_arch).reason
+    assert "touches a fixed part" in validate_plan(fixed, small_arch).reason
     parts = len(plan.boundary)
     early = replace(plan, actions=np.array([parts + 3, *plan.actions[1:]]))
-    assert "against the rules: the part is installed" in early.validate(small_arch).reason
+    assert "against the rules: the part is installed" in validate_plan(early, small_arch).reason
 
 
 def test_wrong_displacements_are_found(plan: Plan, small_arch: Assembly) -> None:
     assert plan.displacement is not None
     half = replace(plan, displacement=0.5 * plan.displacement)
-    report = half.validate_proofs(small_arch)
+    report = validate_proofs(half, small_arch)
     assert not report.good
     assert report.checked == 0
     with pytest.raises(PlanError, match="carries no displacements"):
-        replace(plan, displacement=None).validate_proofs(small_arch)
+        validate_proofs(replace(plan, displacement=None), small_arch)
     with pytest.raises(PlanError, match="displacements of shape"):
-        replace(plan, displacement=plan.displacement[:, 1:]).validate_proofs(small_arch)
+        validate_proofs(replace(plan, displacement=plan.displacement[:, 1:]), small_arch)
     with pytest.raises(PlanError, match="carries no displacements"):
-        replace(plan, displacement=None).save("plan.json", proofs=True)
+        save_plan(replace(plan, displacement=None), "plan.json", proofs=True)
 
 
 def test_ways_out_are_checked(small_arch: Assembly, arch_oracle: Stability) -> None:
@@ -294,8 +304,8 @@ def test_ways_out_are_checked(small_arch: Assembly, arch_oracle: Stability) -> N
     assert planning.found
     clear = planning.plans[0]
     assert clear.removable_only_if_clear
-    assert clear.validate(small_arch).good
-    assert clear.reverse().validate(small_arch).good
+    assert validate_plan(clear, small_arch).good
+    assert validate_plan(clear.reverse(), small_arch).good
 
     class Shut:
         """Lets nothing out of the complete structure."""
@@ -305,11 +315,11 @@ def test_ways_out_are_checked(small_arch: Assembly, arch_oracle: Stability) -> N
 
     shut = small_arch.replace()
     shut.__dict__["clearance"] = Shut()
-    report = clear.validate(shut)
+    report = validate_plan(clear, shut)
     first = int(np.flatnonzero(clear.actions >= len(clear.boundary))[0])
     assert "finds no straight way past" in report.reason
     assert report.bad_step == first
-    back = clear.reverse().validate(shut)
+    back = validate_plan(clear.reverse(), shut)
     assert back.bad_step == len(clear) - 1 - first
 
 
@@ -327,7 +337,7 @@ def test_says_when_missing_parts_are_needed(plan: Plan) -> None:
 
 def test_nothing_half_written_is_left(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "plan.json"
-    plan.save(path)
+    save_plan(plan, path)
     before = path.read_bytes()
 
     def fail(*_: Any) -> None:
@@ -335,11 +345,11 @@ def test_nothing_half_written_is_left(plan: Plan, tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr("os.replace", fail)
     with pytest.raises(KeyboardInterrupt):
-        plan.reverse().save(path)
+        save_plan(plan.reverse(), path)
     assert [entry.name for entry in tmp_path.iterdir()] == ["plan.json"]
     assert path.read_bytes() == before
     with pytest.raises(InputError, match="cannot write"):
-        plan.save(tmp_path / "no" / "plan.json")
+        save_plan(plan, tmp_path / "no" / "plan.json")
 
 
 def test_only_stable_routes_become_plans(plan: Plan, small_arch: Assembly, rules: Any) -> None:

@@ -20,6 +20,8 @@ from falsework.search import (
     Task,
     find_plans,
     task_of,
+    validate_plan,
+    validate_proofs,
 )
 from falsework.search.planner import insertion_steps
 from falsework.stability import Stability
@@ -177,8 +179,8 @@ def test_plans_of_a_real_arch(small_arch: Assembly, arch_oracle: Stability) -> N
     assert len({plan.states.tobytes() for plan in planning.plans}) == 3
     for plan, route in zip(planning.plans, planning.alternatives.routes, strict=True):
         assert np.array_equal(plan.states, route.states)
-        assert plan.validate(small_arch).good
-        assert plan.validate_proofs(small_arch).good
+        assert validate_plan(plan, small_arch).good
+        assert validate_proofs(plan, small_arch).good
     # A plan and its mirror image differ much; three plans cannot all be opposites.
     assert planning.alternatives.least_distance > 0.4
 
@@ -201,7 +203,7 @@ def test_half_a_job(small_arch: Assembly, arch_oracle: Stability) -> None:
     )
     found = find_plans(small_arch, middle, oracle=arch_oracle)
     assert len(found.plans[0]) == 6
-    assert found.plans[0].validate(small_arch).good
+    assert validate_plan(found.plans[0], small_arch).good
     last = int(plan.removed_parts[-1])
     stays = Task.create(small_arch.boundary, 2, fixed=[last], identity=small_arch.identity)
     kept = find_plans(small_arch, stays, oracle=arch_oracle)
@@ -237,7 +239,7 @@ def test_another_guide(small_arch: Assembly, arch_oracle: Stability) -> None:
         small_arch, oracle=arch_oracle, guide=lambda states, actions, way: -support(states, actions, way)
     )
     usual = find_plans(small_arch, oracle=arch_oracle)
-    assert found.plans[0].validate(small_arch).good
+    assert validate_plan(found.plans[0], small_arch).good
     assert not np.array_equal(found.plans[0].actions, usual.plans[0].actions)
 
 
@@ -246,4 +248,4 @@ def test_built_in_structures_have_plans(name: str) -> None:
     assembly = load_structure(name)
     planning = find_plans(assembly)
     assert planning.found
-    assert planning.plans[0].validate_proofs(assembly).good
+    assert validate_proofs(planning.plans[0], assembly).good

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from falsework.assembly import load_assembly
-from falsework.search import BeamSearch, BeamSettings, StateGraph, find_plans, task_of
+from falsework.search import BeamSearch, BeamSettings, StateGraph, find_plans, task_of, validate_proofs
 from falsework.stability import Stability, StabilitySettings
 
 Find = Callable[[str], Path]
@@ -44,6 +44,6 @@ def test_two_robots_can_build_it(shared_assembly: Find, name: str) -> None:
     assert planning.found
     plan = planning.plans[0]
     assert len(plan) == 2 * int((~assembly.boundary).sum())
-    assert plan.validate_proofs(assembly).good
+    assert validate_proofs(plan, assembly).good
     some = plan.states[:: max(len(plan) // 5, 1)]
     assert Stability(assembly).exact.check(some).stable.all()

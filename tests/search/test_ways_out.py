@@ -9,7 +9,7 @@ import pytest
 
 from falsework.assembly.model import Assembly
 from falsework.geometry import TriangleMesh
-from falsework.search import find_plans
+from falsework.search import find_plans, validate_plan
 from falsework.search.beam.beam import BeamSearch, BeamSettings
 from falsework.search.depth_first import DepthFirstSearch
 from falsework.search.exhaustive import ExhaustiveSearch
@@ -55,7 +55,7 @@ def test_a_block_is_drawn_out_along_the_axis_of_its_chimney(gap: float) -> None:
     assert way @ AXIS / np.linalg.norm(AXIS) > np.cos(np.radians(0.5))
     planning = find_plans(assembly, clear_task(assembly))
     assert planning.found
-    assert planning.plans[0].validate(assembly).good
+    assert validate_plan(planning.plans[0], assembly).good
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.01])

@@ -12,8 +12,9 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from falsework.assembly.state import complete_state, empty_state
+from falsework.search import validate_plan
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_file import from_json, plan_schema
+from falsework.search.plans.plan_file import plan_from_dict, plan_schema
 from falsework.stability import Stability, StabilitySettings
 
 HALF = [1, 2, 0, 2, 1, 2, 2]
@@ -24,7 +25,7 @@ def plans_of(answer: dict[str, Any]) -> list[Plan]:
     """The plans in an answer, each as its published schema has it."""
     for plan in answer["plans"]:
         jsonschema.validate(plan, plan_schema())
-    return [Plan(**from_json(plan)) for plan in answer["plans"]]
+    return [plan_from_dict(plan) for plan in answer["plans"]]
 
 
 @pytest.mark.parametrize(
@@ -59,7 +60,7 @@ def test_a_plan_leads_where_it_shall_and_every_state_stands(
     assert np.array_equal(plan.states[0], words.get(first, first) if isinstance(first, str) else first)
     assert np.array_equal(plan.states[-1], words[last])
     assert plan.source is None
-    assert plan.validate(live.assembly).good
+    assert validate_plan(plan, live.assembly).good
 
 
 def test_alternatives_differ(live: Any) -> None:

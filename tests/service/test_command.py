@@ -18,8 +18,8 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.cli.main import main
-from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_file import from_json
+from falsework.search import validate_plan
+from falsework.search.plans.plan_file import plan_from_dict
 
 TOKEN = "a-token-of-many-letters"
 
@@ -63,7 +63,7 @@ def test_a_run_is_served_with_its_policy_and_structure(trained: Path) -> None:
             answers = [client.post("/replan", json={"seed": seed}).json() for seed in range(4)]
     assembly = load_structure("arch:blocks=3")
     for answer in answers:
-        assert Plan(**from_json(answer["plans"][0])).validate(assembly).good
+        assert validate_plan(plan_from_dict(answer["plans"][0]), assembly).good
     assert {answer["decided_by"] for answer in answers} <= {"policy greedy", "policy sampled", "guided search"}
 
 

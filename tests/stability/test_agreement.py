@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly import library, load_structure
 from falsework.assembly.model import Assembly
-from falsework.stability import ExactSolver, Stability, StabilitySettings, Verdict, accept
+from falsework.stability import ExactSolver, Stability, StabilitySettings, Verdict, verify_certificates
 
 TOLERANCE = 1e-4
 SMALL = ("arch:blocks=7", "wall:bricks=3,courses=3", "corbel", "bottle", "polycube")
@@ -26,11 +26,11 @@ def compare(assembly: Assembly, states: NDArray[np.uint8], cone: str, *, exact: 
     verdicts = stability.check(states)
     assert not verdicts.undecided.any()
     assert stability.counters.rejected == 0
-    assert accept(assembly, states, verdicts, settings.claim).all()
+    assert verify_certificates(assembly, states, verdicts, settings.claim).all()
     if exact:
         slow = ExactSolver(assembly, settings).check(states)
         np.testing.assert_array_equal(verdicts.verdict, slow.verdict)
-        assert accept(assembly, states, slow, settings.claim).all()
+        assert verify_certificates(assembly, states, slow, settings.claim).all()
     return verdicts.verdict
 
 

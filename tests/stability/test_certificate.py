@@ -15,7 +15,7 @@ from falsework.assembly import library
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
-from falsework.stability import Claim, ExactSolver, Stability, StabilitySettings, Verdict, Verdicts, accept
+from falsework.stability import Claim, ExactSolver, Stability, StabilitySettings, Verdict, Verdicts, verify_certificates
 from falsework.stability.certificate import residual_bound_of_velocity, residual_of_forces
 from falsework.stability.reference.conic_program import into_cone
 
@@ -45,24 +45,24 @@ def with_velocity(verdicts: Verdicts, velocity: NDArray) -> Verdicts:
 
 def test_every_certificate_is_accepted(case: tuple) -> None:
     assembly, states, verdicts, claim = case
-    assert accept(assembly, states, verdicts, claim).all()
+    assert verify_certificates(assembly, states, verdicts, claim).all()
 
 
 def test_exact_certificates_are_accepted(case: tuple) -> None:
     assembly, states, verdicts, claim = case
     exact = ExactSolver(assembly, StabilitySettings(criterion="equilibrium", cone=claim.cone)).check(states)
     np.testing.assert_array_equal(exact.verdict, verdicts.verdict)
-    assert accept(assembly, states, exact, claim).all()
+    assert verify_certificates(assembly, states, exact, claim).all()
 
 
 def test_a_flipped_verdict_is_rejected(case: tuple) -> None:
     assembly, states, verdicts, claim = case
-    assert not accept(assembly, states, replace(verdicts, verdict=-verdicts.verdict), claim).any()
+    assert not verify_certificates(assembly, states, replace(verdicts, verdict=-verdicts.verdict), claim).any()
 
 
 def test_an_undecided_verdict_is_rejected(case: tuple) -> None:
     assembly, states, verdicts, claim = case
-    assert not accept(assembly, states, replace(verdicts, verdict=0 * verdicts.verdict), claim).any()
+    assert not verify_certificates(assembly, states, replace(verdicts, verdict=0 * verdicts.verdict), claim).any()
 
 
 @pytest.mark.parametrize("factor", [0.99, 1.01, 0.0, -1.0, np.nan, np.inf])
@@ -70,13 +70,15 @@ def test_scaled_forces_are_rejected(case: tuple, factor: float) -> None:
     assembly, states, verdicts, claim = case
     with np.errstate(invalid="ignore"):
         tampered = with_forces(verdicts, factor * verdicts.forces)
-        assert not accept(assembly, states, tampered, claim)[verdicts.stable].any()
+        assert not verify_certificates(assembly, states, tampered, claim)[verdicts.stable].any()
 
 
 def test_perturbed_forces_are_rejected(case: tuple) -> None:
     assembly, states, verdicts, claim = case
     noise = np.random.default_rng(0).normal(1.0, 0.02, verdicts.forces.shape)
-    assert not accept(assembly, states, with_forces(verdicts, noise * verdicts.forces), claim)[verdicts.stable].any()
+    assert not verify_certificates(assembly, states, with_forces(verdicts, noise * verdicts.forces), claim)[
+        verdicts.stable
+    ].any()
 
 
 def test_a_single_force_that_is_not_a_number_is_rejected(case: tuple) -> None:
@@ -85,7 +87,7 @@ def test_a_single_force_that_is_not_a_number_is_rejected(case: tuple) -> None:
     for row in np.flatnonzero(verdicts.stable):
         forces = verdicts.forces.copy()
         forces[row, np.flatnonzero(problem.active(states)[row])[0], 1] = np.nan
-        assert not accept(assembly, states, with_forces(verdicts, forces), claim)[row]
+        assert not verify_certificates(assembly, states, with_forces(verdicts, forces), claim)[row]
 
 
 def test_forces_where_nothing_touches_count_for_nothing(case: tuple) -> None:
@@ -93,9 +95,9 @@ def test_forces_where_nothing_touches_count_for_nothing(case: tuple) -> None:
     assembly, states, verdicts, claim = case
     idle = ~Stability(assembly, StabilitySettings(criterion="equilibrium")).problem.active(states)
     tampered = with_forces(verdicts, np.where(idle[:, :, None], 1e3, verdicts.forces))
-    assert accept(assembly, states, tampered, claim).all()
+    assert verify_certificates(assembly, states, tampered, claim).all()
     only_idle = with_forces(verdicts, np.where(idle[:, :, None], 1e3, 0.0 * verdicts.forces))
-    assert not accept(assembly, states, only_idle, claim)[verdicts.stable].any()
+    assert not verify_certificates(assembly, states, only_idle, claim)[verdicts.stable].any()
 
 
 def test_forces_of_another_state_are_rejected(scenes: Any) -> None:
@@ -105,13 +107,13 @@ def test_forces_of_another_state_are_rejected(scenes: Any) -> None:
     assert verdicts.stable[0]
     for state, expected in (([1, 1, 1, 2], True), ([0, 1, 1, 2], False), ([1, 1, 0, 2], False), ([2, 1, 1, 2], True)):
         # With the base held, its forces stay those of a state in which it needs none.
-        assert accept(tower, np.array([state], np.uint8), verdicts)[0] == expected, state
+        assert verify_certificates(tower, np.array([state], np.uint8), verdicts)[0] == expected, state
 
 
 @pytest.mark.parametrize("factor", [1e-9, 1e9])
 def test_the_length_of_a_velocity_does_not_matter(case: tuple, factor: float) -> None:
     assembly, states, verdicts, claim = case
-    assert accept(assembly, states, with_velocity(verdicts, factor * verdicts.velocity), claim).all()
+    assert verify_certificates(assembly, states, with_velocity(verdicts, factor * verdicts.velocity), claim).all()
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, np.nan, np.inf])
@@ -119,22 +121,22 @@ def test_a_velocity_that_is_none_is_rejected(case: tuple, factor: float) -> None
     assembly, states, verdicts, claim = case
     with np.errstate(invalid="ignore"):
         tampered = with_velocity(verdicts, factor * verdicts.velocity)
-        assert not accept(assembly, states, tampered, claim)[verdicts.unstable].any()
+        assert not verify_certificates(assembly, states, tampered, claim)[verdicts.unstable].any()
 
 
 def test_random_velocities_are_rejected(case: tuple) -> None:
     assembly, states, verdicts, claim = case
     velocity = np.random.default_rng(0).standard_normal(verdicts.velocity.shape)
-    assert not accept(assembly, states, with_velocity(verdicts, velocity), claim)[verdicts.unstable].any()
+    assert not verify_certificates(assembly, states, with_velocity(verdicts, velocity), claim)[verdicts.unstable].any()
 
 
 def test_a_velocity_of_a_part_that_is_held_proves_nothing(scenes: Any) -> None:
     tower = scenes.tower(2)
     verdicts = Stability(tower, StabilitySettings(criterion="equilibrium")).check([0, 1, 2])
     assert verdicts.unstable[0]
-    assert accept(tower, np.array([[0, 1, 2]], np.uint8), verdicts)[0]
-    assert not accept(tower, np.array([[0, 2, 2]], np.uint8), verdicts)[0]
-    assert not accept(tower, np.array([[1, 1, 2]], np.uint8), verdicts)[0]
+    assert verify_certificates(tower, np.array([[0, 1, 2]], np.uint8), verdicts)[0]
+    assert not verify_certificates(tower, np.array([[0, 2, 2]], np.uint8), verdicts)[0]
+    assert not verify_certificates(tower, np.array([[1, 1, 2]], np.uint8), verdicts)[0]
 
 
 def four_corners(scenes: Any, **options: Any) -> tuple[Assembly, NDArray]:
@@ -210,13 +212,13 @@ def test_certificates_must_be_there_and_fit(scenes: Any) -> None:
     stability = Stability(tower, StabilitySettings(criterion="equilibrium"))
     state = np.array([[1, 2]], np.uint8)
     with pytest.raises(InputError, match="no certificates"):
-        accept(tower, state, stability.judge(state))
+        verify_certificates(tower, state, stability.judge(state))
     verdicts = stability.check(state)
     assert verdicts.forces is not None
     with pytest.raises(InputError, match=r"forces have shape \(1, 4, 1\); expected \(1, 4, 3\)"):
-        accept(tower, state, with_forces(verdicts, verdicts.forces[:, :, :1]))
+        verify_certificates(tower, state, with_forces(verdicts, verdicts.forces[:, :, :1]))
     with pytest.raises(InputError, match="states have shape"):
-        accept(tower, np.array([[1, 2], [1, 2]], np.uint8), verdicts)
+        verify_certificates(tower, np.array([[1, 2], [1, 2]], np.uint8), verdicts)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -242,7 +244,7 @@ def test_no_state_passes_both_checks(seed: int, cone: str, push: float, blend: f
     passed = []
     for verdict in (Verdict.STABLE, Verdict.UNSTABLE):
         claimed = replace(verdicts, verdict=np.array([verdict], np.int8), forces=forces, velocity=velocity)
-        passed.append(bool(accept(assembly, state, claimed, claim)[0]))
+        passed.append(bool(verify_certificates(assembly, state, claimed, claim)[0]))
     assert not all(passed)
 
 
@@ -266,4 +268,4 @@ def test_rounding_that_is_forgiven_carries_nothing(scenes: Any, cone: str) -> No
     wider = assembly.replace(friction=0.5 + 1e-3)
     held = Stability(wider, settings).check(complete_state(assembly.boundary))
     assert held.stable[0]
-    assert not accept(assembly, complete_state(assembly.boundary)[None], held, claim)[0]
+    assert not verify_certificates(assembly, complete_state(assembly.boundary)[None], held, claim)[0]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly import library
 from falsework.assembly.model import Assembly
-from falsework.stability import ExactSolver, Stability, StabilitySettings, Verdict, accept, build_problem
+from falsework.stability import ExactSolver, Stability, StabilitySettings, Verdict, build_problem, verify_certificates
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import Cone
 from falsework.stability.reference.conic_program import into_cone
@@ -25,7 +25,7 @@ def decided(assembly: Assembly, states: NDArray[np.uint8], cone: Cone) -> NDArra
     settings = StabilitySettings(criterion="equilibrium", cone=cone)
     both, alone = Stability(assembly, settings).check(states), ExactSolver(assembly, settings).check(states)
     for verdicts in (both, alone):
-        assert accept(assembly, states, verdicts, settings.claim).all()
+        assert verify_certificates(assembly, states, verdicts, settings.claim).all()
     np.testing.assert_array_equal(both.verdict, alone.verdict)
     return both.verdict
 

@@ -14,7 +14,15 @@ import pytest
 from falsework.assembly import library, load_structure
 from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
-from falsework.stability import Solver, Stability, StabilitySettings, Verdict, accept, build_problem, oracle
+from falsework.stability import (
+    Solver,
+    Stability,
+    StabilitySettings,
+    Verdict,
+    build_problem,
+    oracle,
+    verify_certificates,
+)
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.driver import KERNELS, CudaDriver, compile_kernel
 from falsework.stability.gpu.layout import build_layout
@@ -38,7 +46,7 @@ def compare(make_solver: Callable[..., GpuSolver], assembly: Assembly, states: A
     both = ~verdicts.undecided & ~expected.undecided  # what either leaves open goes to the exact solver
     np.testing.assert_array_equal(verdicts.verdict[both], expected.verdict[both])
     assert both.mean() > 0.95
-    np.testing.assert_array_equal(accept(assembly, states, verdicts, settings.claim), ~verdicts.undecided)
+    np.testing.assert_array_equal(verify_certificates(assembly, states, verdicts, settings.claim), ~verdicts.undecided)
     np.testing.assert_array_equal(verdicts.decided_by, np.where(verdicts.undecided, Solver.NONE, Solver.GPU))
     return verdicts
 
@@ -94,7 +102,9 @@ def test_any_number_of_threads_finds_the_same(
         both = ~verdicts.undecided & ~alone.undecided
         assert both.mean() > 0.95
         np.testing.assert_array_equal(verdicts.verdict[both], alone.verdict[both])
-        np.testing.assert_array_equal(accept(assembly, states, verdicts, settings.claim), ~verdicts.undecided)
+        np.testing.assert_array_equal(
+            verify_certificates(assembly, states, verdicts, settings.claim), ~verdicts.undecided
+        )
 
 
 def test_states_too_large_for_the_chip_are_judged_in_memory(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
@@ -139,7 +149,7 @@ def test_found_forces_are_a_good_guess(scenes: Any, make_solver: Callable[..., G
     assert warm.iterations.mean() < 0.7 * cold.iterations[rows].mean()
     assert warm.forces is not None
     np.testing.assert_array_equal(warm.forces, guess)
-    assert accept(assembly, states[rows], warm, EQUILIBRIUM.claim).all()
+    assert verify_certificates(assembly, states[rows], warm, EQUILIBRIUM.claim).all()
 
 
 def test_the_batch_is_halved_when_memory_runs_out(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:

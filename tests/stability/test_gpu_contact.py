@@ -13,7 +13,7 @@ import pytest
 from falsework.assembly import library, load_structure
 from falsework.assembly.model import Assembly
 from falsework.search.device.oracle import DeviceOracle
-from falsework.stability import Proof, Stability, StabilitySettings, Verdict, accept, build_problem
+from falsework.stability import Proof, Stability, StabilitySettings, Verdict, build_problem, verify_certificates
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
@@ -42,7 +42,7 @@ def test_agrees_with_the_processor(
     both = ~verdicts.undecided & ~expected.undecided
     assert both.mean() > 0.98
     np.testing.assert_array_equal(verdicts.verdict[both], expected.verdict[both])
-    np.testing.assert_array_equal(accept(assembly, states, verdicts, settings.claim), ~verdicts.undecided)
+    np.testing.assert_array_equal(verify_certificates(assembly, states, verdicts, settings.claim), ~verdicts.undecided)
     assert (verdicts.proof[verdicts.stable] == Proof.DISPLACEMENT).all()
     assert verdicts.displacement is not None
     neither = ~verdicts.stable & ~verdicts.slides
@@ -77,7 +77,7 @@ def test_agrees_on_real_structures(
     expected = ContactSolver(assembly, solver.problem, CONTACT).check(states, certificates=False)
     both = ~verdicts.undecided & ~expected.undecided
     np.testing.assert_array_equal(verdicts.verdict[both], expected.verdict[both])
-    np.testing.assert_array_equal(accept(assembly, states, verdicts, CONTACT.claim), ~verdicts.undecided)
+    np.testing.assert_array_equal(verify_certificates(assembly, states, verdicts, CONTACT.claim), ~verdicts.undecided)
 
 
 def test_a_clamped_cube_slides_though_forces_could_hold_it(scenes: Any, make_solver: Callable[..., GpuSolver]) -> None:
@@ -86,7 +86,7 @@ def test_a_clamped_cube_slides_though_forces_could_hold_it(scenes: Any, make_sol
     state = np.array([[1, 2, 2]], np.uint8)
     verdicts = make_solver(assembly, CONTACT).check(state)
     assert verdicts.verdict[0] == Verdict.SLIDES
-    assert accept(assembly, state, verdicts, CONTACT.claim).all()
+    assert verify_certificates(assembly, state, verdicts, CONTACT.claim).all()
     assert make_solver(assembly, EQUILIBRIUM).check(state).stable.all()
     one = replace(CONTACT, gpu=GpuSettings(iterations=1, first_check=1))  # then the interior point method decides
     assert make_solver(assembly, one).check(state).verdict[0] == Verdict.SLIDES

@@ -11,7 +11,7 @@ import pytest
 from falsework.assembly import library
 from falsework.assembly.state import complete_state
 from falsework.errors import DependencyError, InputError
-from falsework.stability import ExactSolver, GurobiSolver, Solver, Stability, StabilitySettings, accept
+from falsework.stability import ExactSolver, GurobiSolver, Solver, Stability, StabilitySettings, verify_certificates
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def test_it_agrees_with_clarabel(scenes: Any, structure: str, cone: str) -> None
     stability = Stability(assembly, settings)
     verdicts = stability.check(states)
     np.testing.assert_array_equal(verdicts.verdict, ExactSolver(assembly, settings).check(states).verdict)
-    assert accept(assembly, states, verdicts, settings.claim).all()
+    assert verify_certificates(assembly, states, verdicts, settings.claim).all()
     assert (verdicts.decided_by == Solver.GUROBI).all()
     assert stability.counters.exact == len(states)
 

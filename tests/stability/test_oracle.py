@@ -21,7 +21,7 @@ from falsework.stability import (
     Stability,
     StabilitySettings,
     Verdicts,
-    accept,
+    verify_certificates,
 )
 
 
@@ -55,7 +55,7 @@ def children(assembly: Assembly, parent: NDArray[np.uint8]) -> NDArray[np.uint8]
 
 def balanced(stability: Stability) -> bool:
     """Whether every state that was asked is accounted for."""
-    counters = stability.counters.as_dict()
+    counters = stability.counters.to_dict()
     answered = sum(count for name, count in counters.items() if name not in ("asked", "rejected", "warm"))
     return counters["asked"] == answered
 
@@ -64,7 +64,7 @@ def test_check_returns_proofs_that_hold(arch: Assembly, states: NDArray, expecte
     stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
     verdicts = stability.check(states)
     np.testing.assert_array_equal(verdicts.verdict, expected)
-    assert accept(arch, states, verdicts).all()
+    assert verify_certificates(arch, states, verdicts).all()
     np.testing.assert_array_equal(verdicts.proof, np.where(expected == 1, Proof.FORCES, Proof.VELOCITY))
     assert (verdicts.residual[verdicts.stable] <= 1e-4).all()
     assert (verdicts.residual[verdicts.unstable] > 1e-4).all()
@@ -177,7 +177,7 @@ def test_a_proof_found_near_a_change_proves_the_whole(structure: str) -> None:
     whole = stability._cpu.check(states)
     np.testing.assert_array_equal(near.verdict, whole.verdict)
     assert near.unstable.any()
-    assert accept(assembly, states, near, settings.claim).all()
+    assert verify_certificates(assembly, states, near, settings.claim).all()
     assert near.velocity is not None
     assert whole.velocity is not None
     moving = [np.abs(velocity[near.unstable]).any(axis=2).sum() for velocity in (near.velocity, whole.velocity)]

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from falsework.assembly import Assembly
+from falsework.robots import save_robot_plan
 from falsework.robots.kinematics.forward import link_poses, tool_pose
 from falsework.robots.model.builtin_robots import builtin_robot
-from falsework.robots.model.cell import Cell, CellRobot, Gripper, Placement
+from falsework.robots.model.cell import Cell, CellRobot, Gripper, Placement, cell_identity
 from falsework.robots.model.shapes import block, pose
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, Step, Trajectory, cell_identity, records_of
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory, records_of
 from falsework.search import Direction, Plan
 from falsework.viewer.appearance import bounds_of, look_at
 from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms, wxyz_of
@@ -61,7 +62,7 @@ def robot_plan(arch: tuple[Assembly, Plan], cell: Cell) -> RobotPlan:
         middle, end = (home[robot] + rng.normal(scale=0.3, size=len(home[robot])) for _ in range(2))
         parts = (part, None) if removes else (None, None)
         motions = (trajectory(now[robot], middle, parts[0]), trajectory(middle, end, parts[1]))
-        steps.append(Step(robot, motions))
+        steps.append(RobotStep(robot, motions))
         now[robot] = end
     return RobotPlan(plan, tuple(frames), tuple(steps), records_of(cell), cell.name, cell_identity(cell))
 
@@ -191,7 +192,9 @@ def test_from_a_file(
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("falsework.robots.cells.cell_file.load_cell", lambda name: cell)
-    replace(robot_plan, plan=replace(robot_plan.plan, source={"built_in": "arch:blocks=5"})).save("robot_plan.json")
+    save_robot_plan(
+        replace(robot_plan, plan=replace(robot_plan.plan, source={"built_in": "arch:blocks=5"})), "robot_plan.json"
+    )
     assert main(["picture", "robot_plan.json", "--step", "2", "--width", "160"]) == 2
     assert "--cell" in capsys.readouterr().err
     pytest.importorskip("PIL", reason="pictures need Pillow")

@@ -7,7 +7,7 @@ import pytest
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED
 from falsework.errors import InputError, StateError
-from falsework.search import Direction
+from falsework.search import Direction, validate_plan
 from falsework.viewer.page.disruption import Disruption, Tool, chance_of_parts
 from falsework.viewer.page.viewer_state import Model
 from falsework.viewer.palette import FIXED, SELECTED, ramp_in_steps, rgb
@@ -161,7 +161,7 @@ def test_replanning_around_a_missing_part_and_back(model: Model) -> None:
     assert answer.plan is not None
     assert answer.plan.missing == (absent[0],)
     assert answer.plan.robots == 3
-    assert answer.plan.validate(model.assembly).good
+    assert validate_plan(answer.plan, model.assembly).good
     np.testing.assert_array_equal(model.state, site)
     assert model.place == 0
     assert model.disruption == Disruption(robots=3)

@@ -15,7 +15,7 @@ import pytest
 from falsework.assembly import load_structure
 from falsework.cli.main import main
 from falsework.errors import InputError
-from falsework.search import Plan
+from falsework.search import load_plan, save_plan, save_state_graph
 from falsework.search.problem.state_graph import StateGraph
 from falsework.viewer.palette import BOUNDARY, RAMP, ROBOTS, SELECTED
 from falsework.viewer.pictures.drawing import drawing, flat_axis, outlines
@@ -35,7 +35,7 @@ def plan_file(arch, tmp_path: Path) -> Path:
     from dataclasses import replace
 
     path = tmp_path / "plan.json"
-    replace(arch[1], source={"built_in": "arch:blocks=5"}).save(path)
+    save_plan(replace(arch[1], source={"built_in": "arch:blocks=5"}), path)
     return path
 
 
@@ -73,7 +73,7 @@ def test_contact_sheet(plan_file: Path, run: Run, tmp_path: Path) -> None:
 
 def test_one_step_and_its_forces(plan_file: Path, run: Run, tmp_path: Path) -> None:
     plain, forces = tmp_path / "plain.png", tmp_path / "forces.png"
-    last = len(Plan.load(plan_file))
+    last = len(load_plan(plan_file))
     assert run("picture", plan_file, "--step", last, "--width", 300, "--out", plain) == (0, "")
     assert run("picture", plan_file, "--step", last, "--width", 300, "--forces", "--out", forces) == (0, "")
     assert (pixels(plain) != pixels(forces)).any()
@@ -130,7 +130,7 @@ def test_names_are_escaped(arch) -> None:
 def test_films(plan_file: Path, run: Run, tmp_path: Path) -> None:
     gif, mp4 = tmp_path / "plan.gif", tmp_path / "plan.mp4"
     options = ("--width", 120, "--rate", 4, "--seconds", 0.25)
-    steps = len(Plan.load(plan_file))
+    steps = len(load_plan(plan_file))
     assert run("animate", plan_file, "--out", gif, *options) == (0, "")
     film = pil.open(gif)
     assert film.n_frames == steps + 1
@@ -194,7 +194,7 @@ def test_coverage_counts_states_of_the_graph_alone(graph: StateGraph) -> None:
 
 
 def test_picture_of_a_graph(graph: StateGraph, run: Run, tmp_path: Path) -> None:
-    graph.save(tmp_path / "graph.npz")
+    save_state_graph(graph, tmp_path / "graph.npz")
     for name in ("graph.png", "graph.svg"):
         options = ("--svg",) if name.endswith("svg") else ()
         assert run("picture", tmp_path / "graph.npz", *options, "--out", tmp_path / name) == (0, "")
@@ -219,7 +219,7 @@ def test_what_a_policy_thinks_and_covers(
     assert run("picture", plan_file, "--step", 10, "--policy", "some-run", "--width", 400, "--out", out) == (0, "")
     assert has(pixels(out), RAMP[-1])
     assert not has(pixels(out), ROBOTS[0])
-    graph.save(tmp_path / "graph.npz")
+    save_state_graph(graph, tmp_path / "graph.npz")
     plain, visited = tmp_path / "plain.png", tmp_path / "visited.png"
     assert run("picture", tmp_path / "graph.npz", "--out", plain) == (0, "")
     assert run("picture", tmp_path / "graph.npz", "--policy", "some-run", "--out", visited) == (0, "")
@@ -274,7 +274,7 @@ def test_wrong_input_gets_one_line(
 
 
 def test_a_graph_of_another_structure_is_refused(graph: StateGraph, run: Run, tmp_path: Path) -> None:
-    graph.save(tmp_path / "graph.npz")
+    save_state_graph(graph, tmp_path / "graph.npz")
     code, error = run("view", tmp_path / "graph.npz", "--structure", "arch:blocks=5")
     assert code == 2
     assert "another structure" in error

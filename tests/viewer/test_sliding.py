@@ -14,7 +14,7 @@ from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.state import complete_state
 from falsework.assembly.store import save_assembly
 from falsework.cli.main import main
-from falsework.search import Plan, find_plans
+from falsework.search import Plan, find_plans, save_plan
 from falsework.stability import Stability, StabilitySettings
 from falsework.viewer.page.page_text import legend_text, where_text
 from falsework.viewer.page.viewer_state import Model
@@ -52,7 +52,7 @@ def plan(clamp: Assembly) -> Plan:
 def plan_file(clamp: Assembly, plan: Plan, tmp_path: Path) -> Path:
     save_assembly(clamp, tmp_path / "clamp")
     path = tmp_path / "plan.json"
-    replace(plan, source={"path": "clamp"}).save(path)
+    save_plan(replace(plan, source={"path": "clamp"}), path)
     return path
 
 

@@ -39,7 +39,7 @@ class Assembly:
     name: str
     meshes: tuple[TriangleMesh, ...]
     boundary: NDArray[np.bool_]
-    """Shape (parts,): fixed for ever."""
+    """Parts that are fixed for ever, shape (parts,)."""
     density: NDArray[np.float64]
     """Shape (parts,), kg/m3."""
     friction: float

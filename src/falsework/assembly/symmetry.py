@@ -28,7 +28,8 @@ def symmetries(assembly: Assembly) -> NDArray[np.intp]:
         assembly: the structure.
 
     Returns:
-        Shape (symmetries, parts): part `i` goes to where part `row[i]` is. The first leaves everything as it is.
+        A row for each symmetry, of shape (symmetries, parts). Part `i` goes to where part `row[i]` is; the first row
+        leaves everything as it is.
     """
     parts, fixed = assembly.part_count, assembly.boundary
     identity = np.arange(parts)

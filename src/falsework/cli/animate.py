@@ -51,34 +51,30 @@ class Animate(Command):
 
     def run(self, output: Output) -> Exit:
         """Open, draw every picture, write."""
-        from falsework.viewer.pictures.render import Camera
-        from falsework.viewer.pictures.video import KINDS, frame_places, write_film
+        from falsework.viewer.pictures.video import KINDS
+        from falsework.viewer.show import animate, check_film
 
         if self.out.suffix.lower() not in KINDS:
             raise InputError(f"{self.out}: films are written as {' or '.join(KINDS)}; name such a file")
-        if not 80 <= self.width <= 4000:
-            raise InputError(f"a film {self.width} pixels across cannot be drawn; give 80 to 4000")
-        frame_places(0, self.seconds, self.rate)  # refuse before anything is loaded
+        check_film(self.width, self.seconds, self.rate)
         writable(self.out)
         subject = self.subject.open()
-        if len(subject.timeline) == 0:
-            raise InputError(f"{self.subject.spec} has no steps to play; give a plan, as `falsework plan` writes it")
-        proofs = subject.proofs(range(len(subject.timeline) + 1), self.criterion) if self.verdicts else {}
-        camera = Camera(self.azimuth, self.elevation, self.width, 2 * round(0.35 * self.width), 0.95)
         with output.bar("drawing") as show:
-            count = write_film(
+            film = animate(
+                subject,
                 self.out,
-                subject.timeline,
                 seconds=self.seconds,
                 rate=self.rate,
-                camera=camera,
-                arms=subject.arms,
-                proofs=proofs,
+                verdicts=self.verdicts,
+                criterion=self.criterion,
+                width=self.width,
+                azimuth=self.azimuth,
+                elevation=self.elevation,
                 progress=lambda done, total: show(done, total, f"picture {done} of {total}"),
             )
-        fallen = [place for place, proof in proofs.items() if not proof.stable]
-        record = {"out": str(self.out), "pictures": count, "steps": len(subject.timeline)}
-        output.record(record | ({"criterion": self.criterion, "not_standing": fallen} if self.verdicts else {}))
-        note = f"; {len(fallen)} of {len(proofs)} states do not stand" if self.verdicts else ""
-        output.say(f"{self.out}: {len(subject.timeline)} steps in {count} pictures{note}")
+        record = {"out": str(self.out), "pictures": film.pictures, "steps": len(subject.timeline)}
+        if film.unstable is not None:
+            record |= {"criterion": self.criterion, "not_standing": list(film.unstable)}
+        output.record(record)
+        output.say(f"{self.out}: {film.shows}")
         return Exit.DONE

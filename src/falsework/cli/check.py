@@ -66,8 +66,9 @@ class CheckPlan(Command):
 
     def run(self, output: Output) -> Exit:
         """Load, compare, verify, replay."""
-        from falsework.cli.loading import structure_of
-        from falsework.search.plans.plan import Plan
+        from falsework.search.plans.plan_check import validate_plan
+        from falsework.search.plans.plan_file import load_plan
+        from falsework.search.plans.plan_source import structure_of_plan
         from falsework.stability import StabilitySettings
 
         if self.by != "contact" and not self.replay:
@@ -81,11 +82,11 @@ class CheckPlan(Command):
             gravity=self.gravity,
             force_bound=self.force_bound,
         )
-        plan = Plan.load(self.plan)
-        assembly = structure_of(plan, self.plan, self.structure, **self.reading.given())
+        plan = load_plan(self.plan)
+        assembly = structure_of_plan(plan, self.plan, self.structure, **self.reading.given())
         with output.bar("checking") as show:
-            found = plan.validate(
-                assembly, settings, progress=lambda done, total: show(done, total, f"state {done} of {total}")
+            found = validate_plan(
+                plan, assembly, settings, progress=lambda done, total: show(done, total, f"state {done} of {total}")
             )
         self._report(plan, assembly, found, output)
         if not found.good:
@@ -114,7 +115,7 @@ class CheckPlan(Command):
                 "residual": found.residual,
                 "bad_step": found.bad_step,
                 "reason": found.reason,
-                "moving": [motion.record(assembly) for motion in moving],
+                "moving": [motion.to_dict(assembly) for motion in moving],
                 "seconds": found.seconds,
                 **asdict(found.claim),
             }

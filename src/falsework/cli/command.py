@@ -91,9 +91,9 @@ class StructureOptions(LoadOptions):
         Raises:
             InputError: no such structure, or it cannot be used; the message says what to do.
         """
-        from falsework.cli.loading import load
+        from falsework.assembly.load import load_structure
 
-        return load(self.spec, **self.given())
+        return load_structure(self.spec, **self.given())
 
     def source(self, beside: Path) -> dict[str, Any]:
         """What a file beside which others may look for the structure has to say about it.

@@ -51,6 +51,7 @@ class MakeDataset(Command):
     def run(self, output: Output) -> Exit:
         """Search, compare, save."""
         from falsework.cli.arguments import parse_parts
+        from falsework.learn.data.dataset import save_dataset
         from falsework.search.device.oracle import oracle_on
         from falsework.stability import Stability, StabilitySettings
         from falsework.utils.distributed import joined
@@ -80,7 +81,7 @@ class MakeDataset(Command):
             first = shards.first
         if not first:
             return Exit.DONE
-        dataset.save(self.out)
+        save_dataset(dataset, self.out)
         output.record(
             {
                 "out": str(self.out),

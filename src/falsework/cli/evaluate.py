@@ -145,11 +145,11 @@ class Evaluate(Command):
 
     def _data(self, trained: Run, assembly: Assembly, oracle: TensorOracle, device: torch.device) -> Dataset:
         """States of the run if they are there and of this structure and criterion, else found by the same searches."""
-        from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
+        from falsework.learn.data.dataset import DataSettings, build_dataset, load_dataset, task_for
         from falsework.learn.training.checkpoint import DATA
 
         settings: Any = trained.settings
         if self.structure is None and self.criterion in (None, settings.criterion) and (self.folder / DATA).is_file():
-            return Dataset.load(self.folder / DATA, assembly)
+            return load_dataset(self.folder / DATA, assembly)
         task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
         return build_dataset(assembly, task, DataSettings(seed=settings.data_seed), oracle=oracle, device=str(device))

@@ -41,7 +41,7 @@ class Failure:
     text: str
     """Summary in one line."""
 
-    def record(self, assembly: Assembly) -> dict[str, Any]:
+    def to_dict(self, assembly: Assembly) -> dict[str, Any]:
         """Return the report as a JSON object."""
         return {
             "plan": None,
@@ -51,7 +51,7 @@ class Failure:
             "direction": "disassembly" if self.disassembly else "assembly",
             "reason": self.reason,
             "sliding": self.sliding,
-            "moving": [motion.record(assembly) for motion in self.moving],
+            "moving": [motion.to_dict(assembly) for motion in self.moving],
         }
 
 

@@ -39,7 +39,7 @@ class MakeGraph(Command):
         """Search, connect, save."""
         from falsework.cli.failure import explain
         from falsework.search.backend import beam_search
-        from falsework.search.problem.state_graph import StateGraph
+        from falsework.search.problem.state_graph import StateGraph, save_state_graph
         from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)
@@ -57,7 +57,7 @@ class MakeGraph(Command):
         for note in result.notes:
             output.note(note)
         graph = StateGraph.build(task, search.states(), name=assembly.name)
-        graph.save(self.out)
+        save_state_graph(graph, self.out)
         output.record(
             {
                 "out": str(self.out),

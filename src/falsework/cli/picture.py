@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
 from falsework.cli.command import UNSET, Command, Exit
 from falsework.cli.planning import writable
-from falsework.cli.subject import Subject, SubjectOptions
+from falsework.cli.subject import SubjectOptions
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
-    from falsework.assembly.state import States
     from falsework.cli.output import Output
-    from falsework.viewer.page.viewer_state import Model
-    from falsework.viewer.pictures.render import Camera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,104 +64,35 @@ class MakePicture(Command):
 
     def run(self, output: Output) -> Exit:
         """Open, draw, write."""
-        if not (self.width == 0 or 80 <= self.width <= 8000):
-            raise InputError(f"a picture {self.width} pixels across cannot be drawn; give 80 to 8000")
-        if self.frames < 1 or self.columns < 1:
-            raise InputError(f"{self.frames} pictures in {self.columns} columns show nothing; give at least 1 of each")
+        from falsework.viewer.show import check_picture, picture
+
         writable(self.out)
         out = self.out.with_suffix(".svg") if self.svg and self.out == Path("picture.png") else self.out
         if self.svg != (out.suffix.lower() == ".svg"):
             raise InputError(f"{out} and {'--svg' if self.svg else 'no --svg'} do not fit; name a file that does")
+        check_picture(self.width, self.frames, self.columns)
         subject = self.subject.open().with_policy(self.policy)
-        drawn = self._draw(subject, out)
-        output.record({"out": str(out), "kind": subject.kind, **drawn})
-        output.say(f"{out}: {drawn['shows']}")
-        return Exit.DONE
-
-    def _draw(self, subject: Subject, out: Path) -> dict[str, Any]:
-        from falsework.viewer.pictures.contact_sheet import (
-            caption,
-            check_places,
-            contact_sheet,
-            legend,
-            one_state,
-            write_png,
+        drawn = picture(
+            subject,
+            out,
+            step=self.step,
+            forces=self.forces,
+            verdicts=self.verdicts,
+            criterion=self.criterion,
+            frames=self.frames,
+            columns=self.columns,
+            width=self.width,
+            azimuth=self.azimuth,
+            elevation=self.elevation,
+            title=self.title,
         )
-        from falsework.viewer.pictures.drawing import drawing, write_svg
-        from falsework.viewer.timeline import interesting
-
-        timeline, policy = subject.timeline, subject.policy
-        if subject.graph is not None and self.step is None:
-            from falsework.viewer.pictures.graph_picture import covered, graph_figure, write_figure
-
-            route = timeline.states if len(timeline) else None
-            visited = self._visited(subject) if policy is not None else None
-            figure = graph_figure(subject.graph, subject.assembly, route=route, visited=visited, title=self.title)
-            write_figure(out, figure)
-            shows = f"{len(subject.graph)} states and {len(subject.graph.source)} actions"
-            if visited is None:
-                return {"shows": shows}
-            seen = int(covered(subject.graph, visited).sum())
-            return {"shows": f"{shows}, {seen} of the states visited by the policy", "visited": seen}
-        single = self.step if self.step is not None else (0 if len(timeline) == 0 else None)
-        if self.forces and single is None:
-            raise InputError("forces are drawn for one state at a time; name it with --step")
-        if single is not None:
-            check_places(timeline, [single])
-        places = [single] if single is not None else list(interesting(timeline, self.frames))
-        proofs = subject.proofs(places, self.criterion) if self.forces or self.verdicts else {}
-        shown = list(proofs[single].arrows.items()) if single is not None and self.forces else []
-        arrows = [some for _, some in shown if len(some)]
-        key = [(some.color, kind) for kind, some in shown if len(some)] if self.forces else None
-        if self.svg:
-            columns = min(self.columns, len(places))
-            width = float(self.width or (260 if single is None else 640))
-            write_svg(
-                out, drawing(timeline, places, columns=columns, width=width, arrows=arrows, key=key, proofs=proofs)
-            )
-        elif single is not None:
-            proof = proofs.get(single)
-            image = one_state(
-                timeline,
-                single,
-                self._camera(1200, 2 / 3),
-                arrows=arrows,
-                key=legend(timeline, proof is not None and proof.slides) if key is None else key,
-                words=self.title or caption(timeline, single, proof),
-                marks=None if proof is None else proof.marks,
-                arms=subject.arms,
-                chances=None if policy is None else self._model(subject, single).chances(),
-            )
-            write_png(out, image)
-        else:
-            sheet = contact_sheet(
-                timeline,
-                places=places,
-                columns=self.columns,
-                camera=self._camera(480, 5 / 8),
-                title=self.title,
-                proofs=proofs,
-            )
-            write_png(out, sheet)
-        shows = f"{len(places)} of {len(timeline) + 1} states" if len(timeline) else f"{subject.assembly.name}"
-        if not proofs:
-            return {"shows": shows, "steps": places}
-        fallen = [place for place, proof in proofs.items() if not proof.stable]
-        note = proofs[single].words if single is not None else f"{len(fallen)} of them do not stand"
-        return {"shows": f"{shows}; {note}", "steps": places, "criterion": self.criterion, "not_standing": fallen}
-
-    def _model(self, subject: Subject, place: int) -> Model:
-        from falsework.viewer.page.viewer_state import Model
-
-        model = Model(subject.timeline, policy=subject.policy, graph=subject.graph)
-        model.go_to(place)
-        return model
-
-    def _visited(self, subject: Subject) -> States:
-        return self._model(subject, 0).visited()
-
-    def _camera(self, width: int, share: float) -> Camera:
-        from falsework.viewer.pictures.render import Camera
-
-        across = self.width or width
-        return Camera(self.azimuth, self.elevation, across, round(across * share), 0.96)
+        record = {"out": str(out), "kind": subject.kind, "shows": drawn.shows}
+        if subject.graph is None or self.step is not None:
+            record["steps"] = list(drawn.places)
+        if drawn.unstable is not None:
+            record |= {"criterion": self.criterion, "not_standing": list(drawn.unstable)}
+        if drawn.visited is not None:
+            record["visited"] = drawn.visited
+        output.record(record)
+        output.say(f"{out}: {drawn.shows}")
+        return Exit.DONE

@@ -91,7 +91,7 @@ class MakePlan(Command):
             self._report(self._save(planning.plans), planning, output)
         elif not result.interrupted:
             failure = explain(assembly, oracle, result)
-            output.record(failure.record(assembly))
+            output.record(failure.to_dict(assembly))
             output.note(f"falsework: {failure.text}")
             if planning.fallen is not None:
                 self._show_fallen(planning.fallen, output)
@@ -116,12 +116,14 @@ class MakePlan(Command):
         return path
 
     def _save(self, plans: Sequence[Plan]) -> list[tuple[Path, Plan]]:
+        from falsework.search.plans.plan_file import save_plan
+
         saved = []
         for number, found in enumerate(plans, 1):
             path = self.out if number == 1 else self.out.with_stem(f"{self.out.stem}-{number}")
             plan = replace(found, source=self.structure.source(path))
             plan = plan.reverse() if self.assembly_order else plan
-            plan.save(path, proofs=self.proofs)
+            save_plan(plan, path, proofs=self.proofs)
             saved.append((path, plan))
         return saved
 

@@ -117,7 +117,7 @@ def refuse_unstable(assembly: Assembly, oracle: Stability, task: Task, output: O
             text = f"no plan was found: the {subject} slides"
         else:
             text = f"no plan was found: the {subject} could be proven neither stable nor unstable"
-        output.record({"plan": None, "outcome": text, "moving": [motion.record(assembly) for motion in moving]})
+        output.record({"plan": None, "outcome": text, "moving": [motion.to_dict(assembly) for motion in moving]})
         output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")
         return True
     return False

@@ -82,11 +82,11 @@ class MakeReplan(Command):
         """Ask, prove, compare, save."""
         from falsework.replanning.plan_diff import difference
         from falsework.replanning.replanner import Replanner
-        from falsework.search.plans.plan import Plan
+        from falsework.search.plans.plan_file import load_plan
         from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)
-        old = None if self.compare is None else Plan.load(self.compare)
+        old = None if self.compare is None else load_plan(self.compare)
         assembly, policy, source, robots, clear = self._load()
         if old is not None and old.identity != assembly.identity:
             raise InputError(f"{self.compare} is a plan for another structure, {old.name}; compare plans of one")
@@ -100,12 +100,12 @@ class MakeReplan(Command):
             self._refuse(assembly, oracle, request, answer, output)
             return Exit.NO
         paths = self._save(answer, source)
-        record = {"plan": str(paths[0]), "alternatives": [str(path) for path in paths[1:]], **answer.record()}
+        record = {"plan": str(paths[0]), "alternatives": [str(path) for path in paths[1:]], **answer.to_dict()}
         record["criterion"] = answer.plans[0].claim.criterion
         if self.confidences:
             record["confidences"] = [_probabilities(row, assembly) for row in answer.confidences[0]]
         changes = None if old is None else difference(old, answer.plans[0])
-        output.record(record if changes is None else {**record, "difference": changes.record()})
+        output.record(record if changes is None else {**record, "difference": changes.to_dict()})
         self._tell(answer, paths, output)
         if changes is not None:
             output.say(f"compared with {self.compare}: {changes.text}")
@@ -157,10 +157,12 @@ class MakeReplan(Command):
         )
 
     def _save(self, answer: Replan, source: dict[str, Any]) -> list[Path]:
+        from falsework.search.plans.plan_file import save_plan
+
         paths = []
         for number, plan in enumerate(answer.plans, 1):
             path = self.out if number == 1 else self.out.with_stem(f"{self.out.stem}-{number}")
-            replace(plan, source=source).save(path)
+            save_plan(replace(plan, source=source), path)
             paths.append(path)
         return paths
 
@@ -202,8 +204,8 @@ class MakeReplan(Command):
         elif not answer.deadline_passed:
             failure = explain(assembly, oracle, answer.search)
             moving, text = failure.moving, failure.text
-        record = {**answer.record(), "plan": None, "criterion": self.criterion}
-        record["moving"] = [motion.record(assembly) for motion in moving]
+        record = {**answer.to_dict(), "plan": None, "criterion": self.criterion}
+        record["moving"] = [motion.to_dict(assembly) for motion in moving]
         output.record(record)
         if moving and answer.search is None:
             text = f"{text}; {describe(assembly, moving, limit=3)}"

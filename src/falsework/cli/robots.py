@@ -132,20 +132,22 @@ class PlanRobots(Command):
                 return Exit.DONE
             output.note(f"the {len(saved)} steps that were found are in {self.out}")
         else:
-            why = result.explanation.record() if result.explanation else {}
+            why = result.explanation.to_dict() if result.explanation else {}
             output.record({"robot_plan": None, "found": False, "failure": why, **result.statistics})
         if result.explanation is not None:
             output.note(f"falsework: {result.explanation.text}")
         return Exit.NO
 
     def _save(self, plan: RobotPlan) -> RobotPlan:
+        from falsework.robots.plans.robot_plan_file import save_robot_plan
+
         cell_source = self.cell
         if Path(self.cell).is_file():
             cell_source = Path(os.path.relpath(Path(self.cell).resolve(), self.out.resolve().parent)).as_posix()
         abstract = replace(plan.plan, source=self.structure.source(self.out))
         plan = replace(plan, plan=abstract, cell_source=cell_source)
         plan = plan.reverse() if self.assembly_order else plan
-        plan.save(self.out)
+        save_robot_plan(plan, self.out)
         return plan
 
 
@@ -180,20 +182,21 @@ class CheckRobots(Command):
 
     def run(self, output: Output) -> Exit:
         """Load, compare, verify."""
-        from falsework.cli.loading import structure_of
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.plans.check import CheckSettings, check_robot_plan
-        from falsework.robots.plans.robot_plan import RobotPlan
+        from falsework.robots.plans.robot_plan_file import load_robot_plan
+        from falsework.search.plans.plan_check import validate_plan
+        from falsework.search.plans.plan_source import structure_of_plan
 
         settings = CheckSettings(step=self.resolution)
-        plan = RobotPlan.load(self.plan)
-        assembly = structure_of(plan.plan, self.plan, self.structure, **self.reading.given())
+        plan = load_robot_plan(self.plan)
+        assembly = structure_of_plan(plan.plan, self.plan, self.structure, **self.reading.given())
         cell = load_cell(self.cell or self._cell_of(plan))
         with output.bar("checking motions") as show:
             report = check_robot_plan(
                 plan, assembly, cell, settings, progress=lambda done, total: show(done, total, f"step {done}")
             )
-        stable = None if self.motions_only else plan.plan.validate(assembly)
+        stable = None if self.motions_only else validate_plan(plan.plan, assembly)
         output.record(
             {
                 "robot_plan": str(self.plan),
@@ -272,10 +275,10 @@ class ExportRobots(Command):
     def run(self, output: Output) -> Exit:
         """Load and write."""
         from falsework.robots.plans.export import export_plan
-        from falsework.robots.plans.robot_plan import RobotPlan
+        from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.search.problem.task import Direction
 
-        plan = RobotPlan.load(self.plan)
+        plan = load_robot_plan(self.plan)
         if self.assembly_order and plan.direction is Direction.DISASSEMBLY:
             plan = plan.reverse()
         paths = export_plan(plan, self.out, self.format, rate=self.rate)

@@ -42,10 +42,10 @@ class MakeSheet(Command):
 
     def run(self, output: Output) -> Exit:
         """Load, lay out, write."""
-        from falsework.cli.loading import structure_of
         from falsework.cli.planning import writable
         from falsework.interop.assembly_instructions import sheet_csv, site_sheet, write_sheet
-        from falsework.search.plans.plan import Plan
+        from falsework.search.plans.plan_file import load_plan
+        from falsework.search.plans.plan_source import structure_of_plan
 
         kind = self.out.suffix.lower()
         if kind not in (".pdf", ".csv"):
@@ -53,8 +53,8 @@ class MakeSheet(Command):
         if not -90 < self.elevation < 90 or self.elevation == 0:
             raise InputError(f"an elevation of {self.elevation:g} degrees sees nothing; give one such as 24")
         writable(self.out)
-        plan = Plan.load(self.plan)
-        sheet = site_sheet(plan, structure_of(plan, self.plan, self.structure, **self.reading.given()))
+        plan = load_plan(self.plan)
+        sheet = site_sheet(plan, structure_of_plan(plan, self.plan, self.structure, **self.reading.given()))
         if kind == ".csv":
             content = sheet_csv(sheet).encode("utf-8-sig")  # with the mark by which spreadsheets know the encoding
         else:

@@ -66,7 +66,7 @@ class CheckStability(Command):
                     "proof": proof.name.lower(),
                     "criterion": self.criterion,
                     "residual": residual if np.isfinite(residual) else None,
-                    "moving": [motion.record(assembly) for motion in moving],
+                    "moving": [motion.to_dict(assembly) for motion in moving],
                 }
             )
             subject = assembly.name if self.states is None else f"state {index}"

@@ -46,7 +46,7 @@ class Motion:
             texts.append(f"{'turning' if texts else 'turns'} about {_axis(turn / turns)}")
         return ", ".join(texts)
 
-    def record(self, assembly: Assembly) -> dict[str, Any]:
+    def to_dict(self, assembly: Assembly) -> dict[str, Any]:
         """Return the motion as a JSON object."""
         return {"name": assembly.names[self.part], **asdict(self), "words": self.words}
 

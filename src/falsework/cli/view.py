@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import webbrowser
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -10,7 +9,6 @@ from tyro.conf import arg
 
 from falsework.cli.command import UNSET, Command, Exit
 from falsework.cli.subject import SubjectOptions
-from falsework.errors import InputError
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -52,34 +50,26 @@ class View(Command):
 
     def run(self, output: Output) -> Exit:
         """Open, serve until interrupted."""
-        from falsework.assembly.state import check_robots
-        from falsework.viewer.page.page import Page, check_host, import_viser, serve
-        from falsework.viewer.page.viewer_state import Model
+        from falsework.viewer.page.page import check_host, serve
+        from falsework.viewer.show import check_view, view
 
-        check_robots(self.robots)
-        if not 0 <= self.port <= 65535:
-            raise InputError(f"there is no port {self.port}; give 1 to 65535")
-        if not self.deadline > 0:
-            raise InputError(f"a deadline of {self.deadline:g} s leaves no time; give more than 0")
         host = "127.0.0.1" if self.host is None else self.host
         warning = check_host(host)
-        import_viser()
+        check_view(self.robots, host, self.port, self.deadline)
         subject = self.subject.open(self.robots).with_policy(self.policy)
-        model = Model(
-            subject.timeline,
-            plan=subject.plan,
-            policy=subject.policy,
-            graph=subject.graph,
-            arms=subject.arms,
+        page = view(
+            subject,
             criterion=self.criterion,
             deadline=self.deadline,
+            host=host,
+            port=self.port,
+            allowed_hosts=(self.allow_host or "").split(","),
+            browser=self.browser,
+            wait=False,
         )
-        page = Page(model, host=host, port=self.port, allowed_hosts=(self.allow_host or "").split(","))
         if warning is not None:
             output.note(f"falsework: warning: {warning}")
         output.record({"address": page.address, "kind": subject.kind, "parts": subject.assembly.part_count})
         output.say(f"{subject.kind} of {subject.assembly.name} at {page.address}; Ctrl-C ends it")
-        if self.browser:
-            webbrowser.open(page.address)
         serve(page)
         return Exit.DONE

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.errors import AssemblyError, InputError, MeshError
+from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
 from falsework.geometry.mesh.read import unit_length
@@ -60,6 +61,7 @@ def load_compas(
     friction: float | None = None,
     boundary: ArrayLike | None = None,
     ground: bool = False,
+    contact_settings: ContactSettings | None = None,
 ) -> Assembly:
     """Read an assembly from a file of COMPAS data.
 
@@ -74,6 +76,7 @@ def load_compas(
         friction: coefficient of friction of every contact.
         boundary: ids of the parts that are fixed for ever; the supports if not given.
         ground: add a fixed slab under the lowest point, as the last part.
+        contact_settings: tolerances.
 
     Raises:
         InputError: no such file, not COMPAS data, or no block in it.
@@ -96,6 +99,7 @@ def load_compas(
         friction=next(iter(said_friction), FRICTION) if friction is None else friction,
         name=path.stem,
         ground=ground,
+        contact_settings=contact_settings or ContactSettings(),
     )
 
 

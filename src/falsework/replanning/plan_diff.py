@@ -94,7 +94,7 @@ class Difference:
             pieces.append(f"{abs(self.steps_saved)} {steps} {'fewer' if self.steps_saved > 0 else 'more'}")
         return "; ".join(pieces)
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the difference as a JSON object."""
         moved = [
             {"part": move.part, "name": move.name, "before": move.before, "now": move.now, "places": move.places}

@@ -28,7 +28,6 @@ from falsework.replanning.search_stages import search_on
 from falsework.replanning.session import Job, Kit
 from falsework.replanning.session import ReplanSettings as ReplanSettings
 from falsework.search.problem.guide import Guide, SupportGuide
-from falsework.search.problem.task import Direction
 from falsework.stability.oracle import Stability
 
 _END = object()
@@ -183,38 +182,20 @@ def replan(
     state: ArrayLike,
     *,
     policy: Any = None,
-    target: ArrayLike | None = None,
-    direction: Direction | None = None,
-    robots: int = 2,
-    missing: Sequence[int] = (),
-    fixed: Sequence[int] = (),
-    alternatives: int = 1,
-    seed: int = 0,
-    deadline: float | None = None,
-    removable_only_if_clear: bool = False,
-    confidences: bool = False,
     oracle: Stability | None = None,
     settings: ReplanSettings = ReplanSettings(),
+    **options: Any,
 ) -> Replan:
-    """Plan anew from a state; see `Request` for what the arguments mean, `Replanner` for many requests.
+    """Plan anew from a state; a `Replanner` answers many requests about one structure.
 
     Args:
         assembly: the structure.
-        state: where things stand, shape (parts,).
-        policy: proposes actions, a `torch.nn.Module` as of `falsework.learn.networks.policy`; None searches alone.
-        target: where they shall go, shape (parts,).
-        direction: assembly adds parts, disassembly takes them away.
-        robots: parts that can be held at a time; may be others than the policy was trained for.
-        missing: parts not delivered yet: assembly does without them for as long as possible.
-        fixed: parts that are not to be touched.
-        alternatives: number of plans wanted.
-        seed: same seed, same machine, same answer, unless a deadline cuts the work short.
-        deadline: seconds after which the best proven answer so far is handed back. Loading the structure into the
-            solver comes on top; a `Replanner` has done that already.
-        removable_only_if_clear: move a part only if it has a straight way in or out.
-        confidences: hand back what the policy thinks of every action.
+        state: current state of the structure, shape (parts,).
+        policy: proposes actions, a `torch.nn.Module` as of `load_policy`; None searches alone.
         oracle: decides stability; hand in the one you have, for it remembers what it was asked.
         settings: how hard to try.
+        options: the other fields of `Request`, such as target, robots, missing and deadline. Loading the structure into
+            the solver comes on top of a deadline; a `Replanner` has done that already.
 
     Returns:
         Proven plans, or an honest no.
@@ -223,18 +204,6 @@ def replan(
         InputError: the request makes no sense for this structure; the message says what to do.
         DependencyError: a policy without torch.
     """
-    request = Request(
-        state,
-        target=target,
-        direction=direction,
-        robots=robots,
-        missing=missing,
-        fixed=fixed,
-        alternatives=alternatives,
-        seed=seed,
-        deadline=deadline,
-        removable_only_if_clear=removable_only_if_clear,
-        confidences=confidences,
-    )
+    request = Request(state, **options)
     request.task(assembly)  # bad input is refused before anything is loaded
     return Replanner(assembly, policy, oracle, settings=settings).replan_many([request])[0]

@@ -32,7 +32,7 @@ class Replayed:
     moved: float
     """Largest movement of a part in these steps since it was placed, m."""
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the replay as a JSON object."""
         return {"stands": self.stands, "steps": self.steps, "of": self.of, "largest_movement": self.moved}
 

@@ -84,7 +84,7 @@ class Replan:
         """The first plan, or None."""
         return self.plans[0] if self.plans else None
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the result as a JSON object, without the plans themselves."""
         record: dict[str, Any] = {
             "outcome": self.outcome.value,
@@ -100,9 +100,9 @@ class Replan:
             "criterion": self.criterion,
         }
         if self.replays:
-            record["replay"] = self.replays[0].record()
+            record["replay"] = self.replays[0].to_dict()
             if len(self.replays) > 1:
-                record["replays"] = [replayed.record() for replayed in self.replays]
+                record["replays"] = [replayed.to_dict() for replayed in self.replays]
         if self.plans:
             record["actions"] = [self.plans[0].describe(step) for step in range(len(self.plans[0]))]
             record["needs"] = [asdict(need) for need in self.plans[0].needs]

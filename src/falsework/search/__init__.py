@@ -1,34 +1,5 @@
 """Plans: in which order to hold and remove parts so that every state on the way is stable."""
 
-from falsework.search.backend import beam_search as beam_search
-from falsework.search.beam.beam import BeamSearch as BeamSearch
-from falsework.search.beam.beam import BeamSettings as BeamSettings
-from falsework.search.depth_first import DepthFirstSearch as DepthFirstSearch
-from falsework.search.depth_first import DepthFirstSettings as DepthFirstSettings
-from falsework.search.device.beam import DeviceBeam as DeviceBeam
-from falsework.search.exhaustive import Census as Census
-from falsework.search.exhaustive import ExhaustiveSearch as ExhaustiveSearch
-from falsework.search.find import Planning as Planning
-from falsework.search.find import find_plans as find_plans
-from falsework.search.find import plan_of as plan_of
-from falsework.search.find import task_of as task_of
-from falsework.search.planner import Planner as Planner
-from falsework.search.planner import PlannerSettings as PlannerSettings
-from falsework.search.plans.alternatives import Alternatives as Alternatives
-from falsework.search.plans.alternatives import choose_alternatives as choose_alternatives
-from falsework.search.plans.plan import Plan as Plan
-from falsework.search.plans.plan_check import PlanReport as PlanReport
-from falsework.search.plans.plan_file import Need as Need
-from falsework.search.plans.plan_file import plan_schema as plan_schema
-from falsework.search.plans.plan_replay import PlanReplay as PlanReplay
-from falsework.search.problem.guide import Guide as Guide
-from falsework.search.problem.guide import SupportGuide as SupportGuide
-from falsework.search.problem.oracle import Oracle as Oracle
-from falsework.search.problem.result import Outcome as Outcome
-from falsework.search.problem.result import Route as Route
-from falsework.search.problem.result import SearchCounters as SearchCounters
-from falsework.search.problem.result import SearchProgress as SearchProgress
-from falsework.search.problem.result import SearchResult as SearchResult
-from falsework.search.problem.state_graph import StateGraph as StateGraph
-from falsework.search.problem.task import Direction as Direction
-from falsework.search.problem.task import Task as Task
+from falsework.utils.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__)

@@ -154,7 +154,7 @@ class DepthFirstSearch:
             "rejected": self._rejected,
         }
         header = {
-            "task": self.task.describe(),
+            "task": self.task.to_dict(),
             "settings": asdict(self.settings),
             "counters": asdict(self.counters) | {"states": 0},
             "seconds": self._seconds,
@@ -173,7 +173,7 @@ class DepthFirstSearch:
         """
         names = frozenset({"path", "untried", "sizes", "entered", "deepest", "rejected"})
         header, arrays = read_archive(path, FORMAT, names)
-        if header.get("task") != task.judged_by(oracle).describe():
+        if header.get("task") != task.judged_by(oracle).to_dict():
             raise InputError(f"{path} belongs to another structure or task; begin a new search")
         try:
             settings = dict(header["settings"])

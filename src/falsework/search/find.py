@@ -1,14 +1,18 @@
-"""Plans of an assembly and a task: the entry point of the search."""
+"""Entry point of the search: from an assembly and a task to proven plans."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypedDict, Unpack
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
+from falsework.errors import InputError
 from falsework.search.planner import Planner, PlannerSettings
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
@@ -24,6 +28,21 @@ _PROVED_AT_ONCE = 64
 """States whose contact forces are in memory together, unless they are kept."""
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
+
+
+class TaskRules(TypedDict, total=False):
+    """Rules of a task beside the number of robots, all of them optional."""
+
+    start: ArrayLike | None
+    """State to take apart, where assembly ends, shape (parts,); the complete structure if not given."""
+    target: ArrayLike | None
+    """State in which disassembly ends, where assembly starts, shape (parts,); the empty structure if not given."""
+    fixed: Sequence[int]
+    """Parts that are neither held nor removed."""
+    missing: Sequence[int]
+    """Parts not delivered yet; assembly does without them for as long as possible."""
+    removable_only_if_clear: bool
+    """Remove a part only if it has a straight way out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +68,7 @@ def find_plans(
     assembly: Assembly,
     task: Task | None = None,
     *,
+    robots: int | None = None,
     oracle: Stability | None = None,
     settings: PlannerSettings = PlannerSettings(),
     guide: Guide | None = None,
@@ -56,12 +76,14 @@ def find_plans(
     stop: Stop | None = None,
     checkpoint: Path | str | None = None,
     forces: bool = True,
+    **rules: Unpack[TaskRules],
 ) -> Planning:
     """Find a plan, or several that differ as much as possible, and prove every state of them stable.
 
     Args:
         assembly: the structure.
-        task: rules between start and target; by default two robots take the complete structure apart.
+        task: rules between start and target, where they are not given by name.
+        robots: parts that can be held at a time; 2 where no task says it.
         oracle: decides stability; hand in the one you have, for it remembers what it was asked.
         settings: how hard to look, and how many plans.
         guide: scores actions; by default parts with much support go in first.
@@ -69,15 +91,20 @@ def find_plans(
         stop: asked before every level; true ends the search with what was found so far.
         checkpoint: file that the search is saved to now and then and resumed from if it is there; removed at the end.
         forces: keep the contact forces that prove each state in the plans; for a thousand parts half a gigabyte a plan.
+        rules: start, target, fixed, missing and removable_only_if_clear; see `TaskRules`. Without them the complete
+            structure is taken apart.
 
     Returns:
         Plans with verdicts and proofs; none if there is none, or none was found.
 
     Raises:
-        InputError: a checkpoint of another task.
+        InputError: a checkpoint of another task, a task and rules together, or rules that the structure cannot keep.
     """
+    named = [*rules, *(["robots"] if robots is not None else [])]
+    if task is not None and named:
+        raise InputError(f"a task and {', '.join(named)} were given; put them into the task, or leave the task out")
     oracle = oracle or Stability(assembly)
-    task = task or task_of(assembly)
+    task = task or task_of(assembly, 2 if robots is None else robots, **rules)
     guide = guide or SupportGuide(assembly)
     planner = _resume(checkpoint, task, oracle, settings, guide)
     result = planner.run(progress=_saving(planner, checkpoint, progress), stop=stop)
@@ -99,9 +126,19 @@ def find_plans(
     return Planning(result, plans, chosen)
 
 
-def task_of(assembly: Assembly, robots: int = 2) -> Task:
-    """Return the task of taking the complete structure apart."""
-    return Task.create(assembly.boundary, robots, identity=assembly.identity)
+def task_of(assembly: Assembly, robots: int = 2, **rules: Unpack[TaskRules]) -> Task:
+    """Return the task of taking a structure apart.
+
+    Args:
+        assembly: the structure.
+        robots: parts that can be held at a time.
+        rules: start, target, fixed, missing and removable_only_if_clear; see `TaskRules`.
+
+    Raises:
+        InputError: fewer than one robot, or parts or states that the structure does not have.
+    """
+    clearance = assembly.clearance if rules.pop("removable_only_if_clear", False) else None
+    return Task.create(assembly.boundary, robots, clearance=clearance, identity=assembly.identity, **rules)
 
 
 def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, forces: bool = True) -> Plan:

@@ -181,7 +181,7 @@ class Planner:
             beams[direction.value], packed = beam.pack()
             arrays |= {f"{direction.value}_{name}": array for name, array in packed.items()}
         header = {
-            "task": self.task.describe(),
+            "task": self.task.to_dict(),
             "settings": _settings_header(self.settings),
             "stage": self._stage,
             "attempt": self._attempt,
@@ -213,7 +213,7 @@ class Planner:
             InputError: no such file, a damaged one, or one of another task or other settings.
         """
         header, arrays = read_archive(path, FORMAT)
-        if header.get("task") != task.judged_by(oracle).describe() or header.get("settings") != _settings_header(
+        if header.get("task") != task.judged_by(oracle).to_dict() or header.get("settings") != _settings_header(
             settings
         ):
             raise InputError(f"{path} belongs to another structure, task or settings; remove it to begin a new search")

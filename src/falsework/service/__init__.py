@@ -1,5 +1,9 @@
-"""Replanning and verdicts over HTTP, for one structure: bounded in size and time, proven answers or an honest no.
+"""Replanning and verdicts over HTTP for one structure: bounded in size and time, answers with proofs.
 
-`app` says what there is to ask, `guard` and `server` keep bad requests out, `pool` shares the work among processes that
-`worker` runs, and gathers what comes together into batches.
+`app` defines the routes, `middleware` and `server` refuse bad requests, `pool` distributes the work among processes
+that `worker` runs, and batches requests that arrive together.
 """
+
+from falsework.utils.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, extra="service")

@@ -20,7 +20,7 @@ import numpy as np
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.search.plans.plan_file import to_json
+from falsework.search.plans.plan_file import plan_to_dict
 from falsework.search.problem.result import Outcome
 from falsework.stability.motion import motion_of
 from falsework.stability.oracle import Stability
@@ -235,7 +235,7 @@ def replan_record(answer: Replan, criterion: Criterion) -> dict[str, Any]:
         "deadline_passed": answer.deadline_passed,
         "reason": answer.reason,
         "moving": list(answer.moving),
-        "plans": [to_json(plan) for plan in answer.plans],
+        "plans": [plan_to_dict(plan) for plan in answer.plans],
         "distances": np.round(answer.distance, 4).tolist(),
     }
 

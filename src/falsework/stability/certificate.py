@@ -49,7 +49,9 @@ class Claim:
     """Tangential over normal stiffness of a contact, under the criterion `contact`."""
 
 
-def accept(assembly: Assembly, states: States, verdicts: Verdicts, claim: Claim = Claim()) -> NDArray[np.bool_]:
+def verify_certificates(
+    assembly: Assembly, states: States, verdicts: Verdicts, claim: Claim = Claim()
+) -> NDArray[np.bool_]:
     """Return whether each verdict is proven by the certificate that comes with it.
 
     Args:

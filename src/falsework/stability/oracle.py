@@ -13,7 +13,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states
 from falsework.errors import InputError
 from falsework.stability.cache import VerdictCache
-from falsework.stability.certificate import accept
+from falsework.stability.certificate import verify_certificates
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
@@ -55,7 +55,7 @@ class Counters:
     warm: int = 0
     """Solved from the forces or the displacement of a parent."""
 
-    def as_dict(self) -> dict[str, int]:
+    def to_dict(self) -> dict[str, int]:
         """Plain numbers for reports."""
         return asdict(self)
 
@@ -197,7 +197,7 @@ class Stability:
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
         """Return whether the checker accepts each verdict; the others are counted."""
-        accepted = accept(self.assembly, states, verdicts, self.settings.claim)
+        accepted = verify_certificates(self.assembly, states, verdicts, self.settings.claim)
         self.counters.rejected += int((~accepted & ~verdicts.undecided).sum())
         return accepted
 

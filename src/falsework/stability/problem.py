@@ -76,8 +76,8 @@ class Problem:
     acceleration: Array
     """`L^-T`: turns a whitened residual into an acceleration, shape (parts, 6, 6)."""
     measure: Array
-    """Residual per m/s2 of linear and per rad/s2 of angular acceleration, shape (parts, 2): `1 / gravity`, and the
-    part's largest radius of gyration times that. It makes the residual a share of gravity, whatever the size."""
+    """Residual per m/s2 of linear and per rad/s2 of angular acceleration, shape (parts, 2). The first is `1 / gravity`,
+    the second the part's largest radius of gyration times that: the residual is a share of gravity at any size."""
     force_scale: Array
     """Force in N of a scaled variable of 1, shape (points,)."""
     weight: float

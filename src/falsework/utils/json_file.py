@@ -91,3 +91,19 @@ class Reader:
 
     def _fail(self, what: str, remedy: str = "the file is damaged; plan again") -> NoReturn:
         raise PlanError(f"{self._source} is not a valid {self.kind}: {what}; {remedy}")
+
+
+def read_format(path: Path | str) -> str:
+    """Read the entry `format` of a JSON file; empty if it has none.
+
+    Raises:
+        PlanError: it is no JSON.
+    """
+    try:
+        content = parse_json(Path(path).read_text(encoding="utf-8"))
+    except json.JSONDecodeError:
+        raise PlanError(f"{path} is not valid JSON; it may be truncated; write it again") from None
+    except (OSError, ValueError) as error:
+        raise PlanError(f"{path} cannot be read: {error}; write it again") from None
+    form = content.get("format") if isinstance(content, dict) else None
+    return form if isinstance(form, str) else ""

@@ -1,5 +1,5 @@
-"""What people look at: pictures without a screen, and the page in the browser.
+"""Pictures, films, and the page in the browser, of plans, runs, robot plans, state graphs and structures."""
 
-What is shown at a step is decided in modules that need no browser (`timeline`, `look`, `disruption`); `render`,
-`sheet`, `drawing` and `film` turn it into files, `scene` and `page` into a page with viser.
-"""
+from falsework.utils.lazy import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, extra="viewer")

@@ -13,12 +13,12 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError
 from falsework.robots.kinematics.forward import flange_pose
-from falsework.robots.model.cell import Cell, Obstacle
+from falsework.robots.model.cell import Cell, Obstacle, cell_identity
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import block
 from falsework.robots.plans.check import CheckSettings, check_robot_plan
 from falsework.robots.plans.pinocchio_checker import Judge
-from falsework.robots.plans.robot_plan import RobotPlan, Step, Trajectory, cell_identity
+from falsework.robots.plans.robot_plan import RobotPlan, RobotStep, Trajectory
 
 
 def with_trajectory(plan: RobotPlan, index: int, order: int, change: Callable[[Trajectory], Trajectory]) -> RobotPlan:
@@ -26,7 +26,7 @@ def with_trajectory(plan: RobotPlan, index: int, order: int, change: Callable[[T
     trajectories = list(step.trajectories)
     trajectories[order] = change(trajectories[order])
     steps = list(plan.steps)
-    steps[index] = Step(step.robot, tuple(trajectories))
+    steps[index] = RobotStep(step.robot, tuple(trajectories))
     return replace(plan, steps=tuple(steps))
 
 

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
 from falsework.cli.main import main
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan_file import load_robot_plan
 
 CELL = """
 format = "falsework.cell/1"
@@ -66,7 +66,7 @@ def test_plan_check_export(run: Callable, cell_file: Path, tmp_path: Path) -> No
     assert code == 0, error
     assert records[0]["found"]
     assert records[0]["steps"] == 4
-    plan = RobotPlan.load(out)
+    plan = load_robot_plan(out)
     assert plan.cell_source == "../cell.toml"
     assert plan.plan.source == {"built_in": STACK}
     code, records, error = run("robots", "check", out, "--json")

@@ -12,8 +12,20 @@ import pytest
 import yaml
 
 from falsework.errors import InputError
+from falsework.interop import export
 from falsework.robots.plans.export import FORMATS, export_plan
 from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan_file import save_robot_plan
+
+
+def test_one_function_exports_robot_plans_too(robot_plan: RobotPlan, tmp_path: Path) -> None:
+    save_robot_plan(robot_plan, tmp_path / "plan.json")
+    export(robot_plan, tmp_path / "one", format="csv")
+    export(tmp_path / "plan.json", tmp_path / "other", format="csv")
+    export_plan(robot_plan, tmp_path / "three", "csv")
+    texts = [[path.read_text() for path in sorted((tmp_path / name).iterdir())] for name in ("one", "three")]
+    assert texts[0] == texts[1]
+    assert len(list((tmp_path / "other").iterdir())) == len(texts[0])
 
 
 def load_yaml(text: str):

@@ -18,6 +18,7 @@ from falsework.robots.planning.hybrid_planner import HybridResult, HybridSetting
 from falsework.robots.planning.keyframe_graph import KeyframeSettings
 from falsework.robots.planning.solvability import Proposals
 from falsework.search import Direction, Task
+from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.guide import SupportGuide
 from falsework.stability import Stability
 
@@ -27,7 +28,7 @@ def test_a_plan_is_found_and_its_states_are_proven(result: HybridResult, column:
     plan = result.plan
     assert plan is not None
     assert len(plan) == 2 * int((~column.boundary).sum())
-    assert plan.plan.validate(column).good
+    assert validate_plan(plan.plan, column).good
     assert plan.plan.removable_only_if_clear
     for row, action in enumerate(plan.plan.actions):
         if action >= column.part_count:
@@ -97,7 +98,7 @@ def test_where_rollouts_fail_the_plan_is_searched_for(
     monkeypatch.setattr("falsework.robots.planning.solvability.roll_out", lambda *_, **__: None)
     found = plan_robots(column, cell, guide=SupportGuide(column))
     assert found.plan is not None
-    assert found.plan.plan.validate(column).good
+    assert validate_plan(found.plan.plan, column).good
 
 
 def test_a_target_and_missing_parts(column: Assembly, cell: Cell, oracle: Stability) -> None:
@@ -168,7 +169,7 @@ def test_a_partial_plan_is_a_plan(column: Assembly, cell: Cell, oracle: Stabilit
     assert found.explanation is not None
     assert found.partial is not None
     assert len(found.partial) == found.explanation.reached > 0
-    assert found.partial.plan.validate(column).good
+    assert validate_plan(found.partial.plan, column).good
     assert found.partial.statistics["failure"]["outcome"] == "not_found"
     assert found.explanation.hopeless is not None
 

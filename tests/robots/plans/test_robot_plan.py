@@ -14,8 +14,14 @@ import numpy as np
 import pytest
 
 from falsework.errors import InputError, PlanError
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory, cell_identity
-from falsework.robots.plans.robot_plan_file import robot_plan_schema, robot_plan_to_json
+from falsework.robots.model.cell import cell_identity
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_plan_file import (
+    load_robot_plan,
+    robot_plan_schema,
+    robot_plan_to_dict,
+    save_robot_plan,
+)
 from falsework.search import Direction, plan_schema
 
 
@@ -95,9 +101,9 @@ def test_motions_join_and_carry_what_the_actions_say(robot_plan: RobotPlan) -> N
 
 def test_there_and_back_on_disk(robot_plan: RobotPlan, tmp_path: Path) -> None:
     path = tmp_path / "robot_plan.json"
-    robot_plan.save(path)
+    save_robot_plan(robot_plan, path)
     assert [entry.name for entry in tmp_path.iterdir()] == ["robot_plan.json"]
-    found = RobotPlan.load(path)
+    found = load_robot_plan(path)
     assert found.cell_identity == robot_plan.cell_identity
     assert found.plan.identity == robot_plan.plan.identity
     np.testing.assert_array_equal(found.plan.actions, robot_plan.plan.actions)
@@ -106,12 +112,12 @@ def test_there_and_back_on_disk(robot_plan: RobotPlan, tmp_path: Path) -> None:
         np.testing.assert_allclose(one[2].positions, other[2].positions, atol=1e-7)
         np.testing.assert_allclose(one[2].velocities, other[2].velocities, atol=1e-7)
     again = tmp_path / "again.json"
-    found.save(again)
-    assert RobotPlan.load(again).seconds == found.seconds
+    save_robot_plan(found, again)
+    assert load_robot_plan(again).seconds == found.seconds
 
 
 def test_files_follow_the_schema(robot_plan: RobotPlan) -> None:
-    data = robot_plan_to_json(robot_plan)
+    data = robot_plan_to_dict(robot_plan)
     schema = robot_plan_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(data, schema)
@@ -160,24 +166,24 @@ DAMAGE: list[tuple[Callable[[dict[str, Any]], None], str]] = [
 
 @pytest.mark.parametrize(("damage", "message"), DAMAGE)
 def test_damaged_files(robot_plan: RobotPlan, tmp_path: Path, damage: Callable, message: str) -> None:
-    data = json.loads(json.dumps(robot_plan_to_json(robot_plan)))
+    data = json.loads(json.dumps(robot_plan_to_dict(robot_plan)))
     damage(data)
     path = tmp_path / "bad.json"
     path.write_text(json.dumps(data))
     with pytest.raises(PlanError) as caught:
-        RobotPlan.load(path)
+        load_robot_plan(path)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_files_that_are_none(robot_plan: RobotPlan, tmp_path: Path) -> None:
     with pytest.raises(PlanError, match="there is no robot plan file"):
-        RobotPlan.load(tmp_path / "none.json")
+        load_robot_plan(tmp_path / "none.json")
     (tmp_path / "half.json").write_text('{"format": ')
     with pytest.raises(PlanError, match="not valid JSON"):
-        RobotPlan.load(tmp_path / "half.json")
+        load_robot_plan(tmp_path / "half.json")
     (tmp_path / "list.json").write_text("[]")
     with pytest.raises(PlanError, match='has no "format"'):
-        RobotPlan.load(tmp_path / "list.json")
+        load_robot_plan(tmp_path / "list.json")
     with pytest.raises(InputError, match="cannot write"):
-        robot_plan.save(tmp_path / "nowhere" / "plan.json")
+        save_robot_plan(robot_plan, tmp_path / "nowhere" / "plan.json")

@@ -17,6 +17,7 @@ from falsework.robots.planning.hybrid_planner import HybridResult, HybridSetting
 from falsework.robots.planning.rollout import roll_out
 from falsework.robots.planning.solvability import Proposals
 from falsework.search import Route, Task
+from falsework.search.plans.plan_check import validate_plan
 from falsework.stability import Replay, Stability, StabilitySettings
 
 ARCH = load_structure("arch:blocks=5")
@@ -154,7 +155,7 @@ def test_a_plan_that_falls_is_not_delivered_but_another_one_is(
     assert found.statistics["replays_fallen"] == 1
     assert not (found.plan.plan.states == bad).all(axis=1).any()
     assert found.statistics["replay"]["stands"]
-    assert found.plan.plan.validate(column).good
+    assert validate_plan(found.plan.plan, column).good
 
 
 def test_where_every_plan_falls_none_is_delivered_and_the_step_is_named(column: Assembly, cell: Cell) -> None:

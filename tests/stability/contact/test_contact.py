@@ -14,7 +14,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.geometry import TriangleMesh
-from falsework.stability import Proof, Stability, StabilitySettings, Verdict, accept
+from falsework.stability import Proof, Stability, StabilitySettings, Verdict, verify_certificates
 from falsework.stability.certificate import forces_of_displacement, residual_of_displacement
 from falsework.stability.judges import settle
 from falsework.stability.settings import EQUILIBRIUM
@@ -29,7 +29,7 @@ def verdict_of(assembly: Assembly, state: Any = None, settings: StabilitySetting
     states = np.asarray(complete_state(assembly.boundary) if state is None else state, np.uint8)[None]
     verdicts = Stability(assembly, settings).check(states)
     assert not verdicts.undecided.any()
-    assert accept(assembly, states, verdicts, settings.claim).all()
+    assert verify_certificates(assembly, states, verdicts, settings.claim).all()
     return Verdict(int(verdicts.verdict[0]))
 
 
@@ -203,8 +203,8 @@ def test_other_displacements_are_rejected(proven: Any, factor: float) -> None:
     arch, states, verdicts, settings = proven
     with np.errstate(invalid="ignore"):
         forged = dataclasses.replace(verdicts, displacement=verdicts.displacement * factor)
-    assert accept(arch, states, verdicts, settings.claim).all()
-    assert not accept(arch, states, forged, settings.claim).any()
+    assert verify_certificates(arch, states, verdicts, settings.claim).all()
+    assert not verify_certificates(arch, states, forged, settings.claim).any()
 
 
 def test_the_forces_of_a_displacement_balance_by_another_formula(proven: Any) -> None:

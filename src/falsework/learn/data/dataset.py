@@ -90,41 +90,42 @@ class Dataset:
             for name, states in (("train", self.train), ("test", self.test), ("more", self.more))
         }
 
-    def save(self, path: Path | str) -> None:
-        """Write the data set as a versioned `.npz`."""
-        header = {
-            "name": self.name,
-            "identity": self.task.identity,
-            "robots": self.task.robots,
-            "removable_only_if_clear": self.task.clearance is not None,
-            "fixed": list(self.task.fixed),
-            "train_width": self.settings.train_width,
-            "test_width": self.settings.test_width,
-            "criterion": self.criterion,
-        }
-        arrays = {"train": self.train, "test": self.test, "more": self.more, "boundary": self.task.boundary}
-        write_archive(path, FORMAT, header, arrays)
 
-    @classmethod
-    def load(cls, path: Path | str, assembly: Assembly) -> Dataset:
-        """Read a data set that `save` wrote.
+def save_dataset(dataset: Dataset, path: Path | str) -> None:
+    """Write the data set as a versioned `.npz`."""
+    header = {
+        "name": dataset.name,
+        "identity": dataset.task.identity,
+        "robots": dataset.task.robots,
+        "removable_only_if_clear": dataset.task.clearance is not None,
+        "fixed": list(dataset.task.fixed),
+        "train_width": dataset.settings.train_width,
+        "test_width": dataset.settings.test_width,
+        "criterion": dataset.criterion,
+    }
+    arrays = {"train": dataset.train, "test": dataset.test, "more": dataset.more, "boundary": dataset.task.boundary}
+    write_archive(path, FORMAT, header, arrays)
 
-        Raises:
-            InputError: no such file, a damaged one, one of another version, or one of another structure.
-        """
-        header, arrays = read_archive(path, FORMAT, _ARRAYS)
-        criterion = read_criterion(path, header, "make it anew")
-        if set(header) != _KEYS:
-            odd = ", ".join(sorted(set(header) ^ _KEYS))
-            raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent header entries {odd}")
-        if header["identity"] != assembly.identity:
-            raise InputError(f"{path} is a data set of {header['name']}, not of {assembly.name}; make one for it")
-        task = task_for(assembly, header["robots"], header["removable_only_if_clear"], header["fixed"])
-        task = replace(task, holds_keep_stable=criterion == "equilibrium")
-        found = {name: arrays[name] for name in ("train", "test", "more")}
-        check_states(path, found, task.part_count, "make it anew")
-        settings = DataSettings(header["train_width"], header["test_width"])
-        return cls(found["train"], found["test"], found["more"], task, header["name"], settings)
+
+def load_dataset(path: Path | str, assembly: Assembly) -> Dataset:
+    """Read a data set that `save_dataset` wrote.
+
+    Raises:
+        InputError: no such file, a damaged one, one of another version, or one of another structure.
+    """
+    header, arrays = read_archive(path, FORMAT, _ARRAYS)
+    criterion = read_criterion(path, header, "make it anew")
+    if set(header) != _KEYS:
+        odd = ", ".join(sorted(set(header) ^ _KEYS))
+        raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent header entries {odd}")
+    if header["identity"] != assembly.identity:
+        raise InputError(f"{path} is a data set of {header['name']}, not of {assembly.name}; make one for it")
+    task = task_for(assembly, header["robots"], header["removable_only_if_clear"], header["fixed"])
+    task = replace(task, holds_keep_stable=criterion == "equilibrium")
+    found = {name: arrays[name] for name in ("train", "test", "more")}
+    check_states(path, found, task.part_count, "make it anew")
+    settings = DataSettings(header["train_width"], header["test_width"])
+    return Dataset(found["train"], found["test"], found["more"], task, header["name"], settings)
 
 
 def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: int, remedy: str) -> None:

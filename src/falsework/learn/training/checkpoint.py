@@ -188,6 +188,13 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
     return Run(folder, assembly, settings, policy.eval(), metadata)
 
 
+def load_policy(
+    folder: Path | str, device: torch.device | str = "cpu", *, assembly: Assembly | None = None
+) -> policies.Policy:
+    """Read the trained policy of a run, as `load_run` does, without the rest of it."""
+    return load_run(folder, device, assembly=assembly).policy
+
+
 def load_weights(policy: torch.nn.Module, path: Path) -> None:
     """Read weights into a policy.
 

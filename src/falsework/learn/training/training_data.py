@@ -14,7 +14,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings
-from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
+from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, load_dataset, task_for
 from falsework.learn.data.goal_dataset import Searched, TargetDataset, TargetDataSettings, target_dataset
 from falsework.learn.data.goal_pairs import Pairs
 from falsework.learn.data.random_walks import TaskSource, Ways
@@ -105,7 +105,7 @@ def find_material(
         )
     path = None if folder is None else folder / DATA
     if kept and path is not None and path.exists():
-        data, fresh = Dataset.load(path, assembly), False
+        data, fresh = load_dataset(path, assembly), False
     else:
         task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
         searches = DataSettings(widths=_widths(settings), seed=settings.data_seed)

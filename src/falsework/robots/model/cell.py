@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+import hashlib
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,3 +125,32 @@ class Cell:
     def homes(self) -> tuple[Array, ...]:
         """Home configuration of every robot."""
         return tuple(robot.home for robot in self.robots)
+
+
+def cell_identity(cell: Cell) -> str:
+    """Return the digest of everything in a cell that motions depend on; hexadecimal SHA-256.
+
+    Names of files and where a description came from do not count, nor meshes that only the check looks at.
+    """
+    digest = hashlib.sha256(b"falsework.cell/1")
+    _feed(digest, cell)
+    return digest.hexdigest()
+
+
+def _feed(digest, value: Any) -> None:
+    if is_dataclass(value):
+        for entry in fields(value):
+            if entry.name not in ("source", "path", "meshes"):
+                digest.update(entry.name.encode())
+                _feed(digest, getattr(value, entry.name))
+    elif isinstance(value, np.ndarray):
+        # Rounded, so that a cell that went through a file keeps its digest.
+        digest.update((np.round(value.astype(np.float64), 9) + 0.0).astype("<f8").tobytes())
+    elif isinstance(value, (tuple, list)):
+        digest.update(np.int64(len(value)).tobytes())
+        for entry in value:
+            _feed(digest, entry)
+    elif isinstance(value, (set, frozenset)):
+        _feed(digest, sorted(value))
+    else:
+        digest.update(repr(value).encode())

@@ -72,7 +72,7 @@ class Explanation:
     text: str
     """All of it in one line."""
 
-    def record(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the failure as a JSON object."""
         return {
             "outcome": self.outcome,

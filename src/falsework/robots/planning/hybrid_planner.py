@@ -370,7 +370,7 @@ class _Search:
         route, task = self._route(root, chain), self.proposals.task
         statistics = self._statistics()
         if why is not None:
-            statistics["failure"] = why.record()
+            statistics["failure"] = why.to_dict()
         plan = make_robot_plan(
             self.assembly, self.cell, task, self.oracle, route, root, chain, forces=self.settings.forces
         )

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.robots.model.cell import Cell
+from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.timing import time_path
 from falsework.robots.planning.keyframe_graph import Edge, Leg, Node
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, Step, Trajectory, cell_identity, records_of
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory, records_of
 from falsework.search.find import plan_of
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
@@ -59,7 +59,7 @@ def make_robot_plan(
     for edge in chain:
         model = cell.robots[edge.robot].model
         timed = (timed_leg(model, leg, cell.speed) for leg in edge.legs)
-        steps.append(Step(edge.robot, tuple(trajectory for trajectory in timed if trajectory is not None)))
+        steps.append(RobotStep(edge.robot, tuple(trajectory for trajectory in timed if trajectory is not None)))
     nodes = (root, *(edge.node for edge in chain))
     return RobotPlan(
         plan=abstract,

@@ -47,7 +47,7 @@ class CheckSettings:
 
 
 @dataclass(frozen=True)
-class Problem:
+class PlanProblem:
     """One thing that is wrong."""
 
     step: int
@@ -70,7 +70,7 @@ class Problem:
 class CheckReport:
     """End of a check."""
 
-    problems: tuple[Problem, ...]
+    problems: tuple[PlanProblem, ...]
     samples: int
     """Configurations that were checked for collisions."""
     trajectories: int
@@ -103,7 +103,7 @@ class _Checker:
         parts = place_parts(assembly, cell.placement)
         self.judge = Judge(cell, parts, settings.tolerance)
         self.boundary = assembly.boundary
-        self.problems: list[Problem] = []
+        self.problems: list[PlanProblem] = []
         self.samples = self.trajectories = 0
         self.largest_step = self.largest_join = self.velocity = self.acceleration = 0.0
 
@@ -111,7 +111,7 @@ class _Checker:
         return len(self.problems) >= self.settings.problems
 
     def say(self, step: int, robot: int, what: str, **more) -> None:
-        self.problems.append(Problem(step, self.cell.robots[robot].name, what, **more))
+        self.problems.append(PlanProblem(step, self.cell.robots[robot].name, what, **more))
 
     def keyframe(self, index: int) -> None:
         """Whether the robots hold exactly the parts that the state says, and touch them."""
@@ -269,7 +269,7 @@ def check_robot_plan(
     - on the lines on which a part leaves its place or arrives there, the part is shrunk by the tolerance, since it
       touches its neighbours and the floor. Everywhere else it has its full size.
 
-    The stability of the states is not checked here; `plan.plan.validate` does that.
+    The stability of the states is not checked here; `validate_plan(plan.plan, ...)` does that.
 
     Args:
         plan: what to check.

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import PlanError
-from falsework.robots.plans.robot_plan_file import read_robot_plan, write_robot_plan
+from falsework.robots.model.cell import Cell, cell_identity
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.robots.model.cell import Cell
 
 Array = NDArray[np.float64]
 
@@ -111,7 +108,7 @@ def _before(function, times: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class RobotStep:
     """One action of the plan, carried out by one robot."""
 
     robot: int
@@ -156,7 +153,7 @@ class RobotPlan:
     """States, actions, proofs; its direction is that of the motions."""
     keyframes: tuple[Keyframe, ...]
     """One for every state of the plan."""
-    steps: tuple[Step, ...]
+    steps: tuple[RobotStep, ...]
     """One for every action of the plan."""
     robots: tuple[RobotRecord, ...]
     cell_name: str
@@ -201,29 +198,10 @@ class RobotPlan:
     def reverse(self) -> RobotPlan:
         """The same the other way round: assembly from disassembly, and back."""
         steps = tuple(
-            Step(step.robot, tuple(trajectory.reverse() for trajectory in reversed(step.trajectories)))
+            RobotStep(step.robot, tuple(trajectory.reverse() for trajectory in reversed(step.trajectories)))
             for step in reversed(self.steps)
         )
         return replace(self, plan=self.plan.reverse(), keyframes=self.keyframes[::-1], steps=steps)
-
-    def save(self, path: Path | str) -> None:
-        """Write the plan as JSON, format `falsework.robot-plan/1`, whole or not at all.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
-        write_robot_plan(self, path)
-
-    @classmethod
-    def load(cls, path: Path | str) -> RobotPlan:
-        """Read a robot plan and check that it is one: format, lengths, that motions and keyframes join.
-
-        Collisions and limits are not checked; see `falsework.robots.plans.check`.
-
-        Raises:
-            PlanError: no such file, damaged, of another version, or with motions that do not join.
-        """
-        return read_robot_plan(path)
 
     def check_identity(self, assembly: Assembly, cell: Cell) -> None:
         """Raise PlanError unless the plan is for this structure in this cell."""
@@ -252,32 +230,3 @@ def records_of(cell: Cell) -> tuple[RobotRecord, ...]:
         )
         for robot in cell.robots
     )
-
-
-def cell_identity(cell: Cell) -> str:
-    """Digest of everything in a cell that motions depend on; hexadecimal SHA-256.
-
-    Names of files and where a description came from do not count, nor meshes that only the check looks at.
-    """
-    digest = hashlib.sha256(b"falsework.cell/1")
-    _feed(digest, cell)
-    return digest.hexdigest()
-
-
-def _feed(digest, value: Any) -> None:
-    if is_dataclass(value):
-        for entry in fields(value):
-            if entry.name not in ("source", "path", "meshes"):
-                digest.update(entry.name.encode())
-                _feed(digest, getattr(value, entry.name))
-    elif isinstance(value, np.ndarray):
-        # Rounded, so that a cell that went through a file keeps its digest.
-        digest.update((np.round(value.astype(np.float64), 9) + 0.0).astype("<f8").tobytes())
-    elif isinstance(value, (tuple, list)):
-        digest.update(np.int64(len(value)).tobytes())
-        for entry in value:
-            _feed(digest, entry)
-    elif isinstance(value, (set, frozenset)):
-        _feed(digest, sorted(value))
-    else:
-        digest.update(repr(value).encode())

@@ -1,4 +1,4 @@
-"""Robot plans on disk: versioned JSON with a published schema, read strictly."""
+"""Robot plan files: versioned JSON with a published schema, read strictly."""
 
 from __future__ import annotations
 
@@ -6,18 +6,14 @@ import json
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_file import from_json as plan_from_json
-from falsework.search.plans.plan_file import to_json as plan_to_json
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep, Trajectory
+from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.utils.json_file import Reader, write_json
-
-if TYPE_CHECKING:
-    from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, Step, Trajectory
 
 Array = NDArray[np.float64]
 
@@ -37,17 +33,17 @@ def robot_plan_schema() -> dict[str, Any]:
     return json.loads(text)
 
 
-def write_robot_plan(plan: RobotPlan, path: Path | str) -> None:
-    """Write a robot plan as JSON, whole or not at all.
+def save_robot_plan(plan: RobotPlan, path: Path | str) -> None:
+    """Write a robot plan as JSON, format `falsework.robot-plan/1`, whole or not at all.
 
     Raises:
         InputError: the file cannot be written.
     """
-    write_json(path, robot_plan_to_json(plan), spread=("keyframes", "steps"))
+    write_json(path, robot_plan_to_dict(plan), spread=("keyframes", "steps"))
 
 
-def robot_plan_to_json(plan: RobotPlan) -> dict[str, Any]:
-    """The robot plan as plain JSON values; see `robot_plan.schema.json`."""
+def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
+    """Return the robot plan as plain JSON values; see `robot_plan.schema.json`."""
     return {
         "format": FORMAT,
         "cell": {
@@ -66,7 +62,7 @@ def robot_plan_to_json(plan: RobotPlan) -> dict[str, Any]:
                 for robot in plan.robots
             ],
         },
-        "plan": plan_to_json(plan.plan, proofs=plan.plan.proof_arrays() is not None),
+        "plan": plan_to_dict(plan.plan, proofs=plan.plan.proof_arrays() is not None),
         "keyframes": [
             {"configurations": [_numbers(values) for values in keyframe.configurations], "held": list(keyframe.held)}
             for keyframe in plan.keyframes
@@ -93,20 +89,22 @@ def robot_plan_to_json(plan: RobotPlan) -> dict[str, Any]:
     }
 
 
-def read_robot_plan(path: Path | str) -> RobotPlan:
-    """Read a robot plan from a file.
+def load_robot_plan(path: Path | str) -> RobotPlan:
+    """Read a robot plan and check that it is one: format, lengths, that motions and keyframes join.
+
+    Collisions and limits are not checked; see `check_robot_plan`.
 
     Raises:
         PlanError: no such file, damaged, of another version, or with motions that do not join.
     """
-    return robot_plan_from_json(_Reader.load(path), str(Path(path)))
+    return robot_plan_from_dict(_Reader.load(path), str(Path(path)))
 
 
-def robot_plan_from_json(data: Any, source: str = "the robot plan") -> RobotPlan:
-    """A robot plan from JSON values; `source` names them in messages.
+def robot_plan_from_dict(data: Any, source: str = "the robot plan") -> RobotPlan:
+    """Read a robot plan from plain JSON values; `source` names them in messages.
 
     Raises:
-        PlanError: as `read_robot_plan`.
+        PlanError: as `load_robot_plan`.
     """
     return _Reader(source).plan(data)
 
@@ -121,13 +119,11 @@ class _Reader(Reader):
     kind, form, command = "robot plan", FORMAT, "falsework robots plan"
 
     def plan(self, data: Any) -> RobotPlan:
-        from falsework.robots.plans.robot_plan import RobotPlan
-
         self._header(data, _KEYS)
         cell = data["cell"]
         self._keys(cell, {"name", "identity", "robots"}, "cell", frozenset({"source"}))
         robots = tuple(self._robot(entry, f"robot {k}") for k, entry in enumerate(self._list(cell["robots"], "robots")))
-        abstract = Plan(**plan_from_json(data["plan"], f"the plan in {self._source}"))
+        abstract = plan_from_dict(data["plan"], f"the plan in {self._source}")
         joints = [len(robot.joint_names) for robot in robots]
         keyframes = tuple(
             self._keyframe(entry, f"keyframe {k}", joints, len(abstract.boundary))
@@ -153,8 +149,6 @@ class _Reader(Reader):
         return made
 
     def _robot(self, data: Any, place: str) -> RobotRecord:
-        from falsework.robots.plans.robot_plan import RobotRecord
-
         self._keys(data, {"name", "model", "joints", "base", "gripper", "tool"}, place)
         names = tuple(self._text(name, f"{place}: a joint") for name in self._list(data["joints"], f"{place}: joints"))
         return RobotRecord(
@@ -167,8 +161,6 @@ class _Reader(Reader):
         )
 
     def _keyframe(self, data: Any, place: str, joints: list[int], parts: int) -> Keyframe:
-        from falsework.robots.plans.robot_plan import Keyframe
-
         self._keys(data, {"configurations", "held"}, place)
         values, held = data["configurations"], data["held"]
         if any(not isinstance(entry, list) or len(entry) != len(joints) for entry in (values, held)):
@@ -181,19 +173,15 @@ class _Reader(Reader):
             tuple(self._part(part, parts, f"{place}: held") for part in held),
         )
 
-    def _step(self, data: Any, place: str, joints: list[int], parts: int) -> Step:
-        from falsework.robots.plans.robot_plan import Step
-
+    def _step(self, data: Any, place: str, joints: list[int], parts: int) -> RobotStep:
         self._keys(data, {"do", "robot", "trajectories"}, place)
         robot = data["robot"]
         if type(robot) is not int or not 0 <= robot < len(joints):
             self._fail(f"{place}: robot is {robot!r}", f"it must be a number from 0 to {len(joints) - 1}")
         found = self._list(data["trajectories"], f"{place}: trajectories")
-        return Step(robot, tuple(self._trajectory(entry, place, joints[robot], parts) for entry in found))
+        return RobotStep(robot, tuple(self._trajectory(entry, place, joints[robot], parts) for entry in found))
 
     def _trajectory(self, data: Any, place: str, joints: int, parts: int) -> Trajectory:
-        from falsework.robots.plans.robot_plan import Trajectory
-
         self._keys(data, {"kind", "part", "touches", "times", "positions", "velocities"}, place)
         if data["kind"] not in ("free", "line"):
             self._fail(f"{place}: kind is {data['kind']!r}", "it must be free or line")

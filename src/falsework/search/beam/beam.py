@@ -336,7 +336,7 @@ class BeamSearch:
             InputError: no such file, a damaged one, or one of another task.
         """
         header, arrays = read_archive(path, FORMAT)
-        if header.get("task") != task.judged_by(oracle).describe():
+        if header.get("task") != task.judged_by(oracle).to_dict():
             raise InputError(f"{path} belongs to another structure or task; begin a new search")
         try:
             return cls.unpack(header, arrays, task, oracle, guide=guide)
@@ -346,7 +346,7 @@ class BeamSearch:
     def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return the search as it stands: plain values, and arrays."""
         header: dict[str, Any] = {
-            "task": self.task.describe(),
+            "task": self.task.to_dict(),
             "settings": asdict(self.settings),
             "counters": asdict(self.counters) | {"states": 0},
             "seconds": self._seconds,

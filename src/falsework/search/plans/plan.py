@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,25 +11,52 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, Mask, States
 from falsework.errors import PlanError
-from falsework.search.plans.plan_check import PlanReport, check_identity, check_proofs, check_with_solver
-from falsework.search.plans.plan_file import Need, needs_of, read_plan, write_plan
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import Claim
-from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdicts
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-
-Progress = Callable[[int, int], None]
 
 WORDS = {
     Direction.DISASSEMBLY: ("hold", "remove"),
     Direction.ASSEMBLY: ("release", "insert"),
 }
 """What an action below and from `parts` on is called in each direction."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """When a part that was missing is needed."""
+
+    part: int
+    after_steps: int
+    """Steps of assembly that are done without it."""
+    after_parts: int
+    """Parts that are placed before it."""
+
+
+def needs_of(
+    actions: NDArray[np.int64], direction: Direction, parts: int, missing: tuple[int, ...]
+) -> tuple[Need, ...]:
+    """When each missing part goes in, the first first; parts that no action inserts are left out.
+
+    Args:
+        actions: of the plan, shape (steps,).
+        direction: which way the plan runs.
+        parts: number of parts.
+        missing: the parts in question.
+    """
+    in_order = actions if direction is Direction.ASSEMBLY else actions[::-1]
+    placed = np.cumsum(in_order >= parts)
+    needs = []
+    for part in missing:
+        step = np.flatnonzero(in_order == parts + part)
+        if len(step):
+            needs.append(Need(part, int(step[0]), int(placed[step[0]]) - 1))
+    return tuple(sorted(needs, key=lambda need: need.after_steps))
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,71 +181,9 @@ class Plan:
         """States in the order of assembly, in which a plan is replayed, shape (steps + 1, parts)."""
         return self.states if self.direction is Direction.ASSEMBLY else self.states[::-1]
 
-    def validate(
-        self,
-        assembly: Assembly,
-        settings: StabilitySettings = StabilitySettings(),
-        *,
-        progress: Progress | None = None,
-    ) -> PlanReport:
-        """Check every step by a solver, up to the first bad one.
-
-        The caller decides what stable means. What the plan says of its own tolerance, gravity, force bound and
-        criterion is a claim: a plan that claims less than the caller asks for is refused.
-
-        Args:
-            assembly: the structure.
-            settings: what stable means.
-            progress: called with the number of states checked and of all states.
-
-        Raises:
-            PlanError: the plan is for another structure.
-        """
-        check_identity(self, assembly)
-        return check_with_solver(self, assembly, settings, progress)
-
-    def validate_proofs(self, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> PlanReport:
-        """Check every step by the proofs that the plan carries; needs no solver.
-
-        Args:
-            assembly: the structure.
-            settings: what stable means.
-
-        Raises:
-            PlanError: the plan is for another structure, or carries no proofs.
-        """
-        check_identity(self, assembly)
-        return check_proofs(self, assembly, settings)
-
-    def save(self, path: Path | str, *, proofs: bool = False) -> None:
-        """Write the plan as JSON, format `falsework.plan/2`, whole or not at all.
-
-        Args:
-            path: file to write.
-            proofs: write the displacements or contact forces too, some hundred kilobytes.
-
-        Raises:
-            PlanError: proofs are asked for and the plan has none.
-            InputError: the file cannot be written.
-        """
-        if proofs and self.proof_arrays() is None:
-            raise PlanError("the plan carries no displacements or contact forces to write; save it without proofs")
-        write_plan(self, path, proofs=proofs)
-
     def proof_arrays(self) -> NDArray[np.float64] | None:
         """What proves the states under the plan's criterion, if the plan carries it."""
         return self.displacement if self.claim.criterion == "contact" else self.forces
-
-    @classmethod
-    def load(cls, path: Path | str) -> Plan:
-        """Read a plan and check that it is one: format, entries, lengths, and that every action is legal.
-
-        Stability is not checked; see `validate`.
-
-        Raises:
-            PlanError: no such file, damaged, of another version, or with an action that the rules forbid.
-        """
-        return cls(**read_plan(path))
 
     @property
     def removed_parts(self) -> NDArray[np.int64]:

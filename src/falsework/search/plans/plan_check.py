@@ -6,22 +6,19 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, States, action_mask, apply_actions, held_count, undo_mask
 from falsework.errors import PlanError
+from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
-from falsework.stability.certificate import Claim, accept, residual_of_displacement, residual_of_forces
+from falsework.stability.certificate import Claim, residual_of_displacement, residual_of_forces, verify_certificates
 from falsework.stability.oracle import Stability
 from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdicts
-
-if TYPE_CHECKING:
-    from falsework.assembly.model import Assembly
-    from falsework.search.plans.plan import Plan
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,17 +118,31 @@ def weaker_claim(claimed: Claim, asked: Claim) -> str:
     return ""
 
 
-def check_with_solver(
+def validate_plan(
     plan: Plan,
     assembly: Assembly,
-    settings: StabilitySettings,
-    progress: Callable[[int, int], None] | None,
+    settings: StabilitySettings = StabilitySettings(),
+    *,
+    progress: Callable[[int, int], None] | None = None,
 ) -> PlanReport:
-    """Check rules and stability, state by state up to the first bad one.
+    """Check the rules and the stability of a plan by a solver, state by state up to the first bad one.
+
+    The caller decides what stable means. What the plan says of its own tolerance, gravity, force bound and criterion
+    is a claim: a plan that claims less than the caller asks for is refused.
 
     Under `equilibrium` the exact solver decides. Under `contact` a displacement is looked for anew, from rest and
     without a parent, and accepted by the certificate checker, which shares nothing with the solvers.
+
+    Args:
+        plan: what to check.
+        assembly: the structure.
+        settings: what stable means.
+        progress: called with the number of states checked and of all states.
+
+    Raises:
+        PlanError: the plan is for another structure.
     """
+    check_identity(plan, assembly)
     begun, count, claim = time.perf_counter(), len(plan.states), settings.claim
     weaker = weaker_claim(plan.claim, claim)
     if weaker:
@@ -141,7 +152,7 @@ def check_with_solver(
     largest = 0.0
     for row in range(count if broken is None else broken[0]):
         verdict = solver.check(plan.states[row : row + 1])
-        if not (verdict.stable[0] and accept(assembly, plan.states[row : row + 1], verdict, claim)[0]):
+        if not (verdict.stable[0] and verify_certificates(assembly, plan.states[row : row + 1], verdict, claim)[0]):
             seconds = time.perf_counter() - begun
             return PlanReport(count, row, _unstable(plan, row, verdict), largest, claim, verdict, seconds)
         largest = max(largest, float(verdict.residual[0]))
@@ -150,12 +161,18 @@ def check_with_solver(
     return _end(plan, broken, largest, claim, time.perf_counter() - begun)
 
 
-def check_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings) -> PlanReport:
-    """Check rules and, by the displacements or forces in the plan, stability.
+def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> PlanReport:
+    """Check the rules and, by the displacements or forces in the plan, the stability; needs no solver.
+
+    Args:
+        plan: what to check.
+        assembly: the structure.
+        settings: what stable means.
 
     Raises:
-        PlanError: the plan carries no proofs, or not one for each part or contact point.
+        PlanError: the plan is for another structure, carries no proofs, or not one for each part or contact point.
     """
+    check_identity(plan, assembly)
     begun, claim = time.perf_counter(), settings.claim
     contact = claim.criterion == "contact"
     name, proofs = ("displacements", plan.displacement) if contact else ("contact forces", plan.forces)

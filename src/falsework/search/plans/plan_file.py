@@ -1,4 +1,4 @@
-"""Plans on disk: versioned JSON with a published schema, read strictly."""
+"""Plan files: versioned JSON with a published schema, read strictly."""
 
 from __future__ import annotations
 
@@ -6,25 +6,23 @@ import base64
 import json
 import math
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
-from falsework.errors import StateError
+from falsework.errors import PlanError, StateError
+from falsework.search.plans.plan import Plan, needs_of
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.task import Direction
 from falsework.stability.certificate import Claim
 from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import Reader, write_json
-
-if TYPE_CHECKING:
-    from falsework.search.plans.plan import Plan
 
 FORMAT = "falsework.plan/2"
 OLD_FORMAT = "falsework.plan/1"
@@ -37,38 +35,6 @@ MOVES = {
     "release": (Direction.ASSEMBLY, False, HELD, INSTALLED),
 }
 """Word of a step: direction, whether the action index is above `parts`, value of the part before, and after."""
-
-
-@dataclass(frozen=True)
-class Need:
-    """When a part that was missing is needed."""
-
-    part: int
-    after_steps: int
-    """Steps of assembly that are done without it."""
-    after_parts: int
-    """Parts that are placed before it."""
-
-
-def needs_of(
-    actions: NDArray[np.int64], direction: Direction, parts: int, missing: tuple[int, ...]
-) -> tuple[Need, ...]:
-    """When each missing part goes in, the first first; parts that no action inserts are left out.
-
-    Args:
-        actions: of the plan, shape (steps,).
-        direction: which way the plan runs.
-        parts: number of parts.
-        missing: the parts in question.
-    """
-    in_order = actions if direction is Direction.ASSEMBLY else actions[::-1]
-    placed = np.cumsum(in_order >= parts)
-    needs = []
-    for part in missing:
-        step = np.flatnonzero(in_order == parts + part)
-        if len(step):
-            needs.append(Need(part, int(step[0]), int(placed[step[0]]) - 1))
-    return tuple(sorted(needs, key=lambda need: need.after_steps))
 
 
 _SHARE = 0.1
@@ -85,17 +51,25 @@ def plan_schema() -> dict[str, Any]:
     return json.loads(text)
 
 
-def write_plan(plan: Plan, path: Path | str, *, proofs: bool) -> None:
-    """Write a plan as JSON, whole or not at all.
+def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
+    """Write a plan as JSON, format `falsework.plan/2`, whole or not at all.
+
+    Args:
+        plan: the plan.
+        path: file to write.
+        proofs: write the displacements or contact forces too, some hundred kilobytes.
 
     Raises:
+        PlanError: proofs are asked for and the plan has none.
         InputError: the file cannot be written.
     """
-    write_json(path, to_json(plan, proofs=proofs), spread=("steps",))
+    if proofs and plan.proof_arrays() is None:
+        raise PlanError("the plan carries no displacements or contact forces to write; save it without proofs")
+    write_json(path, plan_to_dict(plan, proofs=proofs), spread=("steps",))
 
 
-def to_json(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
-    """The plan as plain JSON values; see `plan.schema.json`."""
+def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
+    """Return the plan as plain JSON values; see `plan.schema.json`."""
     parts = len(plan.boundary)
     words = {above: word for word, (direction, above, _, _) in MOVES.items() if direction is plan.direction}
     proof = _PROOF_WORDS[plan.claim.criterion]
@@ -146,22 +120,24 @@ def to_json(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
     return data
 
 
-def read_plan(path: Path | str) -> dict[str, Any]:
-    """Fields of the plan in a file, checked as far as that goes without the structure.
+def load_plan(path: Path | str) -> Plan:
+    """Read a plan and check that it is one: format, entries, lengths, and that every action is legal.
+
+    Stability is not checked; see `validate_plan`.
 
     Raises:
         PlanError: no such file, damaged, of another version, or with an action that the rules forbid.
     """
-    return from_json(_Reader.load(path), str(Path(path)))
+    return plan_from_dict(_Reader.load(path), str(Path(path)))
 
 
-def from_json(data: Any, source: str = "the plan") -> dict[str, Any]:
-    """Fields of the plan in JSON values; `source` names them in messages.
+def plan_from_dict(data: Any, source: str = "the plan") -> Plan:
+    """Read a plan from plain JSON values; `source` names them in messages.
 
     Raises:
-        PlanError: as `read_plan`.
+        PlanError: as `load_plan`.
     """
-    return _Reader(source).fields(data)
+    return Plan(**_Reader(source).fields(data))
 
 
 def _from_version_1(data: dict[str, Any]) -> dict[str, Any]:

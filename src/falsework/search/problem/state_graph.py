@@ -178,96 +178,6 @@ class StateGraph:
             row = int(self.target[edge])
         return Route(self.states[[*rows, row]], np.array(actions, dtype=np.int64))
 
-    def save(self, path: Path | str) -> None:
-        """Write the graph as a versioned `.npz`."""
-        task = self.task
-        header: dict[str, Any] = {
-            "name": self.name,
-            "identity": task.identity,
-            "robots": task.robots,
-            "removable_only_if_clear": self.removable_only_if_clear,
-            "fixed": list(task.fixed),
-            "missing": list(task.missing),
-            "postponed": list(task.postponed),
-            "criterion": self.criterion,
-        }
-        arrays = {
-            "states": self.states,
-            "source": self.source,
-            "action": self.action,
-            "target": self.target,
-            "boundary": task.boundary,
-            "start_state": task.start,
-            "target_state": task.target,
-        }
-        write_archive(path, FORMAT, header, arrays)
-
-    @classmethod
-    def load(cls, path: Path | str) -> StateGraph:
-        """Read a graph that `save` wrote, and check that it is one.
-
-        Raises:
-            InputError: no such file, a damaged one, one of another version, or one whose edges are no legal actions.
-        """
-        header, arrays = read_archive(path, FORMAT, _ARRAYS)
-        criterion = read_criterion(path, header, "build the graph again")
-        if set(header) != _KEYS:
-            odd = ", ".join(sorted(set(header) ^ _KEYS))
-            raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent header entries {odd}")
-        try:
-            task = Task.create(
-                arrays["boundary"],
-                header["robots"],
-                start=arrays["start_state"],
-                target=arrays["target_state"],
-                fixed=header["fixed"],
-                missing=header["missing"],
-                identity=header["identity"],
-            ).postpone(header["postponed"])
-            task = replace(task, holds_keep_stable=criterion == "equilibrium")
-        except TypeError as error:
-            raise InputError(f"{path} is damaged ({error}); build the graph again") from None
-        graph = cls(
-            arrays["states"],
-            arrays["source"],
-            arrays["action"],
-            arrays["target"],
-            task,
-            header["name"],
-            header["removable_only_if_clear"],
-        )
-        graph._check(path)
-        return graph
-
-    def _check(self, path: Path | str) -> None:
-        states, parts, edges = self.states, self.task.part_count, len(self.source)
-        damage = ""
-        if states.dtype != np.uint8 or states.ndim != 2 or states.shape[1] != parts or (states > HELD).any():
-            damage = f"states are not 0, 1, 2 for {parts} parts"
-        elif not self.task.contains(states).all() or (np.diff(self.level) < 0).any():
-            damage = "states break the rules or are out of order"
-        elif self.source.shape != (edges,) or self.source.dtype != np.int32:
-            damage = "edges are no list of numbers"
-        elif any(array.shape != (edges,) or array.dtype != np.int32 for array in (self.action, self.target)):
-            damage = "edges have different lengths"
-        elif edges and (
-            min(self.source.min(), self.target.min(), self.action.min()) < 0
-            or max(self.source.max(), self.target.max()) >= len(states)
-            or self.action.max() >= 2 * parts
-            or (np.diff(self.source) < 0).any()
-        ):
-            damage = "edges point outside the states"
-        elif (self.level[self.target] != self.level[self.source] + 1).any():
-            damage = "an edge is no legal action"
-        else:
-            for begin in range(0, edges, 64 * _CHUNK_STATES):
-                rows = slice(begin, begin + 64 * _CHUNK_STATES)
-                after = self.task.follow(states[self.source[rows]], self.action[rows], Direction.DISASSEMBLY)
-                if not np.array_equal(after, states[self.target[rows]]):
-                    damage = "an edge does not lead where it says"
-        if damage:
-            raise InputError(f"{path} is damaged ({damage}); build the graph again")
-
     def _has(self, state: States) -> bool:
         return bool(self.index.find(state[None])[0] >= 0)
 
@@ -283,3 +193,95 @@ class StateGraph:
         for edges in reversed(levels) if downwards else levels:
             marked[far[edges][marked[near[edges]]]] = True
         return marked
+
+
+def save_state_graph(graph: StateGraph, path: Path | str) -> None:
+    """Write the graph as a versioned `.npz`."""
+    task = graph.task
+    header: dict[str, Any] = {
+        "name": graph.name,
+        "identity": task.identity,
+        "robots": task.robots,
+        "removable_only_if_clear": graph.removable_only_if_clear,
+        "fixed": list(task.fixed),
+        "missing": list(task.missing),
+        "postponed": list(task.postponed),
+        "criterion": graph.criterion,
+    }
+    arrays = {
+        "states": graph.states,
+        "source": graph.source,
+        "action": graph.action,
+        "target": graph.target,
+        "boundary": task.boundary,
+        "start_state": task.start,
+        "target_state": task.target,
+    }
+    write_archive(path, FORMAT, header, arrays)
+
+
+def load_state_graph(path: Path | str) -> StateGraph:
+    """Read a graph that `save_state_graph` wrote, and check that it is one.
+
+    Raises:
+        InputError: no such file, a damaged one, one of another version, or one whose edges are no legal actions.
+    """
+    header, arrays = read_archive(path, FORMAT, _ARRAYS)
+    criterion = read_criterion(path, header, "build the graph again")
+    if set(header) != _KEYS:
+        odd = ", ".join(sorted(set(header) ^ _KEYS))
+        raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent header entries {odd}")
+    try:
+        task = Task.create(
+            arrays["boundary"],
+            header["robots"],
+            start=arrays["start_state"],
+            target=arrays["target_state"],
+            fixed=header["fixed"],
+            missing=header["missing"],
+            identity=header["identity"],
+        ).postpone(header["postponed"])
+        task = replace(task, holds_keep_stable=criterion == "equilibrium")
+    except TypeError as error:
+        raise InputError(f"{path} is damaged ({error}); build the graph again") from None
+    graph = StateGraph(
+        arrays["states"],
+        arrays["source"],
+        arrays["action"],
+        arrays["target"],
+        task,
+        header["name"],
+        header["removable_only_if_clear"],
+    )
+    _check(graph, path)
+    return graph
+
+
+def _check(graph: StateGraph, path: Path | str) -> None:
+    states, parts, edges = graph.states, graph.task.part_count, len(graph.source)
+    damage = ""
+    if states.dtype != np.uint8 or states.ndim != 2 or states.shape[1] != parts or (states > HELD).any():
+        damage = f"states are not 0, 1, 2 for {parts} parts"
+    elif not graph.task.contains(states).all() or (np.diff(graph.level) < 0).any():
+        damage = "states break the rules or are out of order"
+    elif graph.source.shape != (edges,) or graph.source.dtype != np.int32:
+        damage = "edges are no list of numbers"
+    elif any(array.shape != (edges,) or array.dtype != np.int32 for array in (graph.action, graph.target)):
+        damage = "edges have different lengths"
+    elif edges and (
+        min(graph.source.min(), graph.target.min(), graph.action.min()) < 0
+        or max(graph.source.max(), graph.target.max()) >= len(states)
+        or graph.action.max() >= 2 * parts
+        or (np.diff(graph.source) < 0).any()
+    ):
+        damage = "edges point outside the states"
+    elif (graph.level[graph.target] != graph.level[graph.source] + 1).any():
+        damage = "an edge is no legal action"
+    else:
+        for begin in range(0, edges, 64 * _CHUNK_STATES):
+            rows = slice(begin, begin + 64 * _CHUNK_STATES)
+            after = graph.task.follow(states[graph.source[rows]], graph.action[rows], Direction.DISASSEMBLY)
+            if not np.array_equal(after, states[graph.target[rows]]):
+                damage = "an edge does not lead where it says"
+    if damage:
+        raise InputError(f"{path} is damaged ({damage}); build the graph again")

@@ -239,7 +239,7 @@ class Task:
         step = apply_actions if direction is Direction.DISASSEMBLY else undo_actions
         return step(states, actions)
 
-    def describe(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, object]:
         """Return all that tells this task from another, as plain JSON values."""
         return {
             "identity": self.identity,

@@ -1,7 +1,7 @@
 """Exact solver: the textbook equilibrium problem by Clarabel's interior point method; slow and accurate.
 
 It shares nothing with the fast solvers but the wrench maps of `Problem`, and sits in judgement over them in
-tests, in `Plan.validate`, and for the few states that they leave undecided.
+tests, in `validate_plan`, and for the few states that they leave undecided.
 """
 
 from __future__ import annotations

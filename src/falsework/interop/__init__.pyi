@@ -1,0 +1,15 @@
+from falsework.interop.assembly_instructions import SiteSheet as SiteSheet
+from falsework.interop.assembly_instructions import SiteStep as SiteStep
+from falsework.interop.assembly_instructions import sheet_csv as sheet_csv
+from falsework.interop.assembly_instructions import site_sheet as site_sheet
+from falsework.interop.assembly_instructions import way_in_words as way_in_words
+from falsework.interop.assembly_instructions_pdf import sheet_pdf as sheet_pdf
+from falsework.interop.compas_read import is_compas as is_compas
+from falsework.interop.compas_read import load_compas as load_compas
+from falsework.interop.compas_write import compas_of as compas_of
+from falsework.interop.compas_write import write_compas as write_compas
+from falsework.interop.formats import export as export
+from falsework.interop.gltf import gltf_of as gltf_of
+from falsework.interop.gltf import write_gltf as write_gltf
+from falsework.interop.usd import usd_of as usd_of
+from falsework.interop.usd import write_usd as write_usd

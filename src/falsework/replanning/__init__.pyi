@@ -1,0 +1,10 @@
+from falsework.replanning.plan_diff import Difference as Difference
+from falsework.replanning.plan_diff import difference as difference
+from falsework.replanning.policy_guide import PolicyGuide as PolicyGuide
+from falsework.replanning.replanner import Replanner as Replanner
+from falsework.replanning.replanner import replan as replan
+from falsework.replanning.replays import Replayed as Replayed
+from falsework.replanning.request import Request as Request
+from falsework.replanning.result import Decider as Decider
+from falsework.replanning.result import Replan as Replan
+from falsework.replanning.session import ReplanSettings as ReplanSettings

@@ -1,0 +1,44 @@
+"""The structure that a plan was made for, found from what the plan says of its source."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from falsework.assembly.load import load_structure
+from falsework.assembly.model import Assembly
+from falsework.errors import PlanError
+from falsework.search.plans.plan import Plan
+
+
+def structure_of_plan(
+    plan: Plan, file: Path | str | None = None, structure: str | Path | Assembly | None = None, **options: Any
+) -> Assembly:
+    """Load the structure of a plan: the one that is given, else the one that the plan names.
+
+    Args:
+        plan: the plan.
+        file: where the plan was read from; a path in the plan is relative to its folder, or without a file, to the
+            current folder.
+        structure: structure to take instead, by name, by path, or as it is.
+        options: as for `load_structure`; they replace what the plan says.
+
+    Raises:
+        PlanError: neither names a structure, or the named one is gone.
+        InputError: the structure cannot be used.
+    """
+    if isinstance(structure, Assembly):
+        return structure
+    if structure is not None:
+        return load_structure(structure, **options)
+    source = dict(plan.source or {})
+    if "built_in" in source:
+        spec = source.pop("built_in")
+    elif "path" in source:
+        folder = Path() if file is None else Path(file).resolve().parent
+        spec = folder / source.pop("path")
+        if not spec.exists():
+            raise PlanError(f"the structure of the plan, {spec}, is gone; name another place (--structure)")
+    else:
+        raise PlanError(f"{file or 'the plan'} does not say where its structure is; name it (--structure)")
+    return load_structure(spec, **{**source, **options})

@@ -1,0 +1,311 @@
+"""One call each: show a plan in the browser, draw it, play it as a film."""
+
+from __future__ import annotations
+
+import webbrowser
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import States, check_robots
+from falsework.errors import InputError
+from falsework.stability.verdict import Criterion
+from falsework.viewer.page.viewer_state import Model
+from falsework.viewer.pictures.contact_sheet import caption, check_places, contact_sheet, legend, one_state, write_png
+from falsework.viewer.pictures.drawing import drawing, write_svg
+from falsework.viewer.pictures.render import Camera
+from falsework.viewer.pictures.video import frame_places, write_film
+from falsework.viewer.proof import StateProof
+from falsework.viewer.timeline import interesting
+from falsework.viewer.viewable import Showable, Viewable, viewable_of
+
+if TYPE_CHECKING:
+    from falsework.learn.networks.policy import Policy
+    from falsework.viewer.page.page import Page
+
+AZIMUTH, ELEVATION = -58.0, 24.0
+"""Direction of view, degrees about the vertical and above the horizon."""
+
+
+@dataclass(frozen=True)
+class PictureReport:
+    """Contents of a picture or film."""
+
+    shows: str
+    """In words."""
+    places: tuple[int, ...] = ()
+    """Places of the timeline that are drawn."""
+    unstable: tuple[int, ...] | None = None
+    """Places whose states are not stable; None where no verdicts were asked for."""
+    visited: int | None = None
+    """States of a graph that the policy visits; None without a policy."""
+    pictures: int = 1
+    """Number of pictures of a film."""
+
+
+def view(
+    subject: Showable,
+    structure: Assembly | str | Path | None = None,
+    *,
+    policy: Policy | Path | str | None = None,
+    robots: int = 2,
+    criterion: Criterion = "contact",
+    deadline: float | None = 60.0,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    allowed_hosts: Sequence[str] = (),
+    browser: bool = True,
+    wait: bool = True,
+    **options: Any,
+) -> Page:
+    """Show a plan, run, robot plan, state graph, structure or state on a page in the browser.
+
+    Args:
+        subject: an object, a state of shape (parts,), or a file as `open_file` takes it.
+        structure: structure of a plan, graph or state that does not name it.
+        policy: colours the parts and proposes new plans; a policy or the folder of a run.
+        robots: number of robots, where no plan says it.
+        criterion: what stable means.
+        deadline: seconds that a new plan may take; None for as long as it takes.
+        host: address to serve at. Beyond this machine, everybody who can reach it can see and steer the page.
+        port: port to serve at; the next free one is taken if it is not free.
+        allowed_hosts: names other than `host` under which browsers may open the page.
+        browser: open the page in the browser.
+        wait: serve until interrupted by the keyboard; else return at once and serve until `Page.close`.
+        options: as for `viewable_of`.
+
+    Raises:
+        InputError: nothing that can be shown, or the address cannot be listened at.
+        DependencyError: viser is not installed, or torch for a policy.
+    """
+    from falsework.viewer.page.page import Page, serve
+
+    check_view(robots, host, port, deadline)
+    shown = viewable_of(subject, structure, robots=robots, **options).with_policy(policy)
+    page = Page(
+        _model(shown, criterion=criterion, deadline=deadline), host=host, port=port, allowed_hosts=allowed_hosts
+    )
+    if browser:
+        webbrowser.open(page.address)
+    if wait:
+        serve(page)
+    return page
+
+
+def check_view(robots: int, host: str, port: int, deadline: float | None) -> None:
+    """Refuse arguments of `view` before anything is loaded.
+
+    Raises:
+        InputError: a number out of range, or no host.
+        DependencyError: viser is not installed.
+    """
+    from falsework.viewer.page.page import check_host, import_viser
+
+    check_robots(robots)
+    if not 0 <= port <= 65535:
+        raise InputError(f"there is no port {port}; give 1 to 65535")
+    if deadline is not None and not deadline > 0:
+        raise InputError(f"a deadline of {deadline:g} s leaves no time; give more than 0")
+    check_host(host)
+    import_viser()
+
+
+def picture(
+    subject: Showable,
+    path: Path | str,
+    structure: Assembly | str | Path | None = None,
+    *,
+    step: int | None = None,
+    forces: bool = False,
+    verdicts: bool = False,
+    criterion: Criterion = "contact",
+    policy: Policy | Path | str | None = None,
+    frames: int = 12,
+    columns: int = 4,
+    width: int = 0,
+    azimuth: float = AZIMUTH,
+    elevation: float = ELEVATION,
+    title: str = "",
+    **options: Any,
+) -> PictureReport:
+    """Draw a contact sheet of a plan, one state of it, a structure, or a state graph, without a screen.
+
+    Args:
+        subject: an object, a state of shape (parts,), or a file as `open_file` takes it.
+        path: file to write, PNG, or SVG for line drawings of two-dimensional structures and for state graphs.
+        structure: structure of a plan, graph or state that does not name it.
+        step: draw the state after this step alone; 0 is the beginning.
+        forces: draw the proof of a single state.
+        verdicts: decide the stability of the states that are drawn, and mark those that are not stable.
+        criterion: what stable means.
+        policy: colours the parts of a single state, or marks its states in a state graph; a policy or the folder of a
+            run.
+        frames: pictures of a contact sheet.
+        columns: pictures in a row.
+        width: pixels of a picture across; 0 chooses.
+        azimuth: direction of view about the vertical, degrees.
+        elevation: direction of view above the horizon, degrees.
+        title: a line above.
+        options: as for `viewable_of`.
+
+    Raises:
+        InputError: nothing that can be shown, a step that is not there, sizes that cannot be drawn, or a file that
+            cannot be written.
+        DependencyError: Pillow or matplotlib is not installed, or torch for a policy.
+    """
+    check_picture(width, frames, columns)
+    path = Path(path)
+    shown = viewable_of(subject, structure, **options).with_policy(policy)
+    if shown.graph is not None and step is None:
+        return _picture_graph(shown, path, title)
+    timeline = shown.timeline
+    single = step if step is not None else (0 if len(timeline) == 0 else None)
+    if forces and single is None:
+        raise InputError("forces are drawn for one state at a time; name it with --step")
+    if single is not None:
+        check_places(timeline, [single])
+    places = [single] if single is not None else list(interesting(timeline, frames))
+    proofs = shown.proofs(places, criterion) if forces or verdicts else {}
+    kinds = list(proofs[single].arrows.items()) if single is not None and forces else []
+    arrows = [some for _, some in kinds if len(some)]
+    key = [(some.color, kind) for kind, some in kinds if len(some)] if forces else None
+
+    def camera(across: int, share: float) -> Camera:
+        return Camera(azimuth, elevation, width or across, round((width or across) * share), 0.96)
+
+    if path.suffix.lower() == ".svg":
+        across = float(width or (260 if single is None else 640))
+        most = min(columns, len(places))
+        write_svg(path, drawing(timeline, places, columns=most, width=across, arrows=arrows, key=key, proofs=proofs))
+    elif single is not None:
+        proof = proofs.get(single)
+        image = one_state(
+            timeline,
+            single,
+            camera(1200, 2 / 3),
+            arrows=arrows,
+            key=legend(timeline, proof is not None and proof.slides) if key is None else key,
+            words=title or caption(timeline, single, proof),
+            marks=None if proof is None else proof.marks,
+            arms=shown.arms,
+            chances=None if shown.policy is None else _model(shown, single).chances(),
+        )
+        write_png(path, image)
+    else:
+        view_of_all = camera(480, 5 / 8)
+        sheet = contact_sheet(timeline, places=places, columns=columns, camera=view_of_all, title=title, proofs=proofs)
+        write_png(path, sheet)
+    shows = f"{len(places)} of {len(timeline) + 1} states" if len(timeline) else f"{shown.assembly.name}"
+    if not proofs:
+        return PictureReport(shows, tuple(places))
+    fallen = _unstable(proofs)
+    note = proofs[single].words if single is not None else f"{len(fallen)} of them do not stand"
+    return PictureReport(f"{shows}; {note}", tuple(places), fallen)
+
+
+def check_picture(width: int, frames: int, columns: int) -> None:
+    """Refuse sizes of a picture before anything is loaded.
+
+    Raises:
+        InputError: a number out of range.
+    """
+    if not (width == 0 or 80 <= width <= 8000):
+        raise InputError(f"a picture {width} pixels across cannot be drawn; give 80 to 8000")
+    if frames < 1 or columns < 1:
+        raise InputError(f"{frames} pictures in {columns} columns show nothing; give at least 1 of each")
+
+
+def animate(
+    subject: Showable,
+    path: Path | str,
+    structure: Assembly | str | Path | None = None,
+    *,
+    seconds: float = 0.4,
+    rate: float = 10.0,
+    verdicts: bool = False,
+    criterion: Criterion = "contact",
+    width: int = 800,
+    azimuth: float = AZIMUTH,
+    elevation: float = ELEVATION,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> PictureReport:
+    """Play a plan as a film, MP4 or GIF, without a screen.
+
+    Args:
+        subject: an object or a file as `open_file` takes it, with steps to play.
+        path: file to write; it ends in .mp4 or .gif.
+        structure: structure of a plan or graph that does not name it.
+        seconds: length of a step.
+        rate: pictures a second.
+        verdicts: decide the stability of every state, and mark those that are not stable.
+        criterion: what stable means.
+        width: pixels across.
+        azimuth: direction of view about the vertical, degrees.
+        elevation: direction of view above the horizon, degrees.
+        progress: called with the number of pictures drawn and of all.
+        options: as for `viewable_of`.
+
+    Raises:
+        InputError: nothing to play, another kind of file, sizes that cannot be drawn, or a file that cannot be written.
+        DependencyError: Pillow or imageio-ffmpeg is not installed.
+    """
+    check_film(width, seconds, rate)
+    shown = viewable_of(subject, structure, **options)
+    timeline = shown.timeline
+    if len(timeline) == 0:
+        raise InputError(f"{shown.assembly.name} has no steps to play; give a plan, as `falsework plan` writes it")
+    places = tuple(range(len(timeline) + 1))
+    proofs = shown.proofs(places, criterion) if verdicts else {}
+    camera = Camera(azimuth, elevation, width, 2 * round(0.35 * width), 0.95)
+    count = write_film(
+        path,
+        timeline,
+        seconds=seconds,
+        rate=rate,
+        camera=camera,
+        arms=shown.arms,
+        proofs=proofs,
+        progress=progress,
+    )
+    fallen = _unstable(proofs)
+    note = f"; {len(fallen)} of {len(proofs)} states do not stand" if verdicts else ""
+    shows = f"{len(timeline)} steps in {count} pictures{note}"
+    return PictureReport(shows, places, fallen if verdicts else None, pictures=count)
+
+
+def check_film(width: int, seconds: float, rate: float) -> None:
+    """Refuse sizes of a film before anything is loaded.
+
+    Raises:
+        InputError: a number out of range.
+    """
+    if not 80 <= width <= 4000:
+        raise InputError(f"a film {width} pixels across cannot be drawn; give 80 to 4000")
+    frame_places(0, seconds, rate)
+
+
+def _picture_graph(shown: Viewable, path: Path, title: str) -> PictureReport:
+    from falsework.viewer.pictures.graph_picture import covered, graph_figure, write_figure
+
+    assert shown.graph is not None
+    route = shown.timeline.states if len(shown.timeline) else None
+    visited: States | None = None if shown.policy is None else _model(shown, 0).visited()
+    write_figure(path, graph_figure(shown.graph, shown.assembly, route=route, visited=visited, title=title))
+    shows = f"{len(shown.graph)} states and {len(shown.graph.source)} actions"
+    if visited is None:
+        return PictureReport(shows)
+    seen = int(covered(shown.graph, visited).sum())
+    return PictureReport(f"{shows}, {seen} of the states visited by the policy", visited=seen)
+
+
+def _model(shown: Viewable, place: int = 0, **options: Any) -> Model:
+    model = Model(shown.timeline, plan=shown.plan, policy=shown.policy, graph=shown.graph, arms=shown.arms, **options)
+    model.go_to(place)
+    return model
+
+
+def _unstable(proofs: dict[int, StateProof]) -> tuple[int, ...]:
+    return tuple(place for place, proof in proofs.items() if not proof.stable)
