@@ -3,8 +3,6 @@
 from falsework.search.backend import beam_search as beam_search
 from falsework.search.beam.beam import BeamSearch as BeamSearch
 from falsework.search.beam.beam import BeamSettings as BeamSettings
-from falsework.search.depth_first import DepthFirstSearch as DepthFirstSearch
-from falsework.search.depth_first import DepthFirstSettings as DepthFirstSettings
 from falsework.search.device.beam import DeviceBeam as DeviceBeam
 from falsework.search.exhaustive import Census as Census
 from falsework.search.exhaustive import ExhaustiveSearch as ExhaustiveSearch

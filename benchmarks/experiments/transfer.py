@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from experiments.structure_generator import turned_copies
 
 from falsework.assembly.model import Assembly
 from falsework.learn.algorithms.imitation import Imitation
@@ -16,7 +17,6 @@ from falsework.learn.config.train import ImitationSettings
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.env.environment import Environment
-from falsework.learn.family import turned_copies
 from falsework.learn.networks.policy import Policy, PolicySettings, describe, make_policy, share, transfer
 from falsework.learn.training.evaluate import greedy_success, sample
 

@@ -14,7 +14,7 @@ from falsework.learn.networks.policy import PolicySettings, describe, make_polic
 KINDS = (PolicySettings("mlp"), PolicySettings("residual"), PolicySettings("graph"), PolicySettings("parts"))
 
 
-def policy_table(
+def policy_cost(
     assembly: Assembly, settings: Sequence[PolicySettings] = KINDS, *, batch: int = 64
 ) -> list[dict[str, Any]]:
     """Parameters and floating-point operations a state of several networks on one structure.
