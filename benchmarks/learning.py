@@ -37,12 +37,13 @@ import torch
 
 from falsework.assembly import load_structure
 from falsework.learn.algorithms.hindsight import OneState
-from falsework.learn.algorithms.imitation import Network
 from falsework.learn.config.policy import PolicySettings, recommended
 from falsework.learn.config.train import METHODS, Criterion, RefinePhase, TrainSettings
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
 from falsework.learn.env.environment import Environment
-from falsework.learn.networks.policy import Policy, transfer
+from falsework.learn.networks.autocast import Network
+from falsework.learn.networks.factory import transfer
+from falsework.learn.networks.policy import Policy
 from falsework.learn.training.evaluate import EvaluateSettings, evaluate
 from falsework.learn.training.train import TrainResult, train
 from falsework.learn.training.training_data import find_pairs

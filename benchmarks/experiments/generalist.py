@@ -20,8 +20,11 @@ from torch import Tensor
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.learn.algorithms.imitation import Network, imitation_loss
-from falsework.learn.networks.policy import Policy, PolicySettings, make_policy, share, transfer
+from falsework.learn.algorithms.imitation import imitation_loss
+from falsework.learn.config.policy import PolicySettings
+from falsework.learn.networks.autocast import Network
+from falsework.learn.networks.factory import make_policy, share, transfer
+from falsework.learn.networks.policy import Policy
 from falsework.learn.training.evaluate import greedy_success, sample
 
 EVALUATED = 128

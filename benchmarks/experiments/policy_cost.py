@@ -9,7 +9,8 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from falsework.assembly.model import Assembly
-from falsework.learn.networks.policy import PolicySettings, describe, make_policy
+from falsework.learn.config.policy import PolicySettings
+from falsework.learn.networks.factory import describe, make_policy
 
 KINDS = (PolicySettings("mlp"), PolicySettings("residual"), PolicySettings("graph"), PolicySettings("parts"))
 

@@ -13,11 +13,13 @@ from experiments.structure_generator import turned_copies
 
 from falsework.assembly.model import Assembly
 from falsework.learn.algorithms.imitation import Imitation
+from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.train import ImitationSettings
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.env.environment import Environment
-from falsework.learn.networks.policy import Policy, PolicySettings, describe, make_policy, share, transfer
+from falsework.learn.networks.factory import describe, make_policy, share, transfer
+from falsework.learn.networks.policy import Policy
 from falsework.learn.training.evaluate import greedy_success, sample
 
 EVALUATED = 1024

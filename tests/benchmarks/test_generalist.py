@@ -12,7 +12,8 @@ from experiments.transfer import Budget, Workbench, compare_networks, transfer_e
 
 from falsework.assembly import load_structure
 from falsework.errors import InputError
-from falsework.learn.networks.policy import PolicySettings, make_policy, transfer
+from falsework.learn.config.policy import PolicySettings
+from falsework.learn.networks.factory import make_policy, transfer
 from falsework.learn.training.evaluate import greedy_success
 
 SMALL = PolicySettings("parts", layers=2, channels=32, heads=4)

@@ -13,7 +13,7 @@ from falsework.learn.algorithms.ppo import PPO
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.ppo import PpoSettings
 from falsework.learn.env.environment import Environment
-from falsework.learn.networks.policy import make_policy
+from falsework.learn.networks.factory import make_policy
 from falsework.search import BeamSearch, BeamSettings, task_of
 from falsework.utils.distributed import joined
 

@@ -15,8 +15,9 @@ from falsework.learn.algorithms.ppo import PPO  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.ppo import CurriculumSettings, PpoSettings  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
+from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.env.rules import Rules  # noqa: E402
-from falsework.learn.networks.policy import make_policy  # noqa: E402
+from falsework.learn.networks.factory import make_policy  # noqa: E402
 from falsework.search import BeamSearch, BeamSettings, task_of  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
@@ -142,10 +143,10 @@ def test_a_policy_learns_an_arch_from_a_curriculum() -> None:
     policy = make_policy(assembly, PolicySettings(kind="mlp"), "cpu", 0)
     ppo = PPO(policy, environment, PpoSettings(batch=512), environment.generator(0))
     curriculum = Curriculum(states, environment.rules, generator=ppo.generator)
-    before = float(environment.rollout(policy, states, keep="ends").success.float().mean())
+    before = float(roll_out(environment, policy, states, keep="ends").success.float().mean())
     for _ in range(80):
         report = ppo.learn(curriculum, 64)
-    after = float(environment.rollout(policy, states, keep="ends").success.float().mean())
+    after = float(roll_out(environment, policy, states, keep="ends").success.float().mean())
     assert after > max(0.9, before)
     assert report["curriculum_horizon"] == 1.0
     assert 0.0 <= report["success"] <= 1.0

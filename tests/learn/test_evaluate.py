@@ -20,7 +20,7 @@ from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.train import ImitationSettings, TrainSettings  # noqa: E402
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.networks.policy import make_policy  # noqa: E402
+from falsework.learn.networks.factory import make_policy  # noqa: E402
 from falsework.learn.training.evaluate import EvaluateSettings, evaluate, greedy_success, sample  # noqa: E402
 from falsework.learn.training.train import train  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402

@@ -11,7 +11,8 @@ import torch
 from falsework.assembly import load_structure
 from falsework.assembly.state import action_mask
 from falsework.errors import InputError
-from falsework.learn.networks.policy import PolicySettings, make_policy
+from falsework.learn.config.policy import PolicySettings
+from falsework.learn.networks.factory import make_policy
 from falsework.replanning.deadline import Clock, TimedOracle, TimeUp
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.search import BeamSearch, BeamSettings

@@ -20,7 +20,9 @@ from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, t
 from falsework.learn.data.random_walks import Ways  # noqa: E402
 from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.networks.policy import Policy, make_policy  # noqa: E402
+from falsework.learn.env.rollout import roll_out  # noqa: E402
+from falsework.learn.networks.factory import make_policy  # noqa: E402
+from falsework.learn.networks.policy import Policy  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
@@ -93,7 +95,7 @@ def test_rollouts_that_cannot_begin_are_no_moves(arch: Assembly, data: Dataset) 
 
 def greedy(arch: Assembly, policy: Policy, states: np.ndarray) -> float:
     environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
-    return float(environment.rollout(policy, torch.as_tensor(states), keep="ends").success.float().mean())
+    return float(roll_out(environment, policy, torch.as_tensor(states), keep="ends").success.float().mean())
 
 
 def test_rollouts_make_a_policy_better(arch: Assembly, data: Dataset) -> None:

@@ -63,8 +63,8 @@ class Evaluate(Command):
 
         check_torch()
         from falsework.learn.algorithms.hindsight import OneState
-        from falsework.learn.algorithms.imitation import Network
         from falsework.learn.env.environment import Environment
+        from falsework.learn.networks.autocast import Network
         from falsework.learn.training.checkpoint import load_run
         from falsework.learn.training.evaluate import EvaluateSettings, evaluate
         from falsework.search.device.oracle import oracle_on
@@ -124,7 +124,7 @@ class Evaluate(Command):
     def _subject(self, trained: Run) -> tuple[Assembly, Policy]:
         """Structure and policy: those of the run, or the policy carried over to another structure."""
         from falsework.assembly import load_structure
-        from falsework.learn.networks.policy import transfer
+        from falsework.learn.networks.factory import transfer
 
         if self.structure is None:
             return trained.assembly, trained.policy

@@ -14,7 +14,8 @@ from falsework.replanning.deadline import Clock
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.result import Decider
 from falsework.replanning.session import Job
-from falsework.search.beam.beam import BeamSearch, BeamSettings
+from falsework.search.beam.beam import BeamSearch
+from falsework.search.beam.settings import BeamSettings
 from falsework.search.exhaustive import ExhaustiveSearch
 from falsework.search.planner import Planner, PlannerSettings
 from falsework.search.problem.guide import Guide

@@ -2,7 +2,7 @@
 
 from falsework.search.backend import beam_search as beam_search
 from falsework.search.beam.beam import BeamSearch as BeamSearch
-from falsework.search.beam.beam import BeamSettings as BeamSettings
+from falsework.search.beam.settings import BeamSettings as BeamSettings
 from falsework.search.device.beam import DeviceBeam as DeviceBeam
 from falsework.search.exhaustive import Census as Census
 from falsework.search.exhaustive import ExhaustiveSearch as ExhaustiveSearch

@@ -16,7 +16,16 @@ from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.problem.guide import Guide, NoveltyGuide
 from falsework.search.problem.oracle import Oracle
-from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
+from falsework.search.problem.result import (
+    Outcome,
+    Progress,
+    Route,
+    SearchCounters,
+    SearchProgress,
+    SearchResult,
+    Stop,
+    unstable_end,
+)
 from falsework.search.problem.task import Direction, Task
 from falsework.utils.archive import read_archive, write_archive
 
@@ -164,7 +173,7 @@ class Planner:
 
         interrupted = False
         try:
-            unstable = self._unstable_end()
+            unstable = unstable_end(self.task, self._oracle)
             if unstable is not None:
                 return unstable
             while not self.done and not interrupted:
@@ -356,34 +365,6 @@ class Planner:
 
     def _beam_guide(self) -> Guide | None:
         return NoveltyGuide(self._guide, self.routes) if self._stage == "alternatives" else self._guide
-
-    def _unstable_end(self) -> SearchResult | None:
-        ends = np.stack([self.task.start, self.task.target])
-        verdicts = self._oracle.judge(ends)
-        if verdicts.stable.all():
-            return None
-        row = int(np.argmin(verdicts.stable))
-        name = ("start", "target")[row]
-        proved, slides = bool(verdicts.unstable[row]), bool(verdicts.slides[row])
-        word = "unstable" if proved else "sliding" if slides else "undecided"
-        limit = (
-            f"the {name} state slides" if slides else f"the {name} state could be proved neither stable nor unstable"
-        )
-        return SearchResult(
-            outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
-            routes=(),
-            direction=(Direction.DISASSEMBLY, Direction.ASSEMBLY)[row],
-            steps=self.task.steps,
-            reached=0,
-            deepest=ends[:0],
-            rejected=ends[row : row + 1],
-            counters=SearchCounters(asked=2, rejected=int((~verdicts.stable).sum())),
-            seconds=0.0,
-            limit="" if proved else limit,
-            undecided=int(word == "undecided"),
-            sliding=int(slides),
-            notes=(f"the {name} state is {word}",),
-        )
 
     def _all_counters(self) -> SearchCounters:
         return sum((beam.search.counters for beam in self._beams.values()), self._counters)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
-from falsework.search.beam.beam import BeamSettings
+from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.beam import DeviceBeam
 from falsework.search.device.oracle import TensorOracle, oracle_on
 from falsework.search.problem.hashing import StateIndex

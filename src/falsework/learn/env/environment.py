@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Literal
 
 import torch
 
@@ -18,9 +17,6 @@ from falsework.search.device.oracle import HostOracle, TensorOracle, oracle_on, 
 from falsework.search.problem.oracle import Oracle
 from falsework.stability.oracle import Stability
 from falsework.utils.tensors import choose_device, put
-
-if TYPE_CHECKING:
-    from falsework.learn.env.rollout import Policy, Rollouts
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +37,42 @@ class Step:
     (batch,)."""
     mask: torch.Tensor
     """Legal actions of the new states, `bool`, shape (batch, 2 parts)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rollouts:
+    """What became of a batch of rollouts."""
+
+    states: torch.Tensor
+    """`uint8`, shape (steps + 1, batch, parts). Row `t` of a rollout that ended before is its last state again. If only
+    ends are kept, shape (2, batch, parts): first and last states."""
+    actions: torch.Tensor
+    """`int16`, shape (steps, batch), -1 after the end; empty if only ends are kept."""
+    length: torch.Tensor
+    """Actions taken, the one that led to an unstable state included. `int64`, shape (batch,)."""
+    success: torch.Tensor
+    """Target reached. `bool`, shape (batch,)."""
+    unstable: torch.Tensor
+    """Ended by an action after which stability is not proven; the last state is then that one. `bool`, shape (batch,).
+    What is neither success nor unstable came to a state without a legal action."""
+
+    @property
+    def stuck(self) -> torch.Tensor:
+        """Ended in a stable state without a legal action that is not the target. `bool`, shape (batch,)."""
+        return ~self.success & ~self.unstable
+
+    @property
+    def last(self) -> torch.Tensor:
+        """State in which each ended, shape (batch, parts)."""
+        return self.states[-1]
+
+    def passed(self) -> torch.Tensor:
+        """Which of `states` are proven stable and not repetitions of the end. `bool`, shape (steps + 1, batch).
+
+        Only if all states were kept.
+        """
+        place = torch.arange(len(self.states), device=self.states.device)[:, None]
+        return place <= (self.length - self.unstable.long())[None]
 
 
 @dataclass
@@ -195,50 +227,8 @@ class Environment:
         self.counters.steps += len(states)
         return Step(after, reward, success | failed, success, ~stable, mask)
 
-    def rollout(
-        self,
-        policy: Policy,
-        starts: torch.Tensor,
-        targets: torch.Tensor | None = None,
-        *,
-        greedy: bool = True,
-        temperature: float = 1.0,
-        generator: torch.Generator | None = None,
-        keep: Literal["all", "ends"] = "all",
-    ) -> Rollouts:
-        """Follow a policy from stable start states until every rollout has ended.
-
-        Finished rollouts drop out of the batch that is evaluated.
-
-        Args:
-            policy: called as `policy(states, targets)`; returns logits `(batch, 2 parts)` and values `(batch,)`.
-            starts: stable, `uint8` on the device, shape (batch, parts).
-            targets: shape (batch, parts), or None.
-            greedy: take the most probable action; otherwise draw one.
-            temperature: what logits are divided by before drawing.
-            generator: source of randomness for drawing; same state of it, same rollouts.
-            keep: `all` states and actions, or only the `ends`, which takes little memory.
-
-        Raises:
-            InputError: a temperature that is not above zero.
-        """
-        from falsework.learn.env.rollout import roll_out
-
-        rollouts = roll_out(
-            self,
-            policy,
-            starts,
-            targets,
-            greedy=greedy,
-            temperature=temperature,
-            generator=generator,
-            keep=keep,
-        )
-        self.note(rollouts, told=targets is not None, drawn=not greedy, whole=keep == "all")
-        return rollouts
-
     def note(self, rollouts: Rollouts, *, told: bool, drawn: bool, whole: bool) -> None:
-        """Called with all rollouts of `rollout`, for environments that learn from them; this one does nothing.
+        """Called with all rollouts of `roll_out`, for environments that learn from them; this one does nothing.
 
         Args:
             rollouts: as they ended.

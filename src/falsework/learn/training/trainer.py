@@ -21,7 +21,7 @@ from falsework.learn.data.dataset import Dataset
 from falsework.learn.data.recording_environment import WatchedEnvironment
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.networks import policy as policies
-from falsework.learn.networks.policy import describe, make_policy
+from falsework.learn.networks.factory import describe, make_policy
 from falsework.learn.training.budget import Pace
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, save_run, write_run
 from falsework.learn.training.collectives import decided, same_weights

@@ -11,7 +11,8 @@ import numpy as np
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.search.beam.beam import BeamSettings, Level
+from falsework.search.beam.frontier import Level
+from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.k_means import find_centers
 from falsework.search.device.oracle import TensorJudge, TensorOracle
 from falsework.search.device.rules import TensorRules
