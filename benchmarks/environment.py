@@ -38,10 +38,10 @@ from falsework.learn.data.dataset import search_states, task_for
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import roll_out
 from falsework.learn.networks.factory import make_policy
-from falsework.learn.training.collectives import same_weights, summed
 from falsework.search import StateGraph
 from falsework.search.device.oracle import oracle_on
 from falsework.stability import Stability
+from falsework.utils.collectives import same_weights, summed
 from falsework.utils.distributed import Shards, joined
 
 

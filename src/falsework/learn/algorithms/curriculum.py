@@ -9,7 +9,7 @@ import torch
 from falsework.errors import InputError
 from falsework.learn.config.ppo import CurriculumSettings
 from falsework.learn.env.rules import Rules
-from falsework.learn.training.collectives import gather_rows
+from falsework.utils.collectives import gather_rows
 from falsework.utils.distributed import Shards
 
 _FAR = 0.75

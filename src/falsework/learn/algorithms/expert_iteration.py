@@ -22,9 +22,10 @@ from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import Policy, Rollouts, roll_out
 from falsework.replanning.result import Decider
-from falsework.search.planner import Planner, PlannerSettings
+from falsework.search.planner import Planner
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.task import Task
+from falsework.search.settings import PlannerSettings
 
 _ROWS = 1 << 14
 """Rollouts whose states are in memory together."""

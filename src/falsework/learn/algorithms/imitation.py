@@ -19,7 +19,7 @@ from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.env.rules import Rules
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.policy import Policy, masked_log_probabilities
-from falsework.learn.training.collectives import average_gradients
+from falsework.utils.collectives import average_gradients
 from falsework.utils.distributed import Shards
 
 _LOW = -1e30

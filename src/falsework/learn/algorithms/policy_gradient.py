@@ -21,7 +21,7 @@ from falsework.learn.data.random_walks import TaskSource
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.policy import Policy, masked_log_probabilities
-from falsework.learn.training.collectives import average_gradients, summed
+from falsework.utils.collectives import average_gradients, summed
 from falsework.utils.distributed import Shards
 
 _FEWEST = 16

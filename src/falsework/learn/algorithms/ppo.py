@@ -17,7 +17,7 @@ from falsework.learn.config.ppo import PpoSettings
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import Rollouts, play
 from falsework.learn.networks.policy import masked_log_probabilities
-from falsework.learn.training.collectives import average_gradients, summed
+from falsework.utils.collectives import average_gradients, summed
 from falsework.utils.distributed import Shards
 
 if TYPE_CHECKING:

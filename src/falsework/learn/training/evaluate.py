@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import Policy, roll_out
-from falsework.learn.training.collectives import summed
+from falsework.utils.collectives import summed
 from falsework.utils.distributed import Shards
 from falsework.utils.tensors import put
 

@@ -24,7 +24,6 @@ from falsework.learn.networks import policy as policies
 from falsework.learn.networks.factory import describe, make_policy
 from falsework.learn.training.budget import Pace
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, save_run, write_run
-from falsework.learn.training.collectives import decided, same_weights
 from falsework.learn.training.evaluate import Success, greedy_success, throughput
 from falsework.learn.training.learners import (
     Learner,
@@ -41,6 +40,7 @@ from falsework.learn.training.training_data import find_material
 from falsework.search.device.oracle import oracle_on
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.collectives import decided, same_weights
 from falsework.utils.distributed import Shards
 from falsework.utils.tensors import put
 
