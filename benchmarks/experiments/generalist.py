@@ -175,7 +175,7 @@ def _train(
             member, network = family[chosen], networks[chosen][int(draw.integers(settings.turns))]
             rows = torch.randint(len(member.solved), (batch,), generator=generator, device=device)
             states = member.solved.states[rows]
-            mask = member.environment.rules.mask(states)
+            mask = member.environment.rules.moves(states)
             logits, value = network(states)
             valid = member.solved.valid_actions(states, mask)
             loss = (imitation_loss(logits, mask, valid) + 0.1 * (value - 1.0).square().mean()) / settings.mix

@@ -59,9 +59,9 @@ def test_success_is_a_way_to_the_end_that_stands(arch: Any, data: Dataset) -> No
     oracle, rules = Stability(arch), environment.rules
     for start, expected in list(zip(states, which.tolist(), strict=True))[::7]:
         state = start[None]
-        while (mask := rules.mask(state)).any():
+        while (mask := rules.moves(state)).any():
             logits, _ = policy(state)
-            state = rules.apply(state, torch.where(mask, logits, -torch.inf).argmax(dim=1))
+            state = rules.follow(state, torch.where(mask, logits, -torch.inf).argmax(dim=1))
             if not oracle.stable(state.numpy())[0]:
                 break
         assert bool(rules.reached(state)[0]) == expected

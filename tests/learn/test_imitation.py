@@ -201,7 +201,7 @@ def test_rollouts_leave_notes(arch: Any, states: Any) -> None:
     visited = rollouts.states[1:].flatten(0, 1)
     assert solved.met == len(torch.unique(visited[solved.is_forbidden(visited)], dim=0)) > 0
     mistakes = environment.mistakes.tensors()
-    after = environment.rules.apply(mistakes["states"], mistakes["actions"])
+    after = environment.rules.follow(mistakes["states"], mistakes["actions"])
     assert len(after)
     assert not environment.stable(after).any()
     assert not solved.is_forbidden(mistakes["states"]).any()

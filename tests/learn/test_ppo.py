@@ -180,7 +180,7 @@ def test_in_hindsight_failed_rollouts_teach_how_to_get_where_they_came() -> None
     """Their samples are legal steps of their new tasks, and become more probable than without them."""
     arch = Environment(load_structure("arch:blocks=5"), 2, device="cpu")
     starts = arch.rules.complete(32)
-    targets = arch.rules.targets(starts)
+    targets = arch.rules.goals(starts)
     gained = []
     for weight in (0.0, 5.0):
         policy = make_policy(
@@ -190,7 +190,7 @@ def test_in_hindsight_failed_rollouts_teach_how_to_get_where_they_came() -> None
         samples = ppo._hindsight(ppo._play(starts, targets))
         assert samples is not None
         states, aims, actions = samples
-        mask = arch.rules.mask(states, aims)
+        mask = arch.rules.moves(states, aims)
         assert mask.gather(1, actions[:, None]).all()
         assert arch.rules.contains(states, aims).all()
         assert arch.stable(aims).all()

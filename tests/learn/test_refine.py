@@ -87,7 +87,7 @@ def test_every_action_of_every_rollout_is_there(arch: Assembly, data: Dataset) -
 def test_rollouts_that_cannot_begin_are_no_moves(arch: Assembly, data: Dataset) -> None:
     """From the empty structure nothing is left to do, which is success."""
     environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
-    empty = environment.rules.targets(torch.as_tensor(data.train[:3]))
+    empty = environment.rules.goals(torch.as_tensor(data.train[:3]))
     moves = play_and_judge(environment, policy_for(arch), empty, None, 0.9, environment.generator(1))
     assert len(moves) == 0
     assert moves.success.all()
@@ -145,8 +145,8 @@ def test_with_targets(arch: Assembly) -> None:
     """A start that is one action away from its target is learned, whatever the target keeps."""
     environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
     complete = environment.rules.complete()
-    actions = environment.rules.mask(complete).nonzero()[:, 1]
-    targets = environment.rules.apply(complete.expand(len(actions), -1).contiguous(), actions)
+    actions = environment.rules.moves(complete).nonzero()[:, 1]
+    targets = environment.rules.follow(complete.expand(len(actions), -1).contiguous(), actions)
     policy = make_policy(arch, PolicySettings(kind="residual", channels=32, layers=2, two_states=True))
     refinement = Refinement(
         environment,
@@ -206,6 +206,6 @@ def test_tasks_are_drawn_anew_and_imitated(bottle: Assembly, bottle_graph: State
         refinement.block(60, (0.0, 1.0))
         with torch.no_grad():
             logits, _ = policy(states, targets)
-        return float(imitation_loss(logits, environment.rules.mask(states, targets), valid))
+        return float(imitation_loss(logits, environment.rules.moves(states, targets), valid))
 
     assert learned(1.0) < learned(0.0)

@@ -276,12 +276,12 @@ def _plain(environment: Environment, start: torch.Tensor, target: torch.Tensor |
     """Whether a search without a policy finds a plan."""
     rules = environment.rules
     task = Task.create(
-        rules.boundary,
-        rules.robots,
+        rules.task.boundary,
+        rules.task.robots,
         start=start.cpu().numpy(),
         target=None if target is None else target.cpu().numpy(),
-        fixed=rules.fixed,
-        clearance=rules.clearance,
+        fixed=rules.task.fixed,
+        clearance=rules.task.clearance,
     )
     planner = Planner(task, environment.oracle, PlannerSettings(width), guide=SupportGuide(environment.assembly))
     return planner.run().found

@@ -16,9 +16,9 @@ from falsework.learn.config.train import ImitationSettings
 from falsework.learn.data.random_walks import TaskSource
 from falsework.learn.data.replay_buffer import Memory
 from falsework.learn.data.solvable_states import SolvedStates
-from falsework.learn.env.rules import Rules
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.policy import Policy, masked_log_probabilities
+from falsework.search.device.rules import TensorRules
 from falsework.utils.collectives import average_gradients
 from falsework.utils.distributed import Shards
 
@@ -73,7 +73,7 @@ class Imitation:
     def __init__(
         self,
         policy: Policy,
-        rules: Rules,
+        rules: TensorRules,
         settings: ImitationSettings,
         *,
         seed: int = 0,

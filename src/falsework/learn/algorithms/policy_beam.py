@@ -65,7 +65,7 @@ def search_from(
         level = levels[-1]
         states, owner = level.states[going], level.owner[going]
         aims = None if targets is None else targets[owner]
-        mask = rules.mask(states, aims)
+        mask = rules.moves(states, aims)
         logits, _ = evaluate(policy, states, aims, environment.rows_at_once)
         score = level.score[going][:, None] + masked_log_probabilities(logits, mask)
         row, action = _best_of_rows(score, mask, _SPARE * width)
@@ -108,7 +108,7 @@ def _choose(
     order = torch.argsort(value, descending=True, stable=True)
     order = order[torch.argsort(owner[row][order], stable=True)]
     row, action, value = row[order], action[order], value[order]
-    after = rules.apply(states[row], action)
+    after = rules.follow(states[row], action)
     first = _first_of_equals(rules.hashes(after), owner[row])
     first = first[place_in_group(owner[row][first]) < _SPARE * width]
     row, action, value, after = row[first], action[first], value[first], after[first]

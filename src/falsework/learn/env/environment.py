@@ -11,10 +11,11 @@ import torch
 
 from falsework.assembly.model import Assembly
 from falsework.errors import StateError
-from falsework.learn.env.rules import Rules
 from falsework.learn.env.verdict_cache import VerdictTable
 from falsework.search.device.oracle import HostOracle, TensorOracle, oracle_on, without_exact
+from falsework.search.device.rules import TensorRules
 from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
 from falsework.utils.tensors import choose_device, put
 
@@ -138,14 +139,9 @@ class Environment:
         self.assembly = assembly
         self.device = choose_device(device) if isinstance(device, str) else torch.device(device)
         self.oracle: Oracle = Stability(assembly) if oracle is None else oracle
-        self.rules = Rules(
-            assembly,
-            robots,
-            self.device,
-            clearance=clearance,
-            fixed=fixed,
-            holds_keep_stable=bool(getattr(self.oracle, "holds_keep_stable", False)),
-        )
+        table = assembly.clearance if clearance else None
+        task = Task.create(assembly.boundary, robots, fixed=fixed, clearance=table, identity=assembly.identity)
+        self.rules = TensorRules(task.judged_by(self.oracle), self.device)
         self.counters = EnvironmentCounters()
         self.measure = False
         """Wait for the device around each kind of work, so that its seconds are its own."""
@@ -216,11 +212,11 @@ class Environment:
         if check:
             self._check_legal(states, actions, targets)
         with self.timed("seconds_rules"):
-            after = rules.apply(states, actions)
+            after = rules.follow(states, actions)
             needed = rules.needs_verdict(actions)
         stable = self.stable(after, states, needed=needed)
         with self.timed("seconds_rules"):
-            mask = rules.mask(after, targets)
+            mask = rules.moves(after, targets)
             success = rules.reached(after, targets) & stable
             failed = ~stable | ~(success | mask.any(dim=1))
             reward = success.float() - failed.float()
@@ -253,7 +249,7 @@ class Environment:
     def _check_legal(self, states: torch.Tensor, actions: torch.Tensor, targets: torch.Tensor | None) -> None:
         parts = self.part_count
         inside = (actions >= 0) & (actions < 2 * parts)
-        mask = self.rules.mask(states, targets)
+        mask = self.rules.moves(states, targets)
         legal = inside & mask.gather(1, actions.long().clamp(0, 2 * parts - 1)[:, None])[:, 0]
         if not bool(legal.all()):
             row = int((~legal).nonzero()[0, 0])

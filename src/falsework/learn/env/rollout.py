@@ -88,7 +88,7 @@ def play(
     if not temperature > 0:
         raise InputError(f"temperature is {temperature:g}; give a number above zero, or take greedy rollouts")
     rules = environment.rules
-    states, mask = starts, rules.mask(starts, targets)
+    states, mask = starts, rules.moves(starts, targets)
     rows = torch.arange(len(starts), device=starts.device)
     going = mask.any(dim=1) & ~rules.reached(starts, targets)
     while True:

@@ -1,7 +1,7 @@
 """Policies: networks that propose the next action from any state of a structure (paper, section 5.4).
 
 A policy is a `torch.nn.Module` called as `policy(states, targets=None) -> (logits, value)`; its logits know nothing of
-the rules, which come as a mask (`falsework.learn.env.rules`).
+the rules, which come as a mask (`falsework.search.device.rules`).
 """
 
 from __future__ import annotations

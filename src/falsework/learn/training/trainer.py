@@ -14,13 +14,13 @@ import torch
 from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.learn.algorithms.imitation import Network
 from falsework.learn.algorithms.policy_gradient import Refinement
 from falsework.learn.config.train import TrainSettings, as_json
 from falsework.learn.data.dataset import Dataset
 from falsework.learn.data.recording_environment import WatchedEnvironment
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.networks import policy as policies
+from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.factory import describe, make_policy
 from falsework.learn.training.budget import Pace
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, save_run, write_run

@@ -118,7 +118,7 @@ class DeviceBeam:
         self.shards = shards
         self.exhaustive = True
         """No state was left out so far: if the search dies now, there is no plan."""
-        self._rules = TensorRules(task, settings.direction, self.device)
+        self._rules = TensorRules(task, self.device, settings.direction)
         self._judge = TensorJudge(oracle, shards)
         self._guide = guide
         self._candidates = self._asked = 0

@@ -108,7 +108,7 @@ class _Beams:
         task = task.judged_by(oracle)
         self.device = device
         self._width, self._seed, self._steps = width, seed, task.steps
-        self._rules = TensorRules(task, direction, device)
+        self._rules = TensorRules(task, device, direction)
         self._judge = TensorJudge(oracle, Shards())
         self._dead = not task.contains(task.origin(direction)[None])[0]
 
