@@ -96,7 +96,7 @@ def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly) -> 
     material = find_material(dome, settings.resolved(dome.part_count, "cpu"), HostOracle(Stability(dome)), device=CPU)
     assert isinstance(material.tasks, TurnedTasks)
     assert material.targets is not None
-    test = {tuple(state) for state in material.test.tolist()}
+    test = {tuple(state) for state in material.held_out.tolist()}
     searches = TargetDataSettings(widths=(8, 8), pairs=3000)
     data = target_dataset(dome, task_for(dome), searches, device="cpu")
     drawn_later = drawn(material.tasks, 3000, seed=3)
