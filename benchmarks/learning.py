@@ -15,9 +15,10 @@ built-in one or by its path, and a number of robots. `table3`: greedy success on
 states of them, `random` beside it for uniformly random legal actions, `paper` where the paper has the row, `target`
 what is asked for; `--data width64` learns from the paper's data alone, `--search` adds the share of test states with
 a proven plan. `table4`: two states, beside a policy that is not told the target, or one of the two (`--told`).
-`table5`: graph network, attention between parts and perceptrons with the same budget. `transfer`: a policy of the bottle
-asked about the dog. `methods`: curves of all ways to train. `minutes` is the budget for everything from the meshes on,
-`seconds` what it came to; evaluating all states comes on top. Rows are independent: run them as processes of their own, each with its CUDA_VISIBLE_DEVICES.
+`table5`: graph network, attention between parts and perceptrons with the same budget. `transfer`: a policy of the
+bottle asked about the dog. `methods`: curves of all ways to train. `minutes` is the budget for everything from the
+meshes on, `seconds` what it came to; evaluating all states comes on top. Rows are independent: run them as processes of
+their own, each with its CUDA_VISIBLE_DEVICES.
 """
 
 from __future__ import annotations
