@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
+from falsework.learn.env.verdict_cache import VerdictTable
 from falsework.search.device.oracle import TensorOracle
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.hashing import StateIndex
 from falsework.search.problem.state_graph import StateGraph
-from falsework.stability.verdict import Verdict
 from falsework.utils.tensors import put
 
 _WORD = 64
@@ -160,15 +160,21 @@ def unsolved_at_random(pairs: Pairs, rules: TensorRules, oracle: TensorOracle, t
     generator = torch.Generator(rules.device).manual_seed(seed)
     starts, targets, _ = pairs.tensors(rules.device)
     left = torch.arange(len(pairs), device=rules.device)
+    known = VerdictTable(rules)
     for _ in range(tries):
-        left = left[~_solved_at_random(starts[left], targets[left], rules, oracle, generator)]
+        left = left[~_solved_at_random(starts[left], targets[left], rules, oracle, known, generator)]
     unsolved = np.zeros(len(pairs), dtype=bool)
     unsolved[left.cpu().numpy()] = True
     return unsolved
 
 
 def _solved_at_random(
-    starts: torch.Tensor, targets: torch.Tensor, rules: TensorRules, oracle: TensorOracle, generator: torch.Generator
+    starts: torch.Tensor,
+    targets: torch.Tensor,
+    rules: TensorRules,
+    oracle: TensorOracle,
+    known: VerdictTable,
+    generator: torch.Generator,
 ) -> torch.Tensor:
     """Which rollouts of uniformly random legal actions reach their targets by stable states, shape (batch,)."""
     states, rows = starts.clone(), torch.arange(len(starts), device=starts.device)
@@ -182,10 +188,11 @@ def _solved_at_random(
         actions = torch.multinomial(mask.float(), 1, generator=generator)[:, 0]
         before = states[rows]
         after = rules.follow(before, actions)
-        asks = rules.needs_verdict(actions)
-        stable = ~asks
-        if asks.any():
-            stable[asks] = oracle(after[asks], before[asks]) == Verdict.STABLE
+
+        def ask(asked: torch.Tensor, which: torch.Tensor, before: torch.Tensor = before) -> torch.Tensor:
+            return oracle(asked, before[which])
+
+        stable = known.stable(after, rules.needs_verdict(actions), ask)
         states[rows] = after
         there = rules.reached(after, targets[rows])
         solved[rows[stable & there]] = True
