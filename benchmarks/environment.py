@@ -35,11 +35,12 @@ from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.ppo import PpoSettings
 from falsework.learn.data.dataset import search_states, task_for
 from falsework.learn.env.environment import Environment
-from falsework.learn.networks.policy import make_policy
-from falsework.learn.training.collectives import same_weights, summed
+from falsework.learn.env.rollout import roll_out
+from falsework.learn.networks.factory import make_policy
 from falsework.search import StateGraph
 from falsework.search.device.oracle import oracle_on
 from falsework.stability import Stability
+from falsework.utils.collectives import same_weights, summed
 from falsework.utils.distributed import Shards, joined
 
 
@@ -117,7 +118,7 @@ class Bench:
         before, rounds, begin = environment.counters.steps, 0, time.perf_counter()
         while time.perf_counter() - begin < seconds:
             starts = self.starts(environment, seed + rounds)
-            environment.rollout(policy, starts, greedy=False, generator=generator, keep="ends")
+            roll_out(environment, policy, starts, greedy=False, generator=generator, keep="ends")
             wait(self.device)
             rounds += 1
         return environment.counters.steps - before, time.perf_counter() - begin, rounds

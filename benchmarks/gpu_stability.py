@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
+from baselines.shared_inverse import SharedInverse, SharedInverseSettings
 from record import report, write_to
 from states import asked_states, find, real_structures
 
@@ -31,7 +32,6 @@ from falsework.stability import Criterion, Problem, StabilitySettings, Verdict, 
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
-from falsework.stability.shared_inverse import SharedInverse, SharedInverseSettings
 
 _MOST = 1 << 16
 """States of one structure, at most."""

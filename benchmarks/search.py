@@ -24,6 +24,7 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
+from baselines.depth_first import DepthFirstSearch, DepthFirstSettings
 from record import report, write_to
 from states import REAL, find, real_structures
 
@@ -31,8 +32,6 @@ from falsework.assembly import load_structure
 from falsework.search import (
     BeamSearch,
     BeamSettings,
-    DepthFirstSearch,
-    DepthFirstSettings,
     Direction,
     PlannerSettings,
     SearchProgress,

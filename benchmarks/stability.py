@@ -29,6 +29,7 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
+from baselines.shared_inverse import SharedInverse, SharedInverseSettings
 from record import report, write_to
 from states import asked_states, find, real_structures
 
@@ -37,8 +38,6 @@ from falsework.assembly.state import States, complete_state
 from falsework.stability import (
     CpuSettings,
     ExactSolver,
-    SharedInverse,
-    SharedInverseSettings,
     Stability,
     StabilitySettings,
     verify_certificates,

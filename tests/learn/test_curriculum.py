@@ -15,9 +15,10 @@ from falsework.learn.algorithms.ppo import PPO  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.ppo import CurriculumSettings, PpoSettings  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.env.rules import Rules  # noqa: E402
-from falsework.learn.networks.policy import make_policy  # noqa: E402
+from falsework.learn.env.rollout import roll_out  # noqa: E402
+from falsework.learn.networks.factory import make_policy  # noqa: E402
 from falsework.search import BeamSearch, BeamSettings, task_of  # noqa: E402
+from falsework.search.device.rules import TensorRules  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
 
@@ -31,7 +32,7 @@ def arch() -> tuple[Environment, Any]:
     return environment, torch.from_numpy(search.states())
 
 
-def make(rules: Rules, states: Any, seed: int = 0, **settings) -> Curriculum:
+def make(rules: TensorRules, states: Any, seed: int = 0, **settings) -> Curriculum:
     return Curriculum(states, rules, CurriculumSettings(**settings), torch.Generator().manual_seed(seed))
 
 
@@ -142,10 +143,10 @@ def test_a_policy_learns_an_arch_from_a_curriculum() -> None:
     policy = make_policy(assembly, PolicySettings(kind="mlp"), "cpu", 0)
     ppo = PPO(policy, environment, PpoSettings(batch=512), environment.generator(0))
     curriculum = Curriculum(states, environment.rules, generator=ppo.generator)
-    before = float(environment.rollout(policy, states, keep="ends").success.float().mean())
+    before = float(roll_out(environment, policy, states, keep="ends").success.float().mean())
     for _ in range(80):
         report = ppo.learn(curriculum, 64)
-    after = float(environment.rollout(policy, states, keep="ends").success.float().mean())
+    after = float(roll_out(environment, policy, states, keep="ends").success.float().mean())
     assert after > max(0.9, before)
     assert report["curriculum_horizon"] == 1.0
     assert 0.0 <= report["success"] <= 1.0
@@ -153,6 +154,6 @@ def test_a_policy_learns_an_arch_from_a_curriculum() -> None:
 
 def test_without_states_there_is_nothing_to_draw(arch) -> None:
     environment, _ = arch
-    empty = environment.rules.targets(environment.rules.complete())
+    empty = environment.rules.goals(environment.rules.complete())
     with pytest.raises(InputError, match="start states that are not their own target"):
         Curriculum(empty, environment.rules)

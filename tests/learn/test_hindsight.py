@@ -11,6 +11,7 @@ from falsework.assembly import Assembly  # noqa: E402
 from falsework.learn.algorithms.hindsight import OneState, relabel  # noqa: E402
 from falsework.learn.data.goal_pairs import sample_pairs  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
+from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.search import Direction, StateGraph, Task  # noqa: E402
 from falsework.stability.reference.clarabel import ExactSolver  # noqa: E402
 
@@ -33,7 +34,7 @@ def test_failed_rollouts_are_ways_to_what_they_passed(bottle: Assembly) -> None:
         return torch.zeros(len(states), 2 * states.shape[1]), torch.zeros(len(states))
 
     starts = environment.rules.complete(80)
-    rollouts = environment.rollout(policy, starts, greedy=False, generator=environment.generator(0))
+    rollouts = roll_out(environment, policy, starts, greedy=False, generator=environment.generator(0))
     failed = ~rollouts.success
     assert failed.any()
     states, targets, actions = relabel(rollouts, 60, environment.generator(1))
@@ -80,7 +81,7 @@ def test_a_policy_of_one_state_is_not_told_the_target(bottle: Assembly, bottle_g
 
     pairs = sample_pairs(bottle_graph, 50, np.random.default_rng(0))
     states, targets, _ = pairs.tensors(environment.device)
-    rollouts = environment.rollout(OneState(policy), states, targets)
+    rollouts = roll_out(environment, OneState(policy), states, targets)
     assert all(one is None for one in seen)
     kept = targets == 1
     assert (rollouts.last[kept] == 1).all()

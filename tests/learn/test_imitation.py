@@ -17,9 +17,11 @@ from falsework.learn.algorithms.imitation import Imitation, Network, imitation_l
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.train import ImitationSettings, TrainSettings  # noqa: E402
 from falsework.learn.data.dataset import DataSettings, build_dataset, task_for  # noqa: E402
-from falsework.learn.data.recording_environment import Memory, WatchedEnvironment  # noqa: E402
+from falsework.learn.data.recording_environment import WatchedEnvironment  # noqa: E402
+from falsework.learn.data.replay_buffer import Memory  # noqa: E402
 from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
-from falsework.learn.networks.policy import make_policy  # noqa: E402
+from falsework.learn.env.rollout import roll_out  # noqa: E402
+from falsework.learn.networks.factory import make_policy  # noqa: E402
 from falsework.utils.distributed import Shards  # noqa: E402
 
 SMALL = PolicySettings("mlp")
@@ -103,7 +105,7 @@ def test_it_learns_what_the_valid_actions_are(arch: Any, states: Any) -> None:
     imitation.run(solved, 20, (1.0, 1.0))
     assert imitation.report()["loss"] < 0.1 * first
     best = imitation.averaged(make_policy(arch, SMALL, seed=1))
-    assert environment.rollout(best, solved.states).success.all()
+    assert roll_out(environment, best, solved.states).success.all()
 
 
 def test_the_learning_rate_rises_stays_and_falls(arch: Any, states: Any) -> None:
@@ -192,14 +194,14 @@ def test_rollouts_leave_notes(arch: Any, states: Any) -> None:
     starts = solved.states
     with environment.unwatched():
         assert environment.exact
-        environment.rollout(policy, starts, greedy=False, generator=environment.generator(0))
+        roll_out(environment, policy, starts, greedy=False, generator=environment.generator(0))
     assert not environment.exact
     assert solved.met == len(environment.mistakes) == len(environment.outcomes) == 0
-    rollouts = environment.rollout(policy, starts, greedy=False, generator=environment.generator(0))
+    rollouts = roll_out(environment, policy, starts, greedy=False, generator=environment.generator(0))
     visited = rollouts.states[1:].flatten(0, 1)
     assert solved.met == len(torch.unique(visited[solved.is_forbidden(visited)], dim=0)) > 0
     mistakes = environment.mistakes.tensors()
-    after = environment.rules.apply(mistakes["states"], mistakes["actions"])
+    after = environment.rules.follow(mistakes["states"], mistakes["actions"])
     assert len(after)
     assert not environment.stable(after).any()
     assert not solved.is_forbidden(mistakes["states"]).any()

@@ -13,9 +13,11 @@ from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import InputError
 from falsework.learn.algorithms.expert_iteration import improve, solve_all
 from falsework.learn.algorithms.policy_beam import search_from
+from falsework.learn.config.policy import PolicySettings
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.env.environment import Environment
-from falsework.learn.networks.policy import PolicySettings, make_policy
+from falsework.learn.env.rollout import roll_out
+from falsework.learn.networks.factory import make_policy
 from falsework.replanning.result import Decider
 from falsework.search import ExhaustiveSearch, StateGraph
 from falsework.search.find import task_of
@@ -107,7 +109,7 @@ def test_what_is_learned_is_true(environment: Environment, solvable: torch.Tenso
 def test_starts_that_fail_are_played_more(environment: Environment, solvable: torch.Tensor, policy: Any) -> None:
     """Two rollouts for a start that succeeds, two and `samples` for one that does not."""
     solved = SolvedStates(environment.rules, solvable)
-    first = environment.rollout(policy, solvable)
+    first = roll_out(environment, policy, solvable)
     good = solvable[first.success][:5]
     assert improve(environment, policy, solved, good).rollouts == 10
     bad = solvable[~first.success]

@@ -20,8 +20,9 @@ from falsework.learn.algorithms.rollout_storage import Storage  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.ppo import CurriculumSettings, PpoSettings  # noqa: E402
 from falsework.learn.env.environment import Environment, Step  # noqa: E402
-from falsework.learn.env.rollout import Move  # noqa: E402
-from falsework.learn.networks.policy import make_policy, masked_log_probabilities  # noqa: E402
+from falsework.learn.env.rollout import Move, roll_out  # noqa: E402
+from falsework.learn.networks.factory import make_policy  # noqa: E402
+from falsework.learn.networks.policy import masked_log_probabilities  # noqa: E402
 
 MLP = PolicySettings(kind="mlp", layers=2, channels=32)
 
@@ -146,9 +147,9 @@ def test_a_game_with_one_answer_is_solved(stack: Environment) -> None:
     settings = PpoSettings(batch=256, discount=0.9, curriculum=CurriculumSettings(entropy=0.01))
     ppo = learner(stack, settings)
     complete = stack.rules.complete(32)
-    assert not stack.rollout(ppo.policy, complete[:1]).success.all()
+    assert not roll_out(stack, ppo.policy, complete[:1]).success.all()
     reports = [ppo.update(complete) for _ in range(50)]
-    rollouts = stack.rollout(ppo.policy, complete[:1])
+    rollouts = roll_out(stack, ppo.policy, complete[:1])
     assert rollouts.success.all()
     order = [action - 5 for action in rollouts.actions[:, 0].tolist() if action >= 5]
     heights = [stack.assembly.meshes[part].bounds[1][2] for part in order]
@@ -172,14 +173,14 @@ def test_targets_are_learned_too(stack: Environment) -> None:
     for _ in range(30):
         report = ppo.update(starts, targets)
     assert report["success"] > 0.9
-    assert stack.rollout(policy, starts[:2], targets[:2]).success.all()
+    assert roll_out(stack, policy, starts[:2], targets[:2]).success.all()
 
 
 def test_in_hindsight_failed_rollouts_teach_how_to_get_where_they_came() -> None:
     """Their samples are legal steps of their new tasks, and become more probable than without them."""
     arch = Environment(load_structure("arch:blocks=5"), 2, device="cpu")
     starts = arch.rules.complete(32)
-    targets = arch.rules.targets(starts)
+    targets = arch.rules.goals(starts)
     gained = []
     for weight in (0.0, 5.0):
         policy = make_policy(
@@ -189,7 +190,7 @@ def test_in_hindsight_failed_rollouts_teach_how_to_get_where_they_came() -> None
         samples = ppo._hindsight(ppo._play(starts, targets))
         assert samples is not None
         states, aims, actions = samples
-        mask = arch.rules.mask(states, aims)
+        mask = arch.rules.moves(states, aims)
         assert mask.gather(1, actions[:, None]).all()
         assert arch.rules.contains(states, aims).all()
         assert arch.stable(aims).all()

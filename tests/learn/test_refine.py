@@ -20,7 +20,9 @@ from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, t
 from falsework.learn.data.random_walks import Ways  # noqa: E402
 from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.networks.policy import Policy, make_policy  # noqa: E402
+from falsework.learn.env.rollout import roll_out  # noqa: E402
+from falsework.learn.networks.factory import make_policy  # noqa: E402
+from falsework.learn.networks.policy import Policy  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
@@ -85,7 +87,7 @@ def test_every_action_of_every_rollout_is_there(arch: Assembly, data: Dataset) -
 def test_rollouts_that_cannot_begin_are_no_moves(arch: Assembly, data: Dataset) -> None:
     """From the empty structure nothing is left to do, which is success."""
     environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
-    empty = environment.rules.targets(torch.as_tensor(data.train[:3]))
+    empty = environment.rules.goals(torch.as_tensor(data.train[:3]))
     moves = play_and_judge(environment, policy_for(arch), empty, None, 0.9, environment.generator(1))
     assert len(moves) == 0
     assert moves.success.all()
@@ -93,7 +95,7 @@ def test_rollouts_that_cannot_begin_are_no_moves(arch: Assembly, data: Dataset) 
 
 def greedy(arch: Assembly, policy: Policy, states: np.ndarray) -> float:
     environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
-    return float(environment.rollout(policy, torch.as_tensor(states), keep="ends").success.float().mean())
+    return float(roll_out(environment, policy, torch.as_tensor(states), keep="ends").success.float().mean())
 
 
 def test_rollouts_make_a_policy_better(arch: Assembly, data: Dataset) -> None:
@@ -143,8 +145,8 @@ def test_with_targets(arch: Assembly) -> None:
     """A start that is one action away from its target is learned, whatever the target keeps."""
     environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
     complete = environment.rules.complete()
-    actions = environment.rules.mask(complete).nonzero()[:, 1]
-    targets = environment.rules.apply(complete.expand(len(actions), -1).contiguous(), actions)
+    actions = environment.rules.moves(complete).nonzero()[:, 1]
+    targets = environment.rules.follow(complete.expand(len(actions), -1).contiguous(), actions)
     policy = make_policy(arch, PolicySettings(kind="residual", channels=32, layers=2, two_states=True))
     refinement = Refinement(
         environment,
@@ -204,6 +206,6 @@ def test_tasks_are_drawn_anew_and_imitated(bottle: Assembly, bottle_graph: State
         refinement.block(60, (0.0, 1.0))
         with torch.no_grad():
             logits, _ = policy(states, targets)
-        return float(imitation_loss(logits, environment.rules.mask(states, targets), valid))
+        return float(imitation_loss(logits, environment.rules.moves(states, targets), valid))
 
     assert learned(1.0) < learned(0.0)

@@ -14,12 +14,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 safetensors = pytest.importorskip("safetensors.torch", reason="safetensors is not installed")
 
 from falsework.assembly import load_structure  # noqa: E402
+from falsework.assembly.symmetry import symmetries  # noqa: E402
 from falsework.errors import DependencyError, InputError  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.policy_gradient import RefineSettings  # noqa: E402
@@ -32,6 +34,7 @@ from falsework.learn.config.train import (  # noqa: E402
     TrainSettings,
 )
 from falsework.learn.data.dataset import load_dataset  # noqa: E402
+from falsework.learn.data.symmetry_augmentation import symmetric_images  # noqa: E402
 from falsework.learn.training import checkpoint  # noqa: E402
 from falsework.learn.training import train as module  # noqa: E402
 from falsework.learn.training.checkpoint import load_run  # noqa: E402
@@ -206,7 +209,8 @@ def test_test_states_are_not_learned_from(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(module, "Trainer", keep)
     for method in ("search", "refine"):
         result = train(arch, replace(SMALL, method=method), folder=tmp_path / method, device="cpu")
-        test = load_dataset(tmp_path / method / "data.npz", arch).test
+        data = load_dataset(tmp_path / method / "data.npz", arch)
+        test = symmetric_images(np.concatenate([data.test, data.validation]), symmetries(arch))
         solved, environment = kept["trainer"]._solved, kept["trainer"]._environment
         assert solved.forbidden == len(test) > 0
         assert not solved.contains(torch.from_numpy(test)).any()
@@ -243,7 +247,8 @@ def test_the_run_can_be_used(arch: Any, tmp_path: Path) -> None:
     assert list((tmp_path / "run" / "tensorboard").iterdir())
     lines = read_progress(tmp_path / "run")
     assert [line["step"] for line in lines] == [10, 20, 30, 40]
-    assert {"success/test", "success/train", "test_states_met", "train/loss"} <= set(lines[0])
+    assert {"success/validation", "success/train", "test_states_met", "train/loss"} <= set(lines[0])
+    assert not any("success/test" in line for line in lines)
 
 
 def test_without_tensorboard_there_is_a_note(arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,9 +46,9 @@ def test_images_of_tasks_are_tasks(dome: Assembly, graph: StateGraph) -> None:
     environment = Environment(dome, 2, device="cpu")
     states, targets, valid = drawn(TurnedTasks(Ways(graph, device=CPU), symmetries(dome), device=CPU), 300)
     assert (valid.sum(dim=1) == 1).all()
-    assert (environment.rules.mask(states, targets) | ~valid).all()
+    assert (environment.rules.moves(states, targets) | ~valid).all()
     assert environment.rules.contains(states, targets).all()
-    after = environment.rules.apply(states, valid.long().argmax(dim=1))
+    after = environment.rules.follow(states, valid.long().argmax(dim=1))
     oracle = Stability(dome)
     for some in (states, targets, after):
         assert (oracle.judge(some.numpy()).verdict == 1).all()
@@ -96,7 +96,7 @@ def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly) -> 
     material = find_material(dome, settings.resolved(dome.part_count, "cpu"), HostOracle(Stability(dome)), device=CPU)
     assert isinstance(material.tasks, TurnedTasks)
     assert material.targets is not None
-    test = {tuple(state) for state in material.test.tolist()}
+    test = {tuple(state) for state in material.held_out.tolist()}
     searches = TargetDataSettings(widths=(8, 8), pairs=3000)
     data = target_dataset(dome, task_for(dome), searches, device="cpu")
     drawn_later = drawn(material.tasks, 3000, seed=3)

@@ -16,10 +16,11 @@ from falsework.learn.env.environment import Environment as Environment
 from falsework.learn.env.environment import EnvironmentCounters as EnvironmentCounters
 from falsework.learn.env.gymnasium_env import DisassemblyEnv as DisassemblyEnv
 from falsework.learn.env.rollout import Rollouts as Rollouts
-from falsework.learn.env.rules import Rules as Rules
+from falsework.learn.env.rollout import roll_out as roll_out
+from falsework.learn.networks.factory import make_policy as make_policy
+from falsework.learn.networks.factory import transfer as transfer
 from falsework.learn.networks.policy import Policy as Policy
 from falsework.learn.networks.policy import confidences as confidences
-from falsework.learn.networks.policy import make_policy as make_policy
 from falsework.learn.training.checkpoint import Run as Run
 from falsework.learn.training.checkpoint import load_policy as load_policy
 from falsework.learn.training.checkpoint import load_run as load_run

@@ -1,9 +1,8 @@
 from falsework.search.backend import beam_search as beam_search
 from falsework.search.beam.beam import BeamSearch as BeamSearch
-from falsework.search.beam.beam import BeamSettings as BeamSettings
-from falsework.search.depth_first import DepthFirstSearch as DepthFirstSearch
-from falsework.search.depth_first import DepthFirstSettings as DepthFirstSettings
+from falsework.search.beam.settings import BeamSettings as BeamSettings
 from falsework.search.device.beam import DeviceBeam as DeviceBeam
+from falsework.search.device.rules import TensorRules as TensorRules
 from falsework.search.exhaustive import Census as Census
 from falsework.search.exhaustive import ExhaustiveSearch as ExhaustiveSearch
 from falsework.search.find import Planning as Planning
@@ -11,7 +10,6 @@ from falsework.search.find import find_plans as find_plans
 from falsework.search.find import plan_of as plan_of
 from falsework.search.find import task_of as task_of
 from falsework.search.planner import Planner as Planner
-from falsework.search.planner import PlannerSettings as PlannerSettings
 from falsework.search.plans.alternatives import Alternatives as Alternatives
 from falsework.search.plans.alternatives import choose_alternatives as choose_alternatives
 from falsework.search.plans.plan import Need as Need
@@ -39,3 +37,4 @@ from falsework.search.problem.state_graph import load_state_graph as load_state_
 from falsework.search.problem.state_graph import save_state_graph as save_state_graph
 from falsework.search.problem.task import Direction as Direction
 from falsework.search.problem.task import Task as Task
+from falsework.search.settings import PlannerSettings as PlannerSettings

@@ -8,8 +8,8 @@ import torch
 
 from falsework.errors import InputError
 from falsework.learn.config.ppo import CurriculumSettings
-from falsework.learn.env.rules import Rules
-from falsework.learn.training.collectives import gather_rows
+from falsework.search.device.rules import TensorRules
+from falsework.utils.collectives import gather_rows
 from falsework.utils.distributed import Shards
 
 _FAR = 0.75
@@ -45,7 +45,7 @@ class Curriculum:
     def __init__(
         self,
         starts: torch.Tensor,
-        rules: Rules,
+        rules: TensorRules,
         settings: CurriculumSettings = CurriculumSettings(),
         generator: torch.Generator | None = None,
         *,

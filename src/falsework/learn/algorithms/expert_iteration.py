@@ -20,11 +20,12 @@ from falsework.errors import InputError
 from falsework.learn.algorithms.policy_beam import search_from
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import Policy, Rollouts
+from falsework.learn.env.rollout import Policy, Rollouts, roll_out
 from falsework.replanning.result import Decider
-from falsework.search.planner import Planner, PlannerSettings
+from falsework.search.planner import Planner
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.task import Task
+from falsework.search.settings import PlannerSettings
 
 _ROWS = 1 << 14
 """Rollouts whose states are in memory together."""
@@ -154,7 +155,7 @@ class _Tally:
         """Play from `starts`; mark the owners of those that arrive, and learn their states."""
         for begin in range(0, len(starts), _ROWS):
             rows = slice(begin, begin + _ROWS)
-            rollouts = self._environment.rollout(self._policy, starts[rows], greedy=greedy, **self._options)
+            rollouts = roll_out(self._environment, self._policy, starts[rows], greedy=greedy, **self._options)
             if greedy:
                 self._greedy.append(rollouts)
             good = rollouts.success
@@ -244,12 +245,12 @@ def solve_all(
         return None if targets is None else targets[rows]
 
     left, since = torch.arange(len(starts), device=starts.device), time.perf_counter()
-    left = settle(left, environment.rollout(policy, starts, targets, keep="ends").success, Decider.GREEDY, since)
+    left = settle(left, roll_out(environment, policy, starts, targets, keep="ends").success, Decider.GREEDY, since)
     if len(left) and samples:
         since, rows = time.perf_counter(), _each(left, samples)
         options: dict[str, Any] = {"greedy": False, "temperature": temperature, "generator": generator, "keep": "ends"}
         good = [
-            environment.rollout(policy, starts[piece], aims(piece), **options).success for piece in rows.split(_ROWS)
+            roll_out(environment, policy, starts[piece], aims(piece), **options).success for piece in rows.split(_ROWS)
         ]
         left = settle(left, torch.cat(good).view(len(left), samples).any(dim=1), Decider.SAMPLED, since)
     for width in widths:
@@ -275,12 +276,12 @@ def _plain(environment: Environment, start: torch.Tensor, target: torch.Tensor |
     """Whether a search without a policy finds a plan."""
     rules = environment.rules
     task = Task.create(
-        rules.boundary,
-        rules.robots,
+        rules.task.boundary,
+        rules.task.robots,
         start=start.cpu().numpy(),
         target=None if target is None else target.cpu().numpy(),
-        fixed=rules.fixed,
-        clearance=rules.clearance,
+        fixed=rules.task.fixed,
+        clearance=rules.task.clearance,
     )
     planner = Planner(task, environment.oracle, PlannerSettings(width), guide=SupportGuide(environment.assembly))
     return planner.run().found

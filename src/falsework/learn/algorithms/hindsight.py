@@ -51,7 +51,7 @@ def relabel(
 class OneState:
     """A policy that is not told the target, as the baseline for targets.
 
-    What the target keeps, it keeps only because the rules forbid to touch it (`Rules.mask` with targets).
+    What the target keeps, it keeps only because the rules forbid to touch it (`TensorRules.moves` with goals).
     """
 
     def __init__(self, policy: Policy) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,45 +14,16 @@ from falsework.learn.algorithms.nan_guard import NanGuard
 from falsework.learn.algorithms.optimizer_state import load_saved, saved_tensors
 from falsework.learn.config.train import ImitationSettings
 from falsework.learn.data.random_walks import TaskSource
-from falsework.learn.data.recording_environment import Memory
+from falsework.learn.data.replay_buffer import Memory
 from falsework.learn.data.solvable_states import SolvedStates
-from falsework.learn.env.rules import Rules
+from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.policy import Policy, masked_log_probabilities
-from falsework.learn.training.collectives import average_gradients
+from falsework.search.device.rules import TensorRules
+from falsework.utils.collectives import average_gradients
 from falsework.utils.distributed import Shards
 
 _LOW = -1e30
 """Stands for minus infinity where one would make NaN of a gradient."""
-
-
-class Network(torch.nn.Module):
-    """A policy in the precision chosen for its device: the only place where precision is lowered.
-
-    The setting is passed to the calls of the network alone. Nothing global is changed, since the solver's iterations do
-    not come to an end in less than float32.
-    """
-
-    def __init__(self, policy: Policy, precision: str = "float32", *, compiled: bool = False) -> None:
-        """Wrap a policy, whose weights stay its own.
-
-        Args:
-            policy: the network.
-            precision: `float32` or `bfloat16`.
-            compiled: compile it for the batches of training, which all have one size.
-        """
-        super().__init__()
-        self.policy = policy
-        self.settings = policy.settings
-        self._half = precision == "bfloat16"
-        call: Any = torch.compile(policy) if compiled else policy
-        # Hidden from torch in a tuple: the compiled module is no second set of weights.
-        self._call = (call,)
-
-    def forward(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """As `Policy`; both results in float32."""
-        with torch.autocast(states.device.type, torch.bfloat16) if self._half else nullcontext():
-            logits, value = self._call[0](states, targets)
-        return logits.float(), value.float()
 
 
 def imitation_loss(logits: torch.Tensor, mask: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
@@ -103,7 +73,7 @@ class Imitation:
     def __init__(
         self,
         policy: Policy,
-        rules: Rules,
+        rules: TensorRules,
         settings: ImitationSettings,
         *,
         seed: int = 0,

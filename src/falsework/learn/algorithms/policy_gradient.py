@@ -13,15 +13,16 @@ from typing import Any
 
 import torch
 
-from falsework.learn.algorithms.imitation import Network, imitation_loss
+from falsework.learn.algorithms.imitation import imitation_loss
 from falsework.learn.algorithms.optimizer_state import load_saved, saved_tensors
 from falsework.learn.algorithms.transitions import Moves, hindsight, play_and_judge
 from falsework.learn.config.policy_gradient import RefineSettings
 from falsework.learn.data.random_walks import TaskSource
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.env.environment import Environment
+from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.policy import Policy, masked_log_probabilities
-from falsework.learn.training.collectives import average_gradients, summed
+from falsework.utils.collectives import average_gradients, summed
 from falsework.utils.distributed import Shards
 
 _FEWEST = 16
@@ -275,7 +276,7 @@ class Refinement:
         loss = surrogate - settings.entropy * entropy + settings.value * error
         if known is not None:
             right, aims, valid = known
-            mask = self._environment.rules.mask(right, aims)
+            mask = self._environment.rules.moves(right, aims)
             valid = self._solved.valid_actions(right, mask) if valid is None else valid
             loss = loss + settings.imitation * imitation_loss(logits[size:], mask, valid)
         drift = (moves.log_probability.sum() - logs.gather(1, moves.actions[:, None]).sum()) / count

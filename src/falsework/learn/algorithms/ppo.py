@@ -17,7 +17,7 @@ from falsework.learn.config.ppo import PpoSettings
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import Rollouts, play
 from falsework.learn.networks.policy import masked_log_probabilities
-from falsework.learn.training.collectives import average_gradients, summed
+from falsework.utils.collectives import average_gradients, summed
 from falsework.utils.distributed import Shards
 
 if TYPE_CHECKING:
@@ -247,7 +247,7 @@ class PPO:
     def _play(self, starts: torch.Tensor, targets: torch.Tensor | None) -> Storage:
         """Rollouts with drawn actions."""
         rules = self.environment.rules
-        most = 2 * int((~rules.boundary).sum())
+        most = 2 * int((~rules.task.boundary).sum())
         storage = self._storage
         if storage is None or not storage.fits(most, len(starts), targets=targets is not None):
             storage = Storage(most, len(starts), rules.part_count, starts.device, targets=targets is not None)
@@ -328,7 +328,7 @@ class PPO:
         rows = torch.randint(len(samples[0]), (count,), generator=self.generator, device=samples[0].device)
         states, targets, actions = (column[rows] for column in samples)
         logits, _ = self.policy(states, targets)
-        log_probability = masked_log_probabilities(logits, self.environment.rules.mask(states, targets))
+        log_probability = masked_log_probabilities(logits, self.environment.rules.moves(states, targets))
         return -log_probability.gather(1, actions[:, None]).mean()
 
     def _step(self, batch: Batch, hindsight: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None, name: str) -> Loss:

@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from falsework.learn.training.collectives import decided, summed
+from falsework.utils.collectives import decided, summed
 from falsework.utils.distributed import Shards
 
 _LONGEST = 0.05

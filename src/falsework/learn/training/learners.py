@@ -18,7 +18,7 @@ from falsework.learn.data.random_walks import TaskSource
 from falsework.learn.data.recording_environment import WatchedEnvironment
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.networks.policy import Policy
-from falsework.learn.training.collectives import gather_rows, summed
+from falsework.utils.collectives import gather_rows, summed
 from falsework.utils.distributed import Shards
 
 

@@ -14,18 +14,17 @@ import torch
 from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.learn.algorithms.imitation import Network
 from falsework.learn.algorithms.policy_gradient import Refinement
 from falsework.learn.config.train import TrainSettings, as_json
 from falsework.learn.data.dataset import Dataset
 from falsework.learn.data.recording_environment import WatchedEnvironment
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.networks import policy as policies
-from falsework.learn.networks.policy import describe, make_policy
+from falsework.learn.networks.autocast import Network
+from falsework.learn.networks.factory import describe, make_policy
 from falsework.learn.training.budget import Pace
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, save_run, write_run
-from falsework.learn.training.collectives import decided, same_weights
-from falsework.learn.training.evaluate import Success, greedy_success, throughput
+from falsework.learn.training.evaluate import Sets, Success, greedy_success, throughput
 from falsework.learn.training.learners import (
     Learner,
     PpoLearner,
@@ -41,6 +40,7 @@ from falsework.learn.training.training_data import find_material
 from falsework.search.device.oracle import oracle_on
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.collectives import decided, same_weights
 from falsework.utils.distributed import Shards
 from falsework.utils.tensors import put
 
@@ -65,12 +65,14 @@ class TrainResult:
     data_seconds: float
     train: Success
     """Greedy success on a sample of the paper's training set."""
+    validation: Success
+    """Greedy success on a sample of the validation set."""
     test: Success
-    """Greedy success on a sample of the test set."""
+    """Greedy success on a sample of the test set, tried once, at the end."""
     solved: int
     """States that were learned from."""
     met_share: float
-    """Share of the test states that rollouts came across while training."""
+    """Share of the states held out for test and validation that rollouts came across while training."""
     interrupted: bool
     processes: int
     device: str
@@ -91,6 +93,7 @@ class TrainResult:
             "seconds": round(self.seconds, 2),
             "data_seconds": round(self.data_seconds, 2),
             "train": self.train.as_json(),
+            "validation": self.validation.as_json(),
             "test": self.test.as_json(),
             "solved": self.solved,
             "test_states_met": round(self.met_share, 6),
@@ -165,7 +168,7 @@ class Trainer:
             enough=lambda: self.pace.progress(self.steps) >= _SEARCHED_BY,
         )
         self.data_seconds = self._material.seconds
-        self._solved.forbid(self._material.test)
+        self._solved.forbid(self._material.held_out)
         self._environment.solved = self._solved
         if saved is None:
             self._solved.add(self._material.starts)
@@ -191,7 +194,7 @@ class Trainer:
 
     def _blocks(self, learner: Learner, journal: Journal | None) -> TrainResult:
         settings, evaluated = self.settings, -1
-        success = {name: Success(0, 0) for name in self._material.curve}
+        success = {name: Success(0, 0) for name in self._material.curve | self._material.test}
         numbers: dict[str, float] = {}
         blocks = interrupted = 0
         here = time.perf_counter()
@@ -210,15 +213,16 @@ class Trainer:
             blocks += 1
             whole = self.steps // settings.block
             if whole > (self.steps - steps) // settings.block and whole % settings.evaluate_every == 0:
-                success, evaluated = self._evaluate(learner), self.steps
+                success, evaluated = self._evaluate(learner, self._material.curve), self.steps
                 self._log(journal, numbers, success)
-            self.report(self.pace.progress(self.steps), self._words(numbers, success["test"]))
+            self.report(self.pace.progress(self.steps), self._words(numbers, success["validation"]))
             since = decided(time.perf_counter() - self._saved, self.shards, self.device)
             if since >= settings.checkpoint_every:
                 self._save(learner)
         if evaluated != self.steps:
-            success = self._evaluate(learner)
+            success = self._evaluate(learner, self._material.curve)
             self._log(journal, numbers, success)
+        success |= self._evaluate(learner, self._material.test)
         result = self._result(success, bool(interrupted), time.perf_counter() - here)
         self._results = result.as_json()
         self._save(learner)
@@ -297,11 +301,11 @@ class Trainer:
         following.adopt(self._best)
         return following
 
-    def _evaluate(self, learner: Learner) -> dict[str, Success]:
+    def _evaluate(self, learner: Learner, sets: Sets) -> dict[str, Success]:
         learner.best(self._best)
         success = {}
         with self._environment.unwatched():
-            for name, (states, targets) in self._material.curve.items():
+            for name, (states, targets) in sets.items():
                 aims = None if targets is None else put(targets, self.device)
                 success[name], _ = greedy_success(
                     self._environment, self._asked, put(states, self.device), aims, shards=self.shards
@@ -316,9 +320,9 @@ class Trainer:
         if journal is not None:
             journal.write(self.steps, line)
 
-    def _words(self, numbers: dict[str, float], test: Success) -> str:
+    def _words(self, numbers: dict[str, float], held_out: Success) -> str:
         loss = f"loss {numbers['loss']:.3f}" if "loss" in numbers else ""
-        tested = f"test {100 * test.share:.1f} %" if test.states else ""
+        tested = f"validation {100 * held_out.share:.1f} %" if held_out.states else ""
         return ", ".join(text for text in (f"step {self.steps}", loss, f"{len(self._solved)} states", tested) if text)
 
     def _save(self, learner: Learner) -> None:
@@ -360,6 +364,7 @@ class Trainer:
             self.pace.seconds,
             self.data_seconds,
             success["train"],
+            success["validation"],
             success["test"],
             len(self._solved),
             self._solved.met_share,

@@ -18,10 +18,11 @@ from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, l
 from falsework.learn.data.goal_dataset import Searched, TargetDataset, TargetDataSettings, target_dataset
 from falsework.learn.data.goal_pairs import Pairs
 from falsework.learn.data.random_walks import TaskSource, Ways
-from falsework.learn.data.symmetry_augmentation import TurnedTasks
+from falsework.learn.data.symmetry_augmentation import TurnedTasks, symmetric_images
 from falsework.learn.training.checkpoint import DATA, SEARCHED
 from falsework.learn.training.evaluate import Sets, sample
 from falsework.search.device.oracle import TensorOracle
+from falsework.search.problem.hashing import StateIndex
 from falsework.utils.distributed import Shards
 from falsework.utils.tensors import put
 
@@ -36,10 +37,13 @@ class Material:
     """Target of each, shape (count, parts)."""
     tasks: TaskSource | None
     """Draws more of both, with valid actions, where there are targets."""
-    test: torch.Tensor
-    """States that are not to be learned from, shape (count, parts)."""
+    held_out: torch.Tensor
+    """States that are not to be learned from: those of the test and the validation set with their images under the
+    symmetries of the structure, shape (count, parts)."""
     curve: Sets
-    """Fixed samples of training and test states, for the curve."""
+    """Fixed samples of training and validation states, for the curve."""
+    test: Sets
+    """A fixed sample of test states, for the end."""
     seconds: float
     """What it took to get them."""
 
@@ -77,7 +81,7 @@ def find_material(
         InputError: data of another criterion than the run.
     """
     begun = time.perf_counter()
-    count = settings.evaluation_states
+    count, images = settings.evaluation_states, symmetries(assembly)
     if settings.policy.two_states:
         path = None if folder is None else folder / SEARCHED
         task = task_for(assembly, settings.robots, settings.removable_only_if_clear).judged_by(oracle)
@@ -89,18 +93,19 @@ def find_material(
             if shards.first:
                 _keep(path, lambda where: searched.save(where, task), note)
         pairs = find_pairs(assembly, settings, oracle, device=device, shards=shards, searched=searched)
-        tasks: TaskSource = Ways(pairs.wide, device=device, forbidden=pairs.test_states)
-        images = symmetries(assembly)
+        held_out = symmetric_images(pairs.held_out, images)
+        tasks: TaskSource = Ways(pairs.wide, device=device, forbidden=held_out)
         if len(images) > 1:
-            tasks = TurnedTasks(tasks, images, device=device, forbidden=pairs.test_states)
+            tasks = TurnedTasks(tasks, images, device=device, forbidden=held_out)
         generator = torch.Generator(device).manual_seed(settings.data_seed)
         states, targets, _ = tasks.draw(settings.pairs, generator)
         return Material(
             states,
             targets,
             tasks,
-            put(pairs.test_states, device),
-            {"train": _some(pairs.train, count), "test": _some(pairs.test, count)},
+            put(held_out, device),
+            {"train": _some(pairs.train, count), "validation": _some(pairs.validation, count)},
+            {"test": _some(pairs.test, count)},
             time.perf_counter() - begun,
         )
     path = None if folder is None else folder / DATA
@@ -123,12 +128,15 @@ def find_material(
         )
     if fresh and shards.first:
         _keep(path, data.save, note)
+    held_out = symmetric_images(np.concatenate([data.test, data.validation]), images)
+    starts = np.concatenate([data.train, data.more])
     return Material(
-        put(np.concatenate([data.train, data.more]), device),
+        put(starts[StateIndex(held_out).find(starts) < 0], device),
         None,
         None,
-        put(data.test, device),
-        {"train": (sample(data.train, count), None), "test": (sample(data.test, count), None)},
+        put(held_out, device),
+        {"train": (sample(data.train, count), None), "validation": (sample(data.validation, count), None)},
+        {"test": (sample(data.test, count), None)},
         time.perf_counter() - begun,
     )
 

@@ -1,18 +1,22 @@
-"""Several processes at one training run: what is averaged, what is summed, and who decides."""
+"""Collectives of several processes: averaged gradients, sums, broadcasts and gathered rows."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-
-import torch
+from typing import TYPE_CHECKING
 
 from falsework.utils.distributed import Shards
+from falsework.utils.tensors import import_torch
+
+if TYPE_CHECKING:
+    import torch
 
 
 def average_gradients(parameters: Iterable[torch.nn.Parameter], shards: Shards) -> None:
     """Replace gradients by their mean over the processes, in one exchange."""
     if shards.size == 1:
         return
+    torch = import_torch()
     import torch.distributed as dist
 
     # A parameter that this process did not use takes part with zero, so that all exchange the same.
@@ -39,6 +43,7 @@ def decided(value: float, shards: Shards, device: torch.device) -> float:
     """A number that only the first process may choose, such as its clock, in all of them."""
     if shards.size == 1:
         return value
+    torch = import_torch()
     import torch.distributed as dist
 
     box = torch.tensor([value], dtype=torch.float64, device=device)
@@ -50,6 +55,7 @@ def summed(values: list[float], shards: Shards, device: torch.device) -> list[fl
     """Sums over the processes, such as of successes and of states tried."""
     if shards.size == 1:
         return values
+    torch = import_torch()
     import torch.distributed as dist
 
     box = torch.tensor(values, dtype=torch.float64, device=device)
@@ -68,6 +74,7 @@ def gather_rows(rows: torch.Tensor, shards: Shards) -> torch.Tensor:
     """
     if shards.size == 1:
         return rows
+    torch = import_torch()
     counts = shards.gather(torch.tensor([len(rows)], device=rows.device)).tolist()
     padded = rows.new_zeros((max(counts), *rows.shape[1:]))
     padded[: len(rows)] = rows
