@@ -100,7 +100,8 @@ def defining_file(module: str, name: str) -> Path | None:
         return files[f"{module}.{name}"]
     path = files.get(module)
     if path is not None and path.name == "__init__.py":
-        for node in ast.walk(parsed(path)):
+        stub = path.with_suffix(".pyi")  # lists what a package exports lazily
+        for node in ast.walk(parsed(stub if stub.exists() else path)):
             if isinstance(node, ast.ImportFrom) and name in [alias.asname or alias.name for alias in node.names]:
                 return defining_file(node.module or "", name)
     return path

@@ -35,7 +35,7 @@ def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
         assert (seen.find(states) < 0).all()
     for states in (data.train.states, data.train.targets):
         assert (seen.find(states) >= 0).all()
-    kept = StateIndex(data.test_states)
+    kept = StateIndex(data.held_out)
     assert (kept.find(data.train.states) < 0).all()
     assert len(data.wide) > len(data.graph)
     assert (data.wide.index.find(data.graph.states) >= 0).all()

@@ -248,11 +248,11 @@ class Imitation:
         if tasks is None:
             rows = torch.randint(len(solved), (count,), generator=self._generator, device=self._device)
             states, aims = solved.states[rows], None
-            mask = self._rules.mask(states)
+            mask = self._rules.moves(states)
             valid = solved.valid_actions(states, mask)
         else:
             states, aims, valid = tasks
-            mask = self._rules.mask(states, aims)
+            mask = self._rules.moves(states, aims)
         sizes = [count]
         wrong = value = None
         if tasks is None and mistakes is not None and len(mistakes) and settings.unstable:
@@ -271,7 +271,7 @@ class Imitation:
         loss = loss + settings.value * ((estimate_parts.pop(0) - 1.0) ** 2).mean() * (value is None)
         if wrong is not None:
             estimate_parts.pop(0)
-            mask = self._rules.mask(wrong["states"])
+            mask = self._rules.moves(wrong["states"])
             loss = loss + settings.unstable * unlearning_loss(logit_parts.pop(0), mask, wrong["actions"])
         if value is not None:
             loss = loss + settings.value * ((estimate_parts.pop(0) - value["value"]) ** 2).mean()
