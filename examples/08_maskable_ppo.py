@@ -35,7 +35,7 @@ def main(steps: int = 2048) -> None:
             over = False
             while not over:
                 action, _ = model.predict(observation, action_masks=info["action_mask"], deterministic=True)
-                observation, _, over, _, info = environment.step(action)
+                observation, _, over, _, info = environment.step(int(action))
             done += info["success"]
         return done / len(starts)
 

@@ -127,19 +127,31 @@ def find_plans(
     return Planning(result, plans, chosen)
 
 
-def task_of(assembly: Assembly, robots: int = 2, **rules: Unpack[TaskRules]) -> Task:
-    """Return the task of taking a structure apart.
-
-    Args:
-        assembly: the structure.
-        robots: parts that can be held at a time.
-        rules: start, target, fixed, missing and removable_only_if_clear; see `TaskRules`.
+def task_of(
+    assembly: Assembly,
+    robots: int = 2,
+    *,
+    start: ArrayLike | None = None,
+    target: ArrayLike | None = None,
+    fixed: Sequence[int] = (),
+    missing: Sequence[int] = (),
+    removable_only_if_clear: bool = False,
+) -> Task:
+    """Return the task of taking a structure apart; see `TaskRules` for the rules.
 
     Raises:
         InputError: fewer than one robot, or parts or states that the structure does not have.
     """
-    clearance = assembly.clearance if rules.pop("removable_only_if_clear", False) else None
-    return Task.create(assembly.boundary, robots, clearance=clearance, identity=assembly.identity, **rules)
+    return Task.create(
+        assembly.boundary,
+        robots,
+        start=start,
+        target=target,
+        fixed=fixed,
+        missing=missing,
+        clearance=assembly.clearance if removable_only_if_clear else None,
+        identity=assembly.identity,
+    )
 
 
 def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, forces: bool = True) -> Plan:
