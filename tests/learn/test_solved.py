@@ -47,7 +47,7 @@ def test_it_is_a_set(data: Any) -> None:
 
 def test_valid_actions_are_those_of_the_state_graph(data: Any) -> None:
     """The graph finds successors by writing them down and comparing whole states."""
-    states = np.concatenate([data.train, data.test, data.more])
+    states = np.concatenate([data.train, data.test, data.validation, data.more])
     graph = StateGraph.build(data.task, states)
     solved = SolvedStates(rules_of(data), torch.from_numpy(states))
     valid = solved.valid_actions(torch.from_numpy(graph.states)).numpy()
