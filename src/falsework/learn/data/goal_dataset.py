@@ -179,7 +179,7 @@ def _several(
     """States of some searches, each process doing its share of them, and how many came through."""
     import torch
 
-    from falsework.learn.training.collectives import gather_rows, summed
+    from falsework.utils.collectives import gather_rows, summed
 
     mine = len(range(shards.rank, count, shards.size))
     states, through = np.empty((0, task.part_count), dtype=np.uint8), 0.0

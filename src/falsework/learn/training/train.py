@@ -18,9 +18,9 @@ from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.data.dataset import Dataset
 from falsework.learn.training.checkpoint import FILE, check_structure, read_run, settings_of
-from falsework.learn.training.collectives import summed
 from falsework.learn.training.trainer import Report, Trainer
 from falsework.learn.training.trainer import TrainResult as TrainResult
+from falsework.utils.collectives import summed
 from falsework.utils.distributed import joined
 
 

@@ -1,4 +1,4 @@
-"""What one training run learns from and is tested on, on one device: states, or states with targets."""
+"""Training and held-out data of one run: states, or states with targets."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
+from falsework.assembly.state import States
 from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings
@@ -22,29 +24,31 @@ from falsework.learn.data.symmetry_augmentation import TurnedTasks
 from falsework.learn.training.checkpoint import DATA, SEARCHED
 from falsework.learn.training.evaluate import Sets, sample
 from falsework.search.device.oracle import TensorOracle
+from falsework.search.problem.hashing import StateIndex
 from falsework.utils.distributed import Shards
 from falsework.utils.tensors import put
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
+class TrainingData:
     """Data of a run as tensors."""
 
     starts: torch.Tensor
-    """States to start from, shape (count, parts)."""
+    """States to start from, none of them held out, shape (count, parts)."""
     targets: torch.Tensor | None
     """Target of each, shape (count, parts)."""
     tasks: TaskSource | None
     """Draws more of both, with valid actions, where there are targets."""
-    test: torch.Tensor
-    """States that are not to be learned from, shape (count, parts)."""
+    held_out: torch.Tensor
+    """Test states and their images under the symmetries of the structure: no loss is taken at them, no rollout starts
+    there. Shape (count, parts)."""
     curve: Sets
     """Fixed samples of training and test states, for the curve."""
     seconds: float
     """What it took to get them."""
 
 
-def find_material(
+def collect_training_data(
     assembly: Assembly,
     settings: TrainSettings,
     oracle: TensorOracle,
@@ -57,7 +61,7 @@ def find_material(
     report: Callable[[str], None] | None = None,
     note: Callable[[str], None] | None = None,
     enough: Callable[[], bool] | None = None,
-) -> Material:
+) -> TrainingData:
     """Search for states, or read those that an earlier piece of the run found.
 
     Args:
@@ -78,6 +82,7 @@ def find_material(
     """
     begun = time.perf_counter()
     count = settings.evaluation_states
+    permutations = symmetries(assembly)
     if settings.policy.two_states:
         path = None if folder is None else folder / SEARCHED
         task = task_for(assembly, settings.robots, settings.removable_only_if_clear).judged_by(oracle)
@@ -89,17 +94,17 @@ def find_material(
             if shards.first:
                 _keep(path, lambda where: searched.save(where, task), note)
         pairs = find_pairs(assembly, settings, oracle, device=device, shards=shards, searched=searched)
-        tasks: TaskSource = Ways(pairs.wide, device=device, forbidden=pairs.test_states)
-        images = symmetries(assembly)
-        if len(images) > 1:
-            tasks = TurnedTasks(tasks, images, device=device, forbidden=pairs.test_states)
+        held_out = symmetric_images(pairs.test_states, permutations)
+        tasks: TaskSource = Ways(pairs.wide, device=device, forbidden=held_out)
+        if len(permutations) > 1:
+            tasks = TurnedTasks(tasks, permutations, device=device, forbidden=held_out)
         generator = torch.Generator(device).manual_seed(settings.data_seed)
         states, targets, _ = tasks.draw(settings.pairs, generator)
-        return Material(
+        return TrainingData(
             states,
             targets,
             tasks,
-            put(pairs.test_states, device),
+            put(held_out, device),
             {"train": _some(pairs.train, count), "test": _some(pairs.test, count)},
             time.perf_counter() - begun,
         )
@@ -123,14 +128,26 @@ def find_material(
         )
     if fresh and shards.first:
         _keep(path, data.save, note)
-    return Material(
-        put(np.concatenate([data.train, data.more]), device),
+    held_out = symmetric_images(data.test, permutations)
+    starts = np.concatenate([data.train, data.more])
+    return TrainingData(
+        put(starts[StateIndex(held_out).find(starts) < 0], device),
         None,
         None,
-        put(data.test, device),
+        put(held_out, device),
         {"train": (sample(data.train, count), None), "test": (sample(data.test, count), None)},
         time.perf_counter() - begun,
     )
+
+
+def symmetric_images(states: States, permutations: NDArray[np.intp]) -> States:
+    """Return the images of states under symmetries of their structure, each once.
+
+    Args:
+        states: shape (count, parts).
+        permutations: as of `falsework.assembly.symmetry.symmetries`, shape (symmetries, parts).
+    """
+    return np.unique(np.concatenate([states[:, np.argsort(one)] for one in permutations]), axis=0)
 
 
 def find_pairs(

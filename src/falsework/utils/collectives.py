@@ -1,18 +1,21 @@
-"""Several processes at one training run: what is averaged, what is summed, and who decides."""
+"""Collective operations of several processes: averages, sums, broadcasts, gathered rows."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-
-import torch
+from typing import TYPE_CHECKING
 
 from falsework.utils.distributed import Shards
+
+if TYPE_CHECKING:
+    import torch
 
 
 def average_gradients(parameters: Iterable[torch.nn.Parameter], shards: Shards) -> None:
     """Replace gradients by their mean over the processes, in one exchange."""
     if shards.size == 1:
         return
+    import torch
     import torch.distributed as dist
 
     # A parameter that this process did not use takes part with zero, so that all exchange the same.
@@ -36,9 +39,10 @@ def same_weights(module: torch.nn.Module, shards: Shards) -> None:
 
 
 def decided(value: float, shards: Shards, device: torch.device) -> float:
-    """A number that only the first process may choose, such as its clock, in all of them."""
+    """Broadcast a number that only the first process may choose, such as its clock."""
     if shards.size == 1:
         return value
+    import torch
     import torch.distributed as dist
 
     box = torch.tensor([value], dtype=torch.float64, device=device)
@@ -47,9 +51,10 @@ def decided(value: float, shards: Shards, device: torch.device) -> float:
 
 
 def summed(values: list[float], shards: Shards, device: torch.device) -> list[float]:
-    """Sums over the processes, such as of successes and of states tried."""
+    """Sum numbers over the processes, such as successes and states tried."""
     if shards.size == 1:
         return values
+    import torch
     import torch.distributed as dist
 
     box = torch.tensor(values, dtype=torch.float64, device=device)
@@ -58,7 +63,7 @@ def summed(values: list[float], shards: Shards, device: torch.device) -> list[fl
 
 
 def gather_rows(rows: torch.Tensor, shards: Shards) -> torch.Tensor:
-    """The rows of all processes, which may be different numbers of them, those of the first process first.
+    """Gather the rows of all processes, in any number from each, those of the first process first.
 
     Args:
         rows: shape (count, ...); count differs from process to process.
@@ -68,6 +73,8 @@ def gather_rows(rows: torch.Tensor, shards: Shards) -> torch.Tensor:
     """
     if shards.size == 1:
         return rows
+    import torch
+
     counts = shards.gather(torch.tensor([len(rows)], device=rows.device)).tolist()
     padded = rows.new_zeros((max(counts), *rows.shape[1:]))
     padded[: len(rows)] = rows
