@@ -36,7 +36,8 @@ from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.ppo import PAPER
 from falsework.learn.data.dataset import search_states, task_for
 from falsework.learn.env.environment import Environment
-from falsework.learn.networks.policy import make_policy
+from falsework.learn.env.rollout import roll_out
+from falsework.learn.networks.factory import make_policy
 from falsework.search import StateGraph
 from falsework.search.device.oracle import oracle_on
 from falsework.stability import Stability
@@ -116,7 +117,7 @@ class Bench:
         before, rounds, begin = environment.counters.steps, 0, time.perf_counter()
         while time.perf_counter() - begin < seconds:
             starts = self.starts(environment, seed + rounds)
-            environment.rollout(policy, starts, greedy=False, generator=generator, keep="ends")
+            roll_out(environment, policy, starts, greedy=False, generator=generator, keep="ends")
             wait(self.device)
             rounds += 1
         return environment.counters.steps - before, time.perf_counter() - begin, rounds

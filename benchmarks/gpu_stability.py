@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
+from baselines.shared_inverse import SharedInverse, SharedInverseSettings
 from states import asked_states
 
 from falsework.assembly import Assembly, load_structure
@@ -34,7 +35,6 @@ from falsework.stability import Criterion, Problem, StabilitySettings, Verdict, 
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
-from falsework.stability.shared_inverse import SharedInverse, SharedInverseSettings
 
 _MOST = 1 << 16
 """States of one structure, at most."""

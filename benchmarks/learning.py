@@ -12,12 +12,13 @@
 
 A row is a structure, by the name of a real one (FALSEWORK_DATA, else the folder `shared` beside the repository), of a
 built-in one or by its path, and a number of robots. `table3`: greedy success on the training and the test set, all
-states of them, `paper` beside it where the paper has the row, `target` what is asked for; `--data width64` learns from
-the paper's data alone, `--search` adds the share of test states with a proven plan. `table4`: two states, beside a
-policy that is not told the target, or one of the two (`--told`). `table5`: graph network, attention between parts and
-perceptrons with the same budget. `transfer`: a policy of the bottle asked about the dog. `methods`: curves of all
-presets of training. `minutes` is the budget for everything from the meshes on, `seconds` what it came to; evaluating
-all states comes on top. Rows are independent: run them as processes of their own, each with its CUDA_VISIBLE_DEVICES.
+states of them, `random` beside it for uniformly random legal actions, `paper` where the paper has the row, `target`
+what is asked for; `--data width64` learns from the paper's data alone, `--search` adds the share of test states with
+a proven plan. `table4`: two states, beside a policy that is not told the target, or one of the two (`--told`).
+`table5`: graph network, attention between parts and perceptrons with the same budget. `transfer`: a policy of the
+bottle asked about the dog. `methods`: curves of all presets of training. `minutes` is the budget for everything from
+the meshes on, `seconds` what it came to; evaluating all states comes on top. Rows are independent: run them as
+processes of their own, each with its CUDA_VISIBLE_DEVICES.
 """
 
 from __future__ import annotations
@@ -33,21 +34,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
 import torch
 
 from falsework.assembly import load_structure
-from falsework.learn.algorithms.imitation import Network
 from falsework.learn.config.policy import PolicySettings, recommended
 from falsework.learn.config.train import METHODS, Criterion, TrainSettings
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
 from falsework.learn.env.environment import Environment
-from falsework.learn.networks.policy import Policy, transfer
-from falsework.learn.training.evaluate import EvaluateSettings, GoalBlindPolicy, evaluate
+from falsework.learn.env.rollout import roll_out
+from falsework.learn.networks.autocast import Network
+from falsework.learn.networks.factory import transfer
+from falsework.learn.networks.policy import Policy
+from falsework.learn.networks.uniform import UniformPolicy
+from falsework.learn.training.evaluate import EvaluateSettings, GoalBlindPolicy, evaluate, sample
 from falsework.learn.training.train import TrainResult, train
 from falsework.learn.training.training_data import find_pairs
 from falsework.search.device.oracle import TensorOracle, oracle_on
 from falsework.stability import Stability, StabilitySettings
 from falsework.utils.distributed import Shards, joined
+from falsework.utils.tensors import put
 
 TABLE_3: dict[str, tuple[float, float, float, float, float]] = {
     "bottle-12:2": (95.7, 86.5, 0.28, 97, 2),
@@ -141,7 +147,7 @@ def run(options: argparse.Namespace, name: str, assembly: Any, settings: TrainSe
 def evaluated(
     options: argparse.Namespace, result: TrainResult, settings: TrainSettings, assembly: Any, *, one_state: bool = False
 ) -> dict[str, Any]:
-    """Success on all states of both sets, or on all pairs."""
+    """Greedy success on all states of both sets, or on all pairs, and beside it that of random legal actions."""
     device = next(result.policy.parameters()).device
     filled = settings.resolved(assembly.part_count, device.type)
     oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
@@ -160,7 +166,14 @@ def evaluated(
         data = protocol(assembly, settings, oracle_on(oracle, device), str(device))
         sets = {"train": (data.train, None), "test": (data.test, None)}
     chosen = EvaluateSettings(states=options.states, search=options.search)
-    return evaluate(environment, network, sets, chosen, shards=Shards.of_group())
+    found = evaluate(environment, network, sets, chosen, shards=Shards.of_group())
+    for name, (states, targets) in sets.items():
+        rows = sample(np.arange(len(states)), options.states)
+        tensors = put(states[rows], device), None if targets is None else put(targets[rows], device)
+        generator = environment.generator(settings.seed)
+        drawn = roll_out(environment, UniformPolicy(), *tensors, greedy=False, generator=generator, keep="ends")
+        found[name]["random"] = round(float(drawn.success.float().mean()), 6)
+    return found
 
 
 def protocol(assembly: Any, settings: TrainSettings, oracle: TensorOracle, device: str) -> Dataset:
@@ -261,7 +274,7 @@ def methods(options: argparse.Namespace) -> None:
             for method in METHODS:
                 settings = settings_of(options, name, robots, seed, method=method)
                 result = run(options, name, assembly, settings, f"{name}:{robots} {method} seed {seed}")
-                points = [[one["seconds"], one["success/train"], one["success/test"]] for one in result.curve]
+                points = [[one["seconds"], one["success/train"], one["success/validation"]] for one in result.curve]
                 found = {"train": result.train.to_dict(), "test": result.test.to_dict()}
                 line("methods", name, settings, result, found, method=method, curve=points)
 

@@ -23,14 +23,16 @@ from typing import Any, Literal
 
 import torch
 import tyro
+from experiments.generalist import GeneralistSettings, fine_tune, train_generalist
+from experiments.policy_cost import policy_cost
+from experiments.transfer import Budget, compare_networks, transfer_experiment
 from states import find, real_structures
 
 from falsework.assembly import load_structure
+from falsework.learn.config.policy import PolicySettings
 from falsework.learn.data.dataset import DataSettings
-from falsework.learn.generalist import GeneralistSettings, fine_tune, train_generalist
-from falsework.learn.networks.policy import PolicySettings, make_policy, masked_log_probabilities
-from falsework.learn.policy_table import policy_table
-from falsework.learn.transfer import Budget, compare_networks, transfer_experiment
+from falsework.learn.networks.factory import make_policy
+from falsework.learn.networks.policy import masked_log_probabilities
 from falsework.utils.tensors import choose_device
 
 
@@ -84,7 +86,7 @@ def cost(options: Options) -> None:
     """Weights and operations."""
     for name in options.structures or default_structures(("bottle-12", "dome-37", "vault-62"), ("bottle", "vault")):
         assembly = load_structure(find(name))
-        for row in policy_table(assembly, [PolicySettings(kind) for kind in options.kinds]):
+        for row in policy_cost(assembly, [PolicySettings(kind) for kind in options.kinds]):
             show(benchmark="cost", structure=name, **row)
 
 

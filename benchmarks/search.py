@@ -26,13 +26,12 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
+from baselines.depth_first import DepthFirstSearch, DepthFirstSettings
 
 from falsework.assembly import load_structure
 from falsework.search import (
     BeamSearch,
     BeamSettings,
-    DepthFirstSearch,
-    DepthFirstSettings,
     Direction,
     PlannerSettings,
     SearchProgress,

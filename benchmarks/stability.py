@@ -31,6 +31,7 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
+from baselines.shared_inverse import SharedInverse, SharedInverseSettings
 from states import asked_states, find, real_structures
 
 from falsework.assembly import Assembly, load_structure
@@ -38,8 +39,6 @@ from falsework.assembly.state import States, complete_state
 from falsework.stability import (
     CpuSettings,
     ExactSolver,
-    SharedInverse,
-    SharedInverseSettings,
     Stability,
     StabilitySettings,
     accept,

@@ -7,6 +7,8 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from importlib.metadata import requires
 from pathlib import Path
 
@@ -32,10 +34,26 @@ ROOMS = (
 )
 CORE = ("errors", "utils", "geometry", "assembly", "stability", "search", "replanning", "cli")
 
+# Sub-packages of each room, likewise. Modules at the root of a room may use them, and be used by them.
+SUBPACKAGES = {
+    "geometry": ("mesh", "contact", "clearance"),
+    "assembly": ("library",),
+    "stability": ("cpu", "contact", "gpu", "reference", "judges"),
+    "search": ("problem", "beam", "plans", "device"),
+    "learn": ("config", "env", "networks", "data", "algorithms", "training"),
+    "robots": ("model", "kernels", "kinematics", "motion", "cells", "grasping", "plans", "planning"),
+    "viewer": ("pictures", "page"),
+}
+MOST_MODULES = 16
+"""In one folder; `cli` has a module for each command."""
+MOST_LINES = 400
+"""In one module."""
+
 # Distribution names whose import name differs.
 IMPORT_NAMES = {"python-fcl": "fcl"}
 
 MODULES = sorted(SOURCE.rglob("*.py"))
+FOLDERS = sorted({path.parent for path in MODULES})
 
 
 def dotted(path: Path) -> str:
@@ -61,6 +79,42 @@ def imports(tree: ast.AST) -> Iterator[tuple[str, int]]:
             yield node.module, node.lineno
             for alias in node.names:  # `from falsework import search` names a room too
                 yield f"{node.module}.{alias.name}", node.lineno
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    """Syntax tree of a source file."""
+    return ast.parse(path.read_text())
+
+
+@cache
+def files_by_name() -> dict[str, Path]:
+    """Source files by their import names."""
+    return {dotted(path): path for path in MODULES}
+
+
+def defining_file(module: str, name: str) -> Path | None:
+    """File that `from module import name` comes to in the end: re-exports by packages are followed."""
+    files = files_by_name()
+    if f"{module}.{name}" in files:
+        return files[f"{module}.{name}"]
+    path = files.get(module)
+    if path is not None and path.name == "__init__.py":
+        for node in ast.walk(parsed(path)):
+            if isinstance(node, ast.ImportFrom) and name in [alias.asname or alias.name for alias in node.names]:
+                return defining_file(node.module or "", name)
+    return path
+
+
+def imported_files(path: Path) -> set[Path]:
+    """Files of the package that a file imports from, inside functions and for types too."""
+    found = set()
+    for node in ast.walk(parsed(path)):
+        if isinstance(node, ast.Import):
+            found |= {defining_file(alias.name, "") for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found |= {defining_file(node.module or "", alias.name) for alias in node.names}
+    return {file for file in found if file is not None} - {path}
 
 
 def is_type_checking(node: ast.AST) -> bool:
@@ -115,6 +169,61 @@ def test_imports_point_upwards(path: Path) -> None:
             assert target in allowed, f"{path}:{line}: {here} imports {module}, which is below it"
 
 
+def subpackage_of(path: Path) -> str:
+    """Folder of a room that a file is in; empty at the root of the room."""
+    parts = path.relative_to(SOURCE).parts
+    return parts[1] if len(parts) > 2 else ""
+
+
+@pytest.mark.parametrize("path", MODULES, ids=dotted)
+def test_imports_inside_a_room_point_upwards(path: Path) -> None:
+    """No sub-package imports from one that comes after it in its room."""
+    room, here = room_of(dotted(path)), subpackage_of(path)
+    if not here:
+        return
+    assert here in SUBPACKAGES.get(room, ()), f"{room}/{here} has no place in the order of its room"
+    allowed = SUBPACKAGES[room][: SUBPACKAGES[room].index(here) + 1]
+    for file in imported_files(path):
+        if room_of(dotted(file)) == room and (there := subpackage_of(file)):
+            assert there in allowed, f"{path}: {room}/{here} imports {dotted(file)}, which is below it"
+
+
+def circle_of(imported: dict[Path, set[Path]]) -> list[str]:
+    """Names of files that import each other in a circle; empty if none do."""
+    try:
+        TopologicalSorter(imported).prepare()
+    except CycleError as error:
+        return [dotted(path) for path in error.args[1]]
+    return []
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    """Neither inside a room nor between rooms; imports inside functions and for types alone count too."""
+    assert circle_of({path: imported_files(path) for path in MODULES}) == []
+
+
+def test_the_check_sees_a_circle() -> None:
+    """Through a re-export by a package too."""
+    one, other = SOURCE / "search" / "find.py", SOURCE / "search" / "planner.py"
+    assert defining_file("falsework.search", "Planner") == defining_file("falsework.search", "planner") == other
+    assert other in imported_files(one)
+    assert len(circle_of({one: {other}, other: {one}})) == 3
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: str(folder.relative_to(SOURCE)))
+def test_folders_are_small(folder: Path) -> None:
+    """A folder is looked through in a moment."""
+    modules = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
+    assert folder.name == "cli" or len(modules) <= MOST_MODULES, f"{folder} has {len(modules)} modules; split it"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=dotted)
+def test_modules_are_short(path: Path) -> None:
+    """A module is read in one go."""
+    lines = len(path.read_text().splitlines())
+    assert lines <= MOST_LINES, f"{path} has {lines} lines; split it"
+
+
 @pytest.mark.parametrize(
     "path", [path for path in MODULES if room_of(dotted(path)) in (*CORE, "", "__main__")], ids=dotted
 )
@@ -146,7 +255,7 @@ def test_the_check_sees_a_violation() -> None:
     tree = ast.parse(
         "from typing import TYPE_CHECKING\n"
         "if TYPE_CHECKING:\n    import torch\n"
-        "def late():\n    from falsework.search import plan\n"
+        "def late():\n    from falsework.search.plans import plan\n"
         "try:\n    import gurobipy\nexcept ImportError:\n    pass\n"
         "class Box:\n    import matplotlib\n"
     )

@@ -36,7 +36,7 @@ def run(tmp_path: Path) -> Path:
     """A run as training leaves it, with a policy that was never trained."""
     from falsework.learn.config.policy import PolicySettings
     from falsework.learn.config.train import TrainSettings, to_dict
-    from falsework.learn.networks.policy import make_policy
+    from falsework.learn.networks.factory import make_policy
     from falsework.learn.training.checkpoint import describe_structure, save_run
 
     settings = TrainSettings(policy=PolicySettings("mlp"))

@@ -15,7 +15,7 @@ from falsework.learn.algorithms.start_states import StartBatch
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.ppo import PAPER
 from falsework.learn.env.environment import Environment
-from falsework.learn.networks.policy import make_policy
+from falsework.learn.networks.factory import make_policy
 from falsework.search import BeamSearch, BeamSettings, task_of
 from falsework.utils.distributed import joined
 
@@ -35,7 +35,7 @@ def main() -> None:
         generator = environment.generator(9 + shards.rank)
         numbers = [ppo.update(curriculum.sample(12 + 20 * shards.rank, generator)) for _ in range(3)]
         # One process has nothing to learn; it must not keep the others waiting.
-        there = environment.rules.targets(environment.rules.complete(4))
+        there = environment.rules.goals(environment.rules.complete(4))
         rows = torch.arange(4)
         numbers.append(ppo.update(StartBatch(there if shards.rank else environment.rules.complete(4), rows=rows)))
         report = {f"report.{name}": torch.tensor([one[name] for one in numbers]) for name in numbers[-1]}

@@ -18,7 +18,7 @@ from falsework.assembly import load_structure, save_assembly  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.train import TrainSettings, from_dict, to_dict  # noqa: E402
-from falsework.learn.networks.policy import describe, make_policy  # noqa: E402
+from falsework.learn.networks.factory import describe, make_policy  # noqa: E402
 from falsework.learn.training import checkpoint as module  # noqa: E402
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, load_run, save_run  # noqa: E402
 

@@ -16,9 +16,10 @@ from falsework.learn.algorithms.ppo import PPO  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.ppo import PAPER, CurriculumSettings  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.env.rules import Rules  # noqa: E402
-from falsework.learn.networks.policy import make_policy  # noqa: E402
+from falsework.learn.env.rollout import roll_out  # noqa: E402
+from falsework.learn.networks.factory import make_policy  # noqa: E402
 from falsework.search import BeamSearch, BeamSettings, task_of  # noqa: E402
+from falsework.search.device.rules import TensorRules  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
 
@@ -32,7 +33,7 @@ def arch() -> tuple[Environment, Any]:
     return environment, torch.from_numpy(search.states())
 
 
-def make(rules: Rules, states: Any, **settings) -> Curriculum:
+def make(rules: TensorRules, states: Any, **settings) -> Curriculum:
     return Curriculum(states, rules, CurriculumSettings(**settings))
 
 
@@ -148,10 +149,10 @@ def test_a_policy_learns_an_arch_from_a_curriculum() -> None:
     states = torch.from_numpy(search.states())
     policy = make_policy(assembly, PolicySettings(kind="mlp"), "cpu", 0)
     ppo = PPO(environment, policy, Curriculum(states, environment.rules), replace(PAPER, batch=512, rollouts=64))
-    before = float(environment.rollout(policy, states, keep="ends").success.float().mean())
+    before = float(roll_out(environment, policy, states, keep="ends").success.float().mean())
     for _ in range(80):
         report = ppo.block(1, (0.0, 1.0))
-    after = float(environment.rollout(policy, states, keep="ends").success.float().mean())
+    after = float(roll_out(environment, policy, states, keep="ends").success.float().mean())
     assert after > max(0.9, before)
     assert report["curriculum_horizon"] == 1.0
     assert 0.0 <= report["rollout_success"] <= 1.0
@@ -159,6 +160,6 @@ def test_a_policy_learns_an_arch_from_a_curriculum() -> None:
 
 def test_without_states_there_is_nothing_to_draw(arch, generator) -> None:
     environment, _ = arch
-    empty = environment.rules.targets(environment.rules.complete())
+    empty = environment.rules.goals(environment.rules.complete())
     with pytest.raises(InputError, match="start states that are not their own target"):
         Curriculum(empty, environment.rules)

@@ -35,7 +35,7 @@ def data(arch: Any) -> Dataset:
 
 
 def test_sets_share_nothing_and_all_their_states_come_apart(arch: Any, data: Dataset) -> None:
-    sets = (data.train, data.test, data.more)
+    sets = (data.train, data.test, data.validation, data.more)
     everything = np.concatenate(sets)
     assert min(len(states) for states in sets) > 10
     assert len(np.unique(everything, axis=0)) == len(everything)
@@ -76,7 +76,7 @@ def test_a_file_names_its_criterion(arch: Any, data: Dataset, tmp_path: Path) ->
 def test_saved_and_loaded(arch: Any, data: Dataset, tmp_path: Path) -> None:
     data.save(tmp_path / "data.npz")
     again = Dataset.load(tmp_path / "data.npz", arch)
-    for name in ("train", "test", "more"):
+    for name in ("train", "test", "validation", "more"):
         assert np.array_equal(getattr(again, name), getattr(data, name))
     assert again.task.describe() == data.task.describe()
     with pytest.raises(InputError, match="of arch:blocks=8, not of arch:blocks=9"):

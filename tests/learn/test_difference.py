@@ -13,8 +13,8 @@ from falsework.replanning.plan_diff import difference
 from falsework.replanning.replanner import Replanner
 from falsework.search import Plan
 from falsework.search.find import find_plans
-from falsework.search.planner import PlannerSettings
 from falsework.search.problem.task import Direction
+from falsework.search.settings import PlannerSettings
 
 ARCH = load_structure("arch:blocks=7")
 

@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from falsework.assembly import Assembly, load_assembly, load_structure  # noqa: E402
 from falsework.errors import InputError, StateError  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.env.rollout import Rollouts, choose_actions, play  # noqa: E402
+from falsework.learn.env.rollout import Rollouts, choose_actions, play, roll_out  # noqa: E402
 from falsework.search import Direction, StateGraph, Task, find_plans, task_of  # noqa: E402
 from falsework.search.device.oracle import DeviceOracle, HostOracle, without_exact  # noqa: E402
 from falsework.stability import Stability, StabilitySettings, Verdict, Verdicts  # noqa: E402
@@ -75,7 +75,7 @@ def random_rollouts(assembly: Assembly, count: int, seed: int = 0, **options) ->
     environment = Environment(assembly, 2, device="cpu", **options)
     starts = environment.rules.complete(count)
     generator = environment.generator(seed)
-    return environment, environment.rollout(Indifferent(), starts, greedy=False, generator=generator)
+    return environment, roll_out(environment, Indifferent(), starts, greedy=False, generator=generator)
 
 
 def check_rollouts(assembly: Assembly, rollouts: Rollouts, targets: np.ndarray | None = None) -> None:
@@ -112,7 +112,7 @@ def test_random_rollouts_with_targets(bottle: Assembly) -> None:
     last = free.length - free.unstable.long()
     targets = free.states[last, torch.arange(30)]
     starts = free.states[last // 3, torch.arange(30)]
-    rollouts = environment.rollout(Indifferent(), starts, targets, greedy=False, generator=environment.generator(1))
+    rollouts = roll_out(environment, Indifferent(), starts, targets, greedy=False, generator=environment.generator(1))
     assert rollouts.success.any()
     check_rollouts(bottle, rollouts, targets.numpy())
 
@@ -120,7 +120,7 @@ def test_random_rollouts_with_targets(bottle: Assembly) -> None:
 def test_a_plan_is_a_success_with_the_rewards_of_the_paper(arch: Assembly) -> None:
     route = find_plans(arch, task_of(arch)).plans[0]
     environment = Environment(arch, 2, device="cpu")
-    rollouts = environment.rollout(Scripted(arch, list(route.actions)), environment.rules.complete(3))
+    rollouts = roll_out(environment, Scripted(arch, list(route.actions)), environment.rules.complete(3))
     assert rollouts.success.all()
     assert np.array_equal(rollouts.states[:, 1].numpy(), route.states)
     state, rewards = environment.rules.complete(), []
@@ -150,7 +150,7 @@ def test_a_state_without_legal_action_has_failed() -> None:
     """Robots that hold two parts neither of which can leave wait for ever."""
     environment = Environment(load_structure("polycube"), 1, device="cpu", clearance=True)
     starts = environment.rules.complete(50)
-    rollouts = environment.rollout(Indifferent(), starts, greedy=False, generator=environment.generator(0))
+    rollouts = roll_out(environment, Indifferent(), starts, greedy=False, generator=environment.generator(0))
     stuck = rollouts.stuck.nonzero()[:, 0]
     assert len(stuck)
     row = int(stuck[0])
@@ -159,7 +159,7 @@ def test_a_state_without_legal_action_has_failed() -> None:
     assert step.reward.tolist() == [-1.0]
     assert step.done.all()
     assert not step.unstable.any()
-    again = environment.rollout(Indifferent(), rollouts.last[stuck])
+    again = roll_out(environment, Indifferent(), rollouts.last[stuck])
     assert not again.success.any()
     assert (again.length == 0).all()
 
@@ -172,8 +172,8 @@ def test_only_removals_are_judged_and_every_state_once(bottle: Assembly) -> None
     removed = first.actions >= environment.part_count
     assert set(oracle.asked) == {state.numpy().tobytes() for state in first.states[1:][removed]}
     asked = len(oracle.asked)
-    environment.rollout(
-        Indifferent(), environment.rules.complete(300), greedy=False, generator=environment.generator(0)
+    roll_out(
+        environment, Indifferent(), environment.rules.complete(300), greedy=False, generator=environment.generator(0)
     )
     assert len(oracle.asked) == asked
     assert environment.counters.steps == 2 * int(first.length.sum())
@@ -209,7 +209,7 @@ def test_a_hold_after_which_a_part_slides_ends_a_rollout(bottle: Assembly) -> No
 
     environment = Environment(bottle, 2, oracle=contact, device="cpu")
     for _ in range(2):  # the second time the verdict is known
-        rollouts = environment.rollout(eager, torch.from_numpy(before)[None])
+        rollouts = roll_out(environment, eager, torch.from_numpy(before)[None])
         assert rollouts.unstable.all()
         assert rollouts.length.tolist() == [1]
         assert np.array_equal(rollouts.states[rollouts.passed()].numpy(), before[None])
@@ -290,7 +290,8 @@ def test_same_seed_same_rollouts_and_ends_are_the_ends(bottle: Assembly) -> None
     assert torch.equal(one.states, two.states)
     assert torch.equal(one.actions, two.actions)
     assert one.states.shape != other.states.shape or not torch.equal(one.states, other.states)
-    ends = environment.rollout(
+    ends = roll_out(
+        environment,
         Indifferent(),
         environment.rules.complete(100),
         greedy=False,
@@ -306,15 +307,15 @@ def test_same_seed_same_rollouts_and_ends_are_the_ends(bottle: Assembly) -> None
 def test_finished_rollouts_cost_nothing(bottle: Assembly) -> None:
     environment, _ = random_rollouts(bottle, 1)
     policy = Indifferent()
-    rollouts = environment.rollout(
-        policy, environment.rules.complete(200), greedy=False, generator=environment.generator(0)
+    rollouts = roll_out(
+        environment, policy, environment.rules.complete(200), greedy=False, generator=environment.generator(0)
     )
     going = [int((rollouts.length > step).sum()) for step in range(int(rollouts.length.max()))]
     assert policy.rows == going
     environment.rows_at_once = 16
     pieces = Indifferent()
-    again = environment.rollout(
-        pieces, environment.rules.complete(200), greedy=False, generator=environment.generator(0)
+    again = roll_out(
+        environment, pieces, environment.rules.complete(200), greedy=False, generator=environment.generator(0)
     )
     assert max(pieces.rows) == 16
     assert torch.equal(again.states, rollouts.states)
@@ -330,8 +331,8 @@ def test_a_policy_without_memory_for_so_many_states_is_asked_in_pieces(bottle: A
         return policy(states, targets)
 
     starts = environment.rules.complete(100)
-    rollouts = environment.rollout(small, starts, greedy=False, generator=environment.generator(0))
-    expected = environment.rollout(Indifferent(), starts, greedy=False, generator=environment.generator(0))
+    rollouts = roll_out(environment, small, starts, greedy=False, generator=environment.generator(0))
+    expected = roll_out(environment, Indifferent(), starts, greedy=False, generator=environment.generator(0))
     assert torch.equal(rollouts.states, expected.states)
     assert environment.rows_at_once == 12
 
@@ -339,18 +340,18 @@ def test_a_policy_without_memory_for_so_many_states_is_asked_in_pieces(bottle: A
         raise torch.OutOfMemoryError("no memory at all")
 
     with pytest.raises(torch.OutOfMemoryError):
-        environment.rollout(never, starts)
+        roll_out(environment, never, starts)
 
 
 def test_starts_at_the_target_and_empty_batches(arch: Assembly) -> None:
     environment = Environment(arch, 2, device="cpu")
     complete = environment.rules.complete(2)
-    there = environment.rollout(Indifferent(), complete, complete.clone())
+    there = roll_out(environment, Indifferent(), complete, complete.clone())
     assert there.success.all()
     assert (there.length == 0).all()
     assert there.states.shape == (1, 2, arch.part_count)
     assert there.actions.shape == (0, 2)
-    nothing = environment.rollout(Indifferent(), complete[:0], keep="ends")
+    nothing = roll_out(environment, Indifferent(), complete[:0], keep="ends")
     assert nothing.states.shape == (2, 0, arch.part_count)
     assert environment.stable(complete[:0]).shape == (0,)
 
@@ -391,7 +392,7 @@ def test_bad_input_is_one_clear_line(arch: Assembly) -> None:
         with pytest.raises(StateError, match=f"action {action} is not legal in state 0"):
             environment.step(state, torch.tensor([action]), check=True)
     with pytest.raises(InputError, match="temperature is 0"):
-        environment.rollout(Indifferent(), state, greedy=False, temperature=0.0)
+        roll_out(environment, Indifferent(), state, greedy=False, temperature=0.0)
     with pytest.raises(InputError, match="temperature is nan"):
         next(play(environment, Indifferent(), state, temperature=float("nan")))
     if not torch.cuda.is_available():
@@ -409,6 +410,6 @@ def test_rollouts_on_a_gpu_obey_rules_and_exact_solver(arch: Assembly) -> None:
         )
 
     starts = environment.rules.complete(40)
-    rollouts = environment.rollout(indifferent, starts, greedy=False, generator=environment.generator(0))
+    rollouts = roll_out(environment, indifferent, starts, greedy=False, generator=environment.generator(0))
     names = ("states", "actions", "length", "success", "unstable")
     check_rollouts(arch, Rollouts(*(getattr(rollouts, name).cpu() for name in names)))

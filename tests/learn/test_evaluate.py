@@ -20,7 +20,7 @@ from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.train import METHODS, TrainSettings  # noqa: E402
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.networks.policy import make_policy  # noqa: E402
+from falsework.learn.networks.factory import make_policy  # noqa: E402
 from falsework.learn.training.evaluate import EvaluateSettings, evaluate, greedy_success, sample  # noqa: E402
 from falsework.learn.training.train import train  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
@@ -59,9 +59,9 @@ def test_success_is_a_way_to_the_end_that_stands(arch: Any, data: Dataset) -> No
     oracle, rules = Stability(arch), environment.rules
     for start, expected in list(zip(states, which.tolist(), strict=True))[::7]:
         state = start[None]
-        while (mask := rules.mask(state)).any():
+        while (mask := rules.moves(state)).any():
             logits, _ = policy(state)
-            state = rules.apply(state, torch.where(mask, logits, -torch.inf).argmax(dim=1))
+            state = rules.follow(state, torch.where(mask, logits, -torch.inf).argmax(dim=1))
             if not oracle.stable(state.numpy())[0]:
                 break
         assert bool(rules.reached(state)[0]) == expected

@@ -11,9 +11,11 @@ import torch
 from falsework.assembly import load_structure
 from falsework.assembly.state import action_mask
 from falsework.errors import InputError
-from falsework.learn.networks.policy import PolicySettings, make_policy
-from falsework.replanning.deadline import Clock, TimedOracle, TimeUp
+from falsework.learn.config.policy import PolicySettings
+from falsework.learn.networks.factory import make_policy
+from falsework.replanning.deadline import Clock, TimeUp
 from falsework.replanning.policy_guide import PolicyGuide
+from falsework.replanning.timed_oracle import TimedOracle
 from falsework.search import BeamSearch, BeamSettings
 from falsework.search.find import find_plans, task_of
 from falsework.search.problem.task import Direction

@@ -84,7 +84,7 @@ def test_it_agrees_with_the_environment_on_tensors(graph: StateGraph, arch: Asse
         over = False
         while not over:
             state = torch.tensor(observation.astype(np.uint8))[None]
-            assert tensors.rules.mask(state)[0].int().tolist() == info["action_mask"].tolist()
+            assert tensors.rules.moves(state)[0].int().tolist() == info["action_mask"].tolist()
             action = rng.choice(np.flatnonzero(info["action_mask"]))
             step = tensors.step(state, torch.tensor([action]))
             observation, reward, over, _, info = face.step(action)

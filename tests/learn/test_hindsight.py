@@ -13,6 +13,7 @@ from falsework.learn.algorithms.rollout_storage import Transitions, collect_tran
 from falsework.learn.data.goal_pairs import sample_pairs  # noqa: E402
 from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
+from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.training.evaluate import GoalBlindPolicy  # noqa: E402
 from falsework.search import Direction, StateGraph, Task  # noqa: E402
 from falsework.stability.reference.clarabel import ExactSolver  # noqa: E402
@@ -89,7 +90,7 @@ def test_a_goal_blind_policy_ignores_the_target(bottle: Assembly, bottle_graph: 
 
     pairs = sample_pairs(bottle_graph, 50, np.random.default_rng(0))
     states, targets, _ = pairs.tensors(environment.device)
-    rollouts = environment.rollout(GoalBlindPolicy(policy), states, targets)
+    rollouts = roll_out(environment, GoalBlindPolicy(policy), states, targets)
     assert all(one is None for one in seen)
     kept = targets == 1
     assert (rollouts.last[kept] == 1).all()

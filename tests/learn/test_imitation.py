@@ -13,13 +13,15 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.errors import InputError, TrainingError  # noqa: E402
-from falsework.learn.algorithms.imitation import Imitation, Network, imitation_loss  # noqa: E402
+from falsework.learn.algorithms.imitation import Imitation, imitation_loss  # noqa: E402
 from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.data.dataset import DataSettings, build_dataset, task_for  # noqa: E402
-from falsework.learn.data.recording_environment import Memory, WatchedEnvironment  # noqa: E402
+from falsework.learn.data.recording_environment import RecordingEnvironment  # noqa: E402
 from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
-from falsework.learn.networks.policy import make_policy  # noqa: E402
+from falsework.learn.env.rollout import roll_out  # noqa: E402
+from falsework.learn.networks.autocast import Network  # noqa: E402
+from falsework.learn.networks.factory import make_policy  # noqa: E402
 from falsework.utils.distributed import Shards  # noqa: E402
 
 SMALL = PolicySettings("mlp")
@@ -84,18 +86,18 @@ def test_an_action_that_is_not_legal_is_not_imitated() -> None:
 
 
 def test_it_learns_what_the_valid_actions_are(arch: Any, states: Any) -> None:
-    environment = WatchedEnvironment(arch, 2, device="cpu")
+    environment = RecordingEnvironment(arch, 2, device="cpu")
     solved = SolvedStates(environment.rules, torch.from_numpy(states))
     imitation = Imitation(make_policy(arch, SMALL), solved, settings())
     first = imitation.block(20, (0.0, 0.05))["loss"]
     imitation.block(400, (0.05, 1.0))
     assert imitation.block(20, (1.0, 1.0))["loss"] < 0.1 * first
     best = imitation.export_policy(make_policy(arch, SMALL, seed=1))
-    assert environment.rollout(best, solved.states).success.all()
+    assert roll_out(environment, best, solved.states).success.all()
 
 
 def test_the_learning_rate_rises_stays_and_falls(arch: Any, states: Any) -> None:
-    environment = WatchedEnvironment(arch, 2, device="cpu")
+    environment = RecordingEnvironment(arch, 2, device="cpu")
     solved = SolvedStates(environment.rules, torch.from_numpy(states))
     imitation = Imitation(make_policy(arch, SMALL), solved, settings(warm_up=10, decay=0.5))
     assert imitation.schedule(0, 0.0) == pytest.approx(0.1)
@@ -109,7 +111,7 @@ def test_the_learning_rate_rises_stays_and_falls(arch: Any, states: Any) -> None
 def test_a_step_that_is_not_finite_is_left_out_and_its_batch_kept(
     arch: Any, states: Any, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    environment = WatchedEnvironment(arch, 2, device="cpu")
+    environment = RecordingEnvironment(arch, 2, device="cpu")
     solved = SolvedStates(environment.rules, torch.from_numpy(states))
     policy = make_policy(arch, PolicySettings(kind, layers=1, channels=8, heads=1))
     imitation = Imitation(policy, solved, settings(batch=16), folder=tmp_path)
@@ -135,7 +137,7 @@ def test_a_step_that_is_not_finite_is_left_out_and_its_batch_kept(
 
 
 def test_saved_and_loaded_it_goes_on_alike(arch: Any, states: Any) -> None:
-    environment = WatchedEnvironment(arch, 2, device="cpu")
+    environment = RecordingEnvironment(arch, 2, device="cpu")
     solved = SolvedStates(environment.rules, torch.from_numpy(states))
     whole = Imitation(make_policy(arch, SMALL), solved, settings())
     whole.block(10, (0.0, 0.5))
@@ -149,49 +151,23 @@ def test_saved_and_loaded_it_goes_on_alike(arch: Any, states: Any) -> None:
 
 
 def test_a_batch_smaller_than_the_processes_is_refused(arch: Any) -> None:
-    environment = WatchedEnvironment(arch, 2, device="cpu")
+    environment = RecordingEnvironment(arch, 2, device="cpu")
     with pytest.raises(InputError, match="cannot be shared by 4 processes"):
         Imitation(make_policy(arch, SMALL), SolvedStates(environment.rules), settings(batch=3), shards=Shards(0, 4))
 
 
-def test_memory_keeps_the_last_rows() -> None:
-    memory = Memory(5, {"x": torch.zeros(2), "y": torch.zeros((), dtype=torch.int64)})
-    rows = torch.arange(26.0).view(13, 2)
-    for piece in (rows[:2], rows[2:6], rows[6:6], rows[6:]):
-        memory.add(x=piece, y=piece[:, 0].long())
-    assert len(memory) == 5
-    drawn = memory.draw(200, torch.Generator().manual_seed(0))
-    assert set(drawn["y"].tolist()) == {16, 18, 20, 22, 24}
-    assert torch.equal(drawn["x"][:, 0].long(), drawn["y"])
-    again = Memory(5, {"x": torch.zeros(2), "y": torch.zeros((), dtype=torch.int64)})
-    again.load(memory.tensors())
-    memory.add(x=rows[:1], y=rows[:1, 0].long())
-    again.add(x=rows[:1], y=rows[:1, 0].long())
-    for one in ("x", "y"):
-        assert torch.equal(memory.tensors()[one], again.tensors()[one])
-
-
-def test_rollouts_leave_notes(arch: Any, states: Any) -> None:
-    """Actions that bring something down, how rollouts ended, and test states met; none of a test state."""
-    environment = WatchedEnvironment(arch, 2, device="cpu")
+def test_visits_to_held_out_states_are_recorded(arch: Any, states: Any) -> None:
+    """By rollouts of training, not while recording is paused."""
+    environment = RecordingEnvironment(arch, 2, device="cpu")
     solved = SolvedStates(environment.rules, torch.from_numpy(states))
     solved.forbid(torch.from_numpy(states[::3].copy()))
-    environment.solved, environment.remember = solved, True
-    policy = make_policy(arch, SMALL)
-    starts = solved.states
-    with environment.unwatched():
+    environment.solved = solved
+    policy, starts = make_policy(arch, SMALL), solved.states
+    with environment.paused_recording():
         assert environment.exact
-        environment.rollout(policy, starts, greedy=False, generator=environment.generator(0))
+        roll_out(environment, policy, starts, greedy=False, generator=environment.generator(0))
     assert not environment.exact
-    assert solved.met == len(environment.mistakes) == len(environment.outcomes) == 0
-    rollouts = environment.rollout(policy, starts, greedy=False, generator=environment.generator(0))
+    assert solved.met == 0
+    rollouts = roll_out(environment, policy, starts, greedy=False, generator=environment.generator(0))
     visited = rollouts.states[1:].flatten(0, 1)
     assert solved.met == len(torch.unique(visited[solved.is_forbidden(visited)], dim=0)) > 0
-    mistakes = environment.mistakes.tensors()
-    after = environment.rules.apply(mistakes["states"], mistakes["actions"])
-    assert len(after)
-    assert not environment.stable(after).any()
-    assert not solved.is_forbidden(mistakes["states"]).any()
-    outcomes = environment.outcomes.tensors()
-    assert set(outcomes["value"].tolist()) == {-1.0, 1.0}
-    assert not solved.is_forbidden(outcomes["states"]).any()

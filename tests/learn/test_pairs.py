@@ -51,7 +51,7 @@ def test_valid_actions_are_legal_for_their_task(bottle: Assembly, bottle_graph: 
         assert task.moves(state[None], Direction.DISASSEMBLY)[0][valid].all()
     environment = Environment(bottle, 2, device="cpu")
     states, targets, valid = pairs.tensors(environment.device)
-    assert (environment.rules.mask(states, targets) | ~valid).all()
+    assert (environment.rules.moves(states, targets) | ~valid).all()
     assert environment.rules.contains(states, targets).all()
     assert environment.stable(states).all()
 

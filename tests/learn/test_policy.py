@@ -13,16 +13,9 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import action_mask
 from falsework.errors import InputError
 from falsework.geometry import TriangleMesh
-from falsework.learn.config.policy import recommended
-from falsework.learn.networks.policy import (
-    PolicySettings,
-    confidences,
-    describe,
-    make_policy,
-    masked_log_probabilities,
-    share,
-    transfer,
-)
+from falsework.learn.config.policy import PolicySettings, recommended
+from falsework.learn.networks.factory import describe, make_policy, share, transfer
+from falsework.learn.networks.policy import confidences, masked_log_probabilities
 
 KINDS = ("parts", "graph", "mlp", "residual")
 TRANSFER = ("parts", "graph")

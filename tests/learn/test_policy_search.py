@@ -13,8 +13,10 @@ from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import InputError
 from falsework.learn.algorithms.policy_beam import search_from
 from falsework.learn.algorithms.policy_search import solve_all
+from falsework.learn.config.policy import PolicySettings
 from falsework.learn.env.environment import Environment
-from falsework.learn.networks.policy import PolicySettings, make_policy
+from falsework.learn.env.rollout import roll_out
+from falsework.learn.networks.factory import make_policy
 from falsework.replanning.result import Decider
 from falsework.search import ExhaustiveSearch, StateGraph
 from falsework.search.find import task_of
@@ -96,7 +98,7 @@ def test_searches_find_what_rollouts_do_not(environment: Environment, solvable: 
             return logits, torch.zeros(len(states))
 
     complete = environment.rules.complete()
-    assert not environment.rollout(Wrong(), complete).success.any()
+    assert not roll_out(environment, Wrong(), complete).success.any()
     found = search_from(environment, Wrong(), complete, width=16)
     assert found.found.all()
     assert rows(complete) <= rows(found.states) <= rows(solvable)

@@ -30,7 +30,9 @@ from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, t
 from falsework.learn.data.random_walks import TaskSource, Ways  # noqa: E402
 from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.networks.policy import Policy, make_policy, masked_log_probabilities  # noqa: E402
+from falsework.learn.env.rollout import roll_out  # noqa: E402
+from falsework.learn.networks.factory import make_policy  # noqa: E402
+from falsework.learn.networks.policy import Policy, masked_log_probabilities  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
@@ -210,9 +212,9 @@ def test_a_game_with_one_answer_is_solved(stack: Environment) -> None:
     settings = replace(PAPER, batch=256, discount=0.9, entropy=0.01)
     ppo = learner(stack, settings)
     starts = StartBatch(stack.rules.complete(32), rows=torch.zeros(32, dtype=torch.int64))
-    assert not stack.rollout(ppo.policy, starts.states[:1]).success.all()
+    assert not roll_out(stack, ppo.policy, starts.states[:1]).success.all()
     reports = [ppo.update(starts) for _ in range(50)]
-    rollouts = stack.rollout(ppo.policy, starts.states[:1])
+    rollouts = roll_out(stack, ppo.policy, starts.states[:1])
     assert rollouts.success.all()
     order = [action - 5 for action in rollouts.actions[:, 0].tolist() if action >= 5]
     heights = [stack.assembly.meshes[part].bounds[1][2] for part in order]
@@ -235,14 +237,14 @@ def test_targets_are_learned_too(stack: Environment) -> None:
     for _ in range(30):
         report = ppo.update(StartBatch(starts, targets))
     assert report["rollout_success"] > 0.9
-    assert stack.rollout(ppo.policy, starts[:2], targets[:2]).success.all()
+    assert roll_out(stack, ppo.policy, starts[:2], targets[:2]).success.all()
 
 
 def test_hindsight_teaches_paths_to_visited_states() -> None:
     """First actions to states that failed rollouts passed become more probable than without it."""
     arch = Environment(load_structure("arch:blocks=5"), 2, device="cpu")
     starts = arch.rules.complete(32)
-    targets = arch.rules.targets(starts)
+    targets = arch.rules.goals(starts)
     gained = []
     for weight in (0.0, 5.0):
         ppo = with_targets(arch, starts, targets, replace(PAPER, batch=64, hindsight=weight or 1e-9))
@@ -250,7 +252,7 @@ def test_hindsight_teaches_paths_to_visited_states() -> None:
         (((_, (states, goals, valid)),),) = ppo._demonstrations(played, 1)
         assert goals is not None
         assert valid is not None
-        mask = arch.rules.mask(states, goals)
+        mask = arch.rules.moves(states, goals)
         assert mask[valid].all()
 
         def likelihood(policy=ppo.policy, states=states, goals=goals, valid=valid, mask=mask) -> float:
@@ -289,7 +291,7 @@ def test_every_action_of_every_rollout_is_stored(arch: Assembly, data: Dataset) 
 def test_rollouts_that_cannot_begin_have_no_transitions(arch: Assembly, data: Dataset) -> None:
     """From the empty structure nothing is left to do, which is success; an update with nothing changes no weight."""
     ppo = fine_tuner(arch, data, settings=replace(SMALL, imitation=0.0))
-    empty = ppo._environment.rules.targets(torch.as_tensor(data.train[:3]))
+    empty = ppo._environment.rules.goals(torch.as_tensor(data.train[:3]))
     played = collect(ppo._environment, ppo.policy, empty)
     assert len(played) == 0
     assert played.success.all()
@@ -306,7 +308,7 @@ def test_rollouts_make_a_policy_better(arch: Assembly, data: Dataset) -> None:
     environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
 
     def greedy(policy: Policy) -> float:
-        return float(environment.rollout(policy, torch.as_tensor(data.test), keep="ends").success.float().mean())
+        return float(roll_out(environment, policy, torch.as_tensor(data.test), keep="ends").success.float().mean())
 
     before = greedy(make_policy(arch, RESIDUAL))
     for block in range(12):
@@ -319,9 +321,9 @@ def test_a_target_one_action_away_is_learned(arch: Assembly) -> None:
     """Whatever the target keeps."""
     environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
     complete = environment.rules.complete()
-    actions = environment.rules.mask(complete).nonzero()[:, 1]
+    actions = environment.rules.moves(complete).nonzero()[:, 1]
     starts = complete.expand(len(actions), -1).contiguous()
-    ppo = with_targets(environment, starts, environment.rules.apply(starts, actions))
+    ppo = with_targets(environment, starts, environment.rules.follow(starts, actions))
     assert ppo.block(60, (0.0, 1.0))["rollout_success"] > 0.9
 
 
@@ -340,7 +342,7 @@ def test_tasks_are_drawn_anew_and_imitated(bottle: Assembly, bottle_graph: State
         ppo.block(60, (0.0, 1.0))
         with torch.no_grad():
             logits, _ = ppo.policy(states, targets)
-        return float(imitation_loss(logits, environment.rules.mask(states, targets), valid))
+        return float(imitation_loss(logits, environment.rules.moves(states, targets), valid))
 
     assert learned(1.0) < learned(0.0)
 
@@ -374,7 +376,7 @@ def test_hindsight_keeps_held_out_states_out(arch: Assembly) -> None:
     environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
     solved = SolvedStates(environment.rules)
     starts = environment.rules.complete(64)
-    targets = environment.rules.targets(starts)
+    targets = environment.rules.goals(starts)
     settings = replace(SMALL, hindsight=0.1)
     ppo = with_targets(environment, starts, targets, settings, solved=solved)
     states = collect(environment, ppo.policy, starts, targets).states.unique(dim=0)
@@ -434,7 +436,7 @@ def test_an_update_ends_early_once_the_policy_has_moved_far(stack: Environment) 
 
 def break_value(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
     """Let values be no numbers where a gradient is asked for, from some call on."""
-    from falsework.learn.algorithms.imitation import Network
+    from falsework.learn.networks.autocast import Network
 
     whole, calls = Network.forward, 0
 

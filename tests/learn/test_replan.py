@@ -31,7 +31,8 @@ EMPTY = empty_state(ARCH.boundary)
 
 def make(kind: str = "mlp", **options: Any) -> Any:
     """A policy that was never trained: it proposes nonsense, which must not matter."""
-    from falsework.learn.networks.policy import PolicySettings, make_policy
+    from falsework.learn.config.policy import PolicySettings
+    from falsework.learn.networks.factory import make_policy
 
     return make_policy(ARCH, PolicySettings(kind=kind, **options))  # type: ignore[arg-type]
 

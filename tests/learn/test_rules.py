@@ -1,4 +1,4 @@
-"""Rules on tensors say what `Task` says, row by row, whatever the targets are."""
+"""TensorRules on tensors say what `Task` says, row by row, whatever the targets are."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from numpy.typing import NDArray  # noqa: E402
 from falsework.assembly import Assembly, load_assembly, load_structure  # noqa: E402
 from falsework.assembly.state import HELD, INSTALLED, REMOVED  # noqa: E402
 from falsework.errors import InputError, StateError  # noqa: E402
-from falsework.learn.env.rules import Rules  # noqa: E402
 from falsework.search import Direction, Task  # noqa: E402
+from falsework.search.device.rules import TensorRules  # noqa: E402
 from falsework.search.problem.hashing import StateHash  # noqa: E402
 
 STAGE = np.array([2, 0, 1])
@@ -54,7 +54,7 @@ def walk(task: Task, rng: np.random.Generator) -> list[States]:
 
 def check_against_task(assembly: Assembly, robots: int, *, clear: bool, fixed: list[int], tasks: int) -> None:
     clearance = assembly.clearance if clear else None
-    rules = Rules(assembly, robots, clearance=clear, fixed=fixed)
+    rules = TensorRules(Task.create(assembly.boundary, robots, clearance=clearance, fixed=fixed))
     rng = np.random.default_rng(robots)
     states, targets, masks = [], [], []
     for plain in random_tasks(assembly.boundary, robots, tasks, 7 + robots, fixed):
@@ -68,7 +68,7 @@ def check_against_task(assembly: Assembly, robots: int, *, clear: bool, fixed: l
         left = rules.steps_left(torch.tensor(passed), torch.tensor(targets[-1].copy()))
         assert left.tolist() == (task.steps - task.steps_done(passed)).tolist()
     states, targets, masks = (np.concatenate(rows) for rows in (states, targets, masks))
-    assert np.array_equal(rules.mask(torch.tensor(states), torch.tensor(targets)).numpy(), masks)
+    assert np.array_equal(rules.moves(torch.tensor(states), torch.tensor(targets)).numpy(), masks)
     reached = rules.reached(torch.tensor(states), torch.tensor(targets)).numpy()
     assert np.array_equal(reached, (states == targets).all(axis=1))
     assert reached.any()
@@ -93,27 +93,27 @@ def test_masks_agree_on_real_structures(name: str, shared_assembly) -> None:
 def test_without_target_everything_goes_but_what_is_fixed() -> None:
     assembly = load_structure("arch:blocks=7")
     fixed = [1, 4]
-    rules = Rules(assembly, 2, fixed=fixed)
+    rules = TensorRules(Task.create(assembly.boundary, 2, fixed=fixed))
     rng = np.random.default_rng(1)
     for plain in random_tasks(assembly.boundary, 2, 60, 3, fixed):
         task = Task.create(assembly.boundary, 2, start=plain.start, fixed=fixed)
         states = np.array(walk(task, rng))
-        assert np.array_equal(rules.mask(torch.tensor(states)).numpy(), task.moves(states, Direction.DISASSEMBLY))
+        assert np.array_equal(rules.moves(torch.tensor(states)).numpy(), task.moves(states, Direction.DISASSEMBLY))
         assert rules.reached(torch.tensor(states)).tolist() == (states == task.target).all(axis=1).tolist()
-        assert np.array_equal(rules.targets(torch.tensor(states)).numpy(), np.broadcast_to(task.target, states.shape))
+        assert np.array_equal(rules.goals(torch.tensor(states)).numpy(), np.broadcast_to(task.target, states.shape))
 
 
 def test_actions_and_hashes_are_those_of_arrays() -> None:
     assembly = load_structure("bottle")
-    rules = Rules(assembly, 2)
     task = Task.create(assembly.boundary, 2)
+    rules = TensorRules(task)
     states = np.array(walk(task, np.random.default_rng(0)))
     row, action = np.nonzero(task.moves(states, Direction.DISASSEMBLY))
-    after = rules.apply(torch.tensor(states[row]), torch.tensor(action.astype(np.int16)))
+    after = rules.follow(torch.tensor(states[row]), torch.tensor(action.astype(np.int16)))
     assert np.array_equal(after.numpy(), task.follow(states[row], action, Direction.DISASSEMBLY))
     for harmless in (False, True):
-        known, same = Rules(assembly, 2, holds_keep_stable=harmless), replace(task, holds_keep_stable=harmless)
-        needed = known.needs_verdict(torch.tensor(action)).numpy()
+        same = replace(task, holds_keep_stable=harmless)
+        needed = TensorRules(same).needs_verdict(torch.tensor(action)).numpy()
         assert np.array_equal(needed, same.needs_verdict(action, Direction.DISASSEMBLY))
         assert needed.all() == (not harmless)
     words = StateHash.for_parts(assembly.part_count)(states).view(np.int64)
@@ -123,7 +123,7 @@ def test_actions_and_hashes_are_those_of_arrays() -> None:
 
 def test_contains_sees_what_task_refuses() -> None:
     boundary = np.array([True, False, False, False])
-    rules = Rules(boundary, 1, fixed=[3])
+    rules = TensorRules(Task.create(boundary, 1, fixed=[3]))
     start = torch.tensor([[2, 1, 1, 1]], dtype=torch.uint8)
     for target, message in (([2, 2, 2, 1], "held"), ([2, 0, 0, 0], "fixed")):
         assert not rules.contains(start, torch.tensor([target], dtype=torch.uint8))
@@ -135,15 +135,10 @@ def test_contains_sees_what_task_refuses() -> None:
 
 def test_bad_input_is_one_clear_line() -> None:
     boundary = np.array([True, False, False])
-    with pytest.raises(InputError, match="0 robots"):
-        Rules(boundary, 0)
-    with pytest.raises(InputError, match="fixed part 7 does not exist"):
-        Rules(boundary, 1, fixed=[7])
-    with pytest.raises(InputError, match="hand in the assembly"):
-        Rules(boundary, 1, clearance=True)
+    task = Task.create(boundary, 1)
     with pytest.raises(InputError, match="unknown device"):
-        Rules(boundary, 1, "toaster")
-    rules = Rules(boundary, 1)
+        TensorRules(task, "toaster")
+    rules = TensorRules(task)
     with pytest.raises(StateError, match="state 1 has 2 parts held; 1 robots can hold 1"):
         rules.put([[2, 1, 1], [2, 2, 2]])
     with pytest.raises(StateError, match="boundary part 0"):
@@ -152,5 +147,5 @@ def test_bad_input_is_one_clear_line() -> None:
 
 
 def test_removed_parts_are_never_touched() -> None:
-    rules = Rules(np.array([True, False]), 1)
-    assert not rules.mask(torch.tensor([[2, REMOVED]], dtype=torch.uint8)).any()
+    rules = TensorRules(Task.create(np.array([True, False]), 1))
+    assert not rules.moves(torch.tensor([[2, REMOVED]], dtype=torch.uint8)).any()

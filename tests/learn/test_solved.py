@@ -12,12 +12,12 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.learn.data.dataset import DataSettings, build_dataset, task_for  # noqa: E402
 from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
-from falsework.learn.env.rules import Rules  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
+from falsework.search.device.rules import TensorRules  # noqa: E402
 
 
-def rules_of(data: Any) -> Rules:
-    return Rules(data.task.boundary, data.task.robots)
+def rules_of(data: Any) -> TensorRules:
+    return TensorRules(data.task)
 
 
 @pytest.fixture(scope="module")

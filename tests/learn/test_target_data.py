@@ -15,6 +15,9 @@ from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn.data.dataset import task_for  # noqa: E402
 from falsework.learn.data.goal_dataset import Searched, TargetDataSettings, target_dataset  # noqa: E402
+from falsework.learn.env.environment import Environment  # noqa: E402
+from falsework.learn.env.rollout import roll_out  # noqa: E402
+from falsework.learn.networks.uniform import UniformPolicy  # noqa: E402
 from falsework.search.device.oracle import oracle_on  # noqa: E402
 from falsework.search.device.parallel_beams import search_many  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
@@ -117,3 +120,20 @@ def test_no_search_begins_once_there_are_enough(bottle: Assembly) -> None:
     alone = target_dataset(bottle, task, settings, device="cpu", searched=none)
     assert alone.wide is alone.graph
     assert np.array_equal(alone.test.states, target_dataset(bottle, task, settings, device="cpu").test.states)
+
+
+def test_random_legal_actions_solve_few_pairs_of_a_real_structure(shared_assembly: Any) -> None:
+    """Less than one in ten in the test and the validation set, with other draws than those that chose the pairs."""
+    assembly = load_structure(str(shared_assembly("bottle-12")))
+    data = target_dataset(assembly, task_for(assembly), TargetDataSettings(test_pairs=100), device="cpu")
+    environment = Environment(assembly, 2, device="cpu")
+    assert len(data.test) == 100
+    for pairs in (data.test, data.validation):
+        states, targets, _ = pairs.tensors(torch.device("cpu"))
+        several = (states.repeat(8, 1), targets.repeat(8, 1))
+        ended = roll_out(environment, UniformPolicy(), *several, greedy=False, generator=environment.generator(5))
+        assert ended.success.float().mean() < 0.1
+    either = {tuple(row) for row in np.concatenate([data.test.states, data.test.targets], axis=1).tolist()}
+    both = {tuple(row) for row in np.concatenate([data.validation.states, data.validation.targets], axis=1).tolist()}
+    assert both
+    assert not either & both

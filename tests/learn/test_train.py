@@ -23,12 +23,12 @@ safetensors = pytest.importorskip("safetensors.torch", reason="safetensors is no
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.assembly.symmetry import symmetries  # noqa: E402
 from falsework.errors import DependencyError, InputError, TrainingError  # noqa: E402
-from falsework.learn.algorithms.imitation import Network  # noqa: E402
 from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.ppo import COMPLETE, PAPER, PpoPhase  # noqa: E402
 from falsework.learn.config.train import METHODS, Phase, TrainSettings  # noqa: E402
 from falsework.learn.data.dataset import Dataset  # noqa: E402
+from falsework.learn.networks.autocast import Network  # noqa: E402
 from falsework.learn.training import checkpoint  # noqa: E402
 from falsework.learn.training import train as module  # noqa: E402
 from falsework.learn.training.checkpoint import load_run  # noqa: E402
@@ -232,7 +232,9 @@ def test_no_loss_is_taken_at_test_states(name: str, two_states: bool, monkeypatc
     train(arch, settings, folder=None, device="cpu")
     trainer = kept["trainer"]
     solved, data = trainer._solved, trainer._data
-    test = torch.cat([torch.from_numpy(one) for one in data.curve["test"] if one is not None])
+    test = torch.cat(
+        [torch.from_numpy(one) for one in (*data.curve["validation"], *data.test["test"]) if one is not None]
+    )
     images = torch.cat([test[:, np.argsort(one)] for one in permutations])
     assert len(images.unique(dim=0)) > len(test.unique(dim=0)) > 0
     assert solved.is_forbidden(images).all()
@@ -297,7 +299,8 @@ def test_the_run_can_be_used(arch: Any, tmp_path: Path) -> None:
     assert list((tmp_path / "run" / "tensorboard").iterdir())
     lines = read_progress(tmp_path / "run")
     assert [line["step"] for line in lines] == [10, 20, 30, 40]
-    assert {"success/test", "success/train", "test_states_met", "train/loss"} <= set(lines[0])
+    assert {"success/validation", "success/train", "test_states_met", "train/loss"} <= set(lines[0])
+    assert not any("success/test" in line for line in lines)
 
 
 def test_without_tensorboard_there_is_a_note(arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

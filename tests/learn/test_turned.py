@@ -46,9 +46,9 @@ def test_images_of_tasks_are_tasks(dome: Assembly, graph: StateGraph) -> None:
     environment = Environment(dome, 2, device="cpu")
     states, targets, valid = drawn(TurnedTasks(Ways(graph, device=CPU), symmetries(dome), device=CPU), 300)
     assert (valid.sum(dim=1) == 1).all()
-    assert (environment.rules.mask(states, targets) | ~valid).all()
+    assert (environment.rules.moves(states, targets) | ~valid).all()
     assert environment.rules.contains(states, targets).all()
-    after = environment.rules.apply(states, valid.long().argmax(dim=1))
+    after = environment.rules.follow(states, valid.long().argmax(dim=1))
     oracle = Stability(dome)
     for some in (states, targets, after):
         assert (oracle.judge(some.numpy()).verdict == 1).all()

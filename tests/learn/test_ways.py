@@ -41,7 +41,7 @@ def test_the_action_leads_to_the_target_inside_the_graph(bottle_graph: StateGrap
 def test_actions_are_legal_for_their_task(bottle: Assembly, bottle_graph: StateGraph) -> None:
     environment = Environment(bottle, 2, device="cpu")
     states, targets, valid = drawn(Ways(bottle_graph, device=environment.device), 2000)
-    assert (environment.rules.mask(states, targets) | ~valid).all()
+    assert (environment.rules.moves(states, targets) | ~valid).all()
     assert environment.rules.contains(states, targets).all()
     assert (environment.rules.steps_left(states, targets) > 0).all()
 

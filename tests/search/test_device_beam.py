@@ -79,7 +79,7 @@ def test_rules_on_tensors_are_those_of_the_task(rules: Any, direction: Direction
     for _ in range(60):
         task = random_task(rng, rules, 6)
         task = task.judged_by(rules.blocks(6) if len(task.missing) % 2 else None)
-        tensor_rules = TensorRules(task, direction, CPU)
+        tensor_rules = TensorRules(task, CPU, direction)
         inside = states[task.contains(states)]
         tensors = put(inside, CPU)
         expected = task.moves(inside, direction)
@@ -116,7 +116,7 @@ def test_ways_out_on_tensors_are_those_of_the_table(rules: Any, direction: Direc
     task = Task.create(rules.ground(parts), parts, clearance=table)
     states = rng.choice([0, 0, 1, 2], size=(500, parts)).astype(np.uint8)
     states[:, 0] = 2
-    tensor_rules = TensorRules(task, direction, CPU)
+    tensor_rules = TensorRules(task, CPU, direction)
     moves = tensor_rules.moves(put(states, CPU)).numpy()
     assert np.array_equal(moves, task.moves(states, direction))
     assert not np.array_equal(moves, Task.create(rules.ground(parts), parts).moves(states, direction))

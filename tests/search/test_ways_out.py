@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from baselines.depth_first import DepthFirstSearch
 
 from falsework.assembly.model import Assembly
 from falsework.geometry import TriangleMesh
 from falsework.search import find_plans
-from falsework.search.beam.beam import BeamSearch, BeamSettings
-from falsework.search.depth_first import DepthFirstSearch
+from falsework.search.beam.beam import BeamSearch
+from falsework.search.beam.settings import BeamSettings
 from falsework.search.exhaustive import ExhaustiveSearch
 from falsework.search.planner import Planner
 from falsework.search.problem.result import Outcome

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from baselines.shared_inverse import SharedInverse, SharedInverseSettings
 from numpy.typing import NDArray
 
 from falsework.assembly import library
@@ -17,8 +18,6 @@ from falsework.errors import DependencyError, InputError, StateError
 from falsework.stability import (
     ExactSolver,
     Proof,
-    SharedInverse,
-    SharedInverseSettings,
     Solver,
     StabilitySettings,
     Verdict,

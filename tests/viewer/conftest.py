@@ -38,7 +38,7 @@ def policy(arch: tuple[Assembly, Plan]) -> Any:
     """An untrained policy for the arch, the same every time."""
     pytest.importorskip("torch", reason="policies need torch; pip install 'falsework[learn]'")
     from falsework.learn.config.policy import PolicySettings
-    from falsework.learn.networks.policy import make_policy
+    from falsework.learn.networks.factory import make_policy
 
     return make_policy(arch[0], PolicySettings(), "cpu", seed=0)
 

@@ -208,7 +208,7 @@ def test_what_a_policy_thinks_and_covers(
     from types import SimpleNamespace
 
     from falsework.learn.config.policy import PolicySettings
-    from falsework.learn.networks.policy import make_policy
+    from falsework.learn.networks.factory import make_policy
 
     def load(folder: str, assembly: Any = None) -> SimpleNamespace:
         fits = policy if assembly.part_count == 7 else make_policy(assembly, PolicySettings(), "cpu", seed=0)

@@ -89,6 +89,7 @@ class MakeDataset(Command):
                 "criterion": dataset.criterion,
                 "train": len(dataset.train),
                 "test": len(dataset.test),
+                "validation": len(dataset.validation),
                 "more": len(dataset.more),
                 "levels": dataset.levels(),
                 "complete": dataset.complete,
@@ -96,7 +97,10 @@ class MakeDataset(Command):
             }
         )
         more = f" and {len(dataset.more)} more" if len(dataset.more) else ""
-        output.say(f"{self.out}: {len(dataset.train)} states to train on{more}, {len(dataset.test)} to test on")
+        output.say(
+            f"{self.out}: {len(dataset.train)} states to train on{more}, {len(dataset.test)} to test on, "
+            f"{len(dataset.validation)} to validate on"
+        )
         if not dataset.complete:
             output.note("falsework: not every search reached the complete structure; wider ones may")
             return Exit.NO

@@ -62,8 +62,8 @@ class Evaluate(Command):
         from falsework.utils.optional_packages import check_torch
 
         check_torch()
-        from falsework.learn.algorithms.imitation import Network
         from falsework.learn.env.environment import Environment
+        from falsework.learn.networks.autocast import Network
         from falsework.learn.training.checkpoint import load_run
         from falsework.learn.training.evaluate import EvaluateSettings, GoalBlindPolicy, evaluate
         from falsework.search.device.oracle import oracle_on
@@ -88,7 +88,7 @@ class Evaluate(Command):
                 network = network if settings.policy.two_states else GoalBlindPolicy(network)
             else:
                 data = self._data(trained, assembly, oracle_on(oracle, device), device)
-                sets = {"train": (data.train, None), "test": (data.test, None)}
+                sets = {name: (getattr(data, name), None) for name in ("train", "validation", "test")}
             options = EvaluateSettings(states=self.states or 0, search=self.search, seed=self.seed)
             with output.bar("evaluating") as show:
                 found = evaluate(environment, network, sets, options, shards=shards, report=show)
@@ -123,7 +123,7 @@ class Evaluate(Command):
     def _subject(self, trained: Run) -> tuple[Assembly, Policy]:
         """Structure and policy: those of the run, or the policy carried over to another structure."""
         from falsework.assembly import load_structure
-        from falsework.learn.networks.policy import transfer
+        from falsework.learn.networks.factory import transfer
 
         if self.structure is None:
             return trained.assembly, trained.policy
@@ -140,7 +140,8 @@ class Evaluate(Command):
 
         settings = replace(trained.settings, data="width64")  # what only serves to learn from is not needed
         pairs = find_pairs(assembly, settings, oracle, device=device)
-        return {"train": (pairs.train.states, pairs.train.targets), "test": (pairs.test.states, pairs.test.targets)}
+        sets = {name: getattr(pairs, name) for name in ("train", "validation", "test")}
+        return {name: (one.states, one.targets) for name, one in sets.items()}
 
     def _data(self, trained: Run, assembly: Assembly, oracle: TensorOracle, device: torch.device) -> Dataset:
         """States of the run if they are there and of this structure and criterion, else found by the same searches."""

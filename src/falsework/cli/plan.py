@@ -16,8 +16,8 @@ from falsework.errors import InputError
 if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.search.find import Planning
-    from falsework.search.planner import PlannerSettings
     from falsework.search.plans.plan import Plan
+    from falsework.search.settings import PlannerSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,8 +99,8 @@ class MakePlan(Command):
         return Exit.INTERRUPTED if result.interrupted else Exit.DONE
 
     def _settings(self) -> PlannerSettings:
-        from falsework.search.planner import PlannerSettings
         from falsework.search.problem.task import Direction
+        from falsework.search.settings import PlannerSettings
 
         both = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
         directions = both if self.direction == "both" else (Direction(self.direction),)

@@ -16,7 +16,7 @@ from falsework.errors import InputError
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
-    from falsework.search.beam.beam import BeamSettings
+    from falsework.search.beam.settings import BeamSettings
     from falsework.search.problem.task import Task
     from falsework.stability import Stability
 
@@ -75,7 +75,7 @@ class SearchOptions:
         Raises:
             InputError: a width below one.
         """
-        from falsework.search.beam.beam import BeamSettings
+        from falsework.search.beam.settings import BeamSettings
         from falsework.search.problem.task import Direction
 
         return BeamSettings(self.width, Direction(self.direction), seed=self.seed)

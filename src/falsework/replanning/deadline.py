@@ -3,18 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-from falsework.assembly.state import Mask, States
-from falsework.search.problem.oracle import Oracle
-from falsework.stability.verdict import Verdict, Verdicts
-
-if TYPE_CHECKING:
-    from falsework.replanning.replays import TimedReplayer
 
 _AT_ONCE = 16
 """States judged between two looks at the clock, at first ..."""
@@ -75,59 +67,6 @@ class Clock:
     def add(self, what: str, seconds: float) -> None:
         """Put seconds to the account of `what`."""
         self.spent[what] = self.spent.get(what, 0.0) + seconds
-
-
-class TimedOracle:
-    """An oracle that looks at the clock between small batches; anything that searches can be stopped with it."""
-
-    def __init__(
-        self,
-        oracle: Oracle,
-        clock: Clock,
-        between: Callable[[], None] | None = None,
-        replayer: TimedReplayer | None = None,
-    ) -> None:
-        """Ask `oracle` until `clock` has run out; call `between` before each batch.
-
-        States that `replayer` has ruled out are said to slide, whatever `oracle` says of them.
-        """
-        self.asked = 0
-        """States asked about."""
-        self.limited = clock.limited
-        """Whether an answer is waited for until a deadline, so that batches must be small."""
-        self.holds_keep_stable = bool(getattr(oracle, "holds_keep_stable", False))
-        self.replayer = replayer
-        """Replays the routes of searches; None where there is no history to take into account."""
-        self._oracle = oracle
-        self._clock = clock
-        self._between = between or (lambda: None)
-
-    def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """As `falsework.search.problem.oracle.Oracle`.
-
-        Raises:
-            TimeUp: the clock has run out.
-        """
-        verdicts = Verdicts.blank(len(states))
-        pace = Pace(limited=self.limited)
-        begin = 0
-        while begin < len(states):
-            self._between()
-            if self._clock.passed:
-                raise TimeUp
-            rows = np.arange(begin, min(begin + pace.batch, len(states)))
-            with self._clock.spend("verdicts"), pace.measure():
-                found = self._oracle.judge(states[rows], parents=None if parents is None else parents[rows])
-            verdicts.put(rows, found)
-            verdicts.verdict[rows[self.rules_out(states[rows])]] = Verdict.SLIDES
-            self.asked += len(rows)
-            begin += len(rows)
-        return verdicts
-
-    def rules_out(self, states: States) -> Mask:
-        """Which states replays have ruled out, shape (batch,)."""
-        known = () if self.replayer is None else self.replayer.ruled_out
-        return np.array([bool(known) and state.tobytes() in known for state in states], dtype=bool)
 
 
 class Pace:

@@ -14,13 +14,15 @@ from falsework.replanning.deadline import Clock
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.result import Decider
 from falsework.replanning.session import Job
-from falsework.search.beam.beam import BeamSearch, BeamSettings
+from falsework.search.beam.beam import BeamSearch
+from falsework.search.beam.settings import BeamSettings
 from falsework.search.exhaustive import ExhaustiveSearch
-from falsework.search.planner import Planner, PlannerSettings
+from falsework.search.planner import Planner
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.result import Outcome, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction
+from falsework.search.settings import PlannerSettings
 
 _PLAIN_LEVELS = 4
 """Levels of the plain search for each level of the one that the policy guides, which asks a network too. A count, not

@@ -11,12 +11,13 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError, PlanError
-from falsework.replanning.deadline import Clock, TimedOracle
+from falsework.replanning.deadline import Clock
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.proving import Prover
 from falsework.replanning.replays import TimedReplayer
 from falsework.replanning.request import Request
 from falsework.replanning.result import Decider, Replan
+from falsework.replanning.timed_oracle import TimedOracle
 from falsework.search.planner import insertion_steps
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan

@@ -2,9 +2,7 @@
 
 from falsework.search.backend import beam_search as beam_search
 from falsework.search.beam.beam import BeamSearch as BeamSearch
-from falsework.search.beam.beam import BeamSettings as BeamSettings
-from falsework.search.depth_first import DepthFirstSearch as DepthFirstSearch
-from falsework.search.depth_first import DepthFirstSettings as DepthFirstSettings
+from falsework.search.beam.settings import BeamSettings as BeamSettings
 from falsework.search.device.beam import DeviceBeam as DeviceBeam
 from falsework.search.exhaustive import Census as Census
 from falsework.search.exhaustive import ExhaustiveSearch as ExhaustiveSearch
@@ -13,7 +11,6 @@ from falsework.search.find import find_plans as find_plans
 from falsework.search.find import plan_of as plan_of
 from falsework.search.find import task_of as task_of
 from falsework.search.planner import Planner as Planner
-from falsework.search.planner import PlannerSettings as PlannerSettings
 from falsework.search.plans.alternatives import Alternatives as Alternatives
 from falsework.search.plans.alternatives import choose_alternatives as choose_alternatives
 from falsework.search.plans.plan import Plan as Plan
@@ -32,3 +29,4 @@ from falsework.search.problem.result import SearchResult as SearchResult
 from falsework.search.problem.state_graph import StateGraph as StateGraph
 from falsework.search.problem.task import Direction as Direction
 from falsework.search.problem.task import Task as Task
+from falsework.search.settings import PlannerSettings as PlannerSettings

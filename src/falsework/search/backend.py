@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
-from falsework.search.beam.beam import BeamSearch, BeamSettings
+from falsework.search.beam.beam import BeamSearch
+from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.beam import DeviceBeam
 from falsework.search.device.oracle import oracle_on
 from falsework.search.problem.task import Task

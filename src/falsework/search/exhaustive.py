@@ -7,7 +7,8 @@ from functools import cached_property
 from pathlib import Path
 
 from falsework.errors import InputError
-from falsework.search.beam.beam import BeamSearch, BeamSettings
+from falsework.search.beam.beam import BeamSearch
+from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Outcome, Progress, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.search.planner import Planner, PlannerSettings
+from falsework.search.planner import Planner
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_replay import PlanReplay
@@ -17,6 +17,7 @@ from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.result import Outcome, Progress, Route, SearchProgress, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Task
+from falsework.search.settings import PlannerSettings
 from falsework.stability.oracle import Stability
 from falsework.stability.verdict import Verdicts
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,61 +16,26 @@ from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.problem.guide import Guide, NoveltyGuide
 from falsework.search.problem.oracle import Oracle
-from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
+from falsework.search.problem.result import (
+    Outcome,
+    Progress,
+    Route,
+    SearchCounters,
+    SearchProgress,
+    SearchResult,
+    Stop,
+    unstable_end,
+)
 from falsework.search.problem.task import Direction, Task
+from falsework.search.settings import PlannerSettings
 from falsework.utils.archive import read_archive, write_archive
 
 FORMAT = "falsework.planner/1"
 
-_BOTH = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
-_FIRST_WIDTH = 16
-"""Beams grow to this width from one end before the other end is tried ..."""
-_WIDENING = 4
-"""... and then to widths this many times larger, in turn."""
-_TRIAL_WIDTH = 4
-"""Widest beam for a plan with missing parts later: how wide the first plan's beam was is no guide to that."""
 _MOST_FALLS = 64
 """Routes whose replay falls before an attempt is given up."""
 _NOVEL_WIDTH = 4
 """Narrowest beam for a plan unlike others: one state a level leaves no choice."""
-
-
-@dataclass(frozen=True)
-class PlannerSettings:
-    """How hard to look for plans."""
-
-    width: int = 64
-    """Widest beam that is tried before giving up."""
-    directions: tuple[Direction, ...] = _BOTH
-    """Ends from which to search, in turn."""
-    alternatives: int = 1
-    """Number of plans wanted."""
-    seed: int = 0
-    """Same seed, same machine, same result."""
-
-    def __post_init__(self) -> None:
-        if self.width < 1:
-            raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
-        if not self.directions:
-            raise InputError("no direction to search in; give assembly, disassembly or both")
-        if self.alternatives < 1:
-            raise InputError(f"{self.alternatives} alternatives is no number of plans; ask for at least 1")
-
-    def attempts(self, stage: str = "plan") -> tuple[tuple[Direction, int], ...]:
-        """Ends to search from, and how wide a beam may become there, in the order in which they are tried.
-
-        Args:
-            stage: `plan`, `postpone` or `alternatives`.
-        """
-        limit = min(self.width, _TRIAL_WIDTH) if stage == "postpone" else self.width
-        widths = [min(_FIRST_WIDTH, limit)]
-        while widths[-1] < limit and stage == "plan":
-            widths.append(min(widths[-1] * _WIDENING, limit))
-        directions = self.directions
-        if stage == "alternatives":
-            # Taking apart leaves more freedom in the order of removal than putting together.
-            directions = tuple(sorted(directions, key=lambda direction: direction is not Direction.DISASSEMBLY))
-        return tuple((direction, width) for width in widths for direction in directions)
 
 
 class Planner:
@@ -164,7 +129,7 @@ class Planner:
 
         interrupted = False
         try:
-            unstable = self._unstable_end()
+            unstable = unstable_end(self.task, self._oracle)
             if unstable is not None:
                 return unstable
             while not self.done and not interrupted:
@@ -356,34 +321,6 @@ class Planner:
 
     def _beam_guide(self) -> Guide | None:
         return NoveltyGuide(self._guide, self.routes) if self._stage == "alternatives" else self._guide
-
-    def _unstable_end(self) -> SearchResult | None:
-        ends = np.stack([self.task.start, self.task.target])
-        verdicts = self._oracle.judge(ends)
-        if verdicts.stable.all():
-            return None
-        row = int(np.argmin(verdicts.stable))
-        name = ("start", "target")[row]
-        proved, slides = bool(verdicts.unstable[row]), bool(verdicts.slides[row])
-        word = "unstable" if proved else "sliding" if slides else "undecided"
-        limit = (
-            f"the {name} state slides" if slides else f"the {name} state could be proved neither stable nor unstable"
-        )
-        return SearchResult(
-            outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
-            routes=(),
-            direction=(Direction.DISASSEMBLY, Direction.ASSEMBLY)[row],
-            steps=self.task.steps,
-            reached=0,
-            deepest=ends[:0],
-            rejected=ends[row : row + 1],
-            counters=SearchCounters(asked=2, rejected=int((~verdicts.stable).sum())),
-            seconds=0.0,
-            limit="" if proved else limit,
-            undecided=int(word == "undecided"),
-            sliding=int(slides),
-            notes=(f"the {name} state is {word}",),
-        )
 
     def _all_counters(self) -> SearchCounters:
         return sum((beam.search.counters for beam in self._beams.values()), self._counters)

@@ -13,8 +13,6 @@ from falsework.stability.reference.clarabel import ExactSolver as ExactSolver
 from falsework.stability.reference.gurobi import GurobiSolver as GurobiSolver
 from falsework.stability.settings import CpuSettings as CpuSettings
 from falsework.stability.settings import StabilitySettings as StabilitySettings
-from falsework.stability.shared_inverse import SharedInverse as SharedInverse
-from falsework.stability.shared_inverse import SharedInverseSettings as SharedInverseSettings
 from falsework.stability.verdict import Criterion as Criterion
 from falsework.stability.verdict import Proof as Proof
 from falsework.stability.verdict import Solver as Solver

@@ -1,4 +1,4 @@
-"""Collective operations of several processes: averages, sums, broadcasts, gathered rows."""
+"""Collectives of several processes: averaged gradients, sums, broadcasts and gathered rows."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from falsework.utils.distributed import Shards
+from falsework.utils.tensors import import_torch
 
 if TYPE_CHECKING:
     import torch
@@ -15,7 +16,7 @@ def average_gradients(parameters: Iterable[torch.nn.Parameter], shards: Shards) 
     """Replace gradients by their mean over the processes, in one exchange."""
     if shards.size == 1:
         return
-    import torch
+    torch = import_torch()
     import torch.distributed as dist
 
     # A parameter that this process did not use takes part with zero, so that all exchange the same.
@@ -39,10 +40,10 @@ def same_weights(module: torch.nn.Module, shards: Shards) -> None:
 
 
 def decided(value: float, shards: Shards, device: torch.device) -> float:
-    """Broadcast a number that only the first process may choose, such as its clock."""
+    """A number that only the first process may choose, such as its clock, in all of them."""
     if shards.size == 1:
         return value
-    import torch
+    torch = import_torch()
     import torch.distributed as dist
 
     box = torch.tensor([value], dtype=torch.float64, device=device)
@@ -51,10 +52,10 @@ def decided(value: float, shards: Shards, device: torch.device) -> float:
 
 
 def summed(values: list[float], shards: Shards, device: torch.device) -> list[float]:
-    """Sum numbers over the processes, such as successes and states tried."""
+    """Sums over the processes, such as of successes and of states tried."""
     if shards.size == 1:
         return values
-    import torch
+    torch = import_torch()
     import torch.distributed as dist
 
     box = torch.tensor(values, dtype=torch.float64, device=device)
@@ -63,7 +64,7 @@ def summed(values: list[float], shards: Shards, device: torch.device) -> list[fl
 
 
 def gather_rows(rows: torch.Tensor, shards: Shards) -> torch.Tensor:
-    """Gather the rows of all processes, in any number from each, those of the first process first.
+    """The rows of all processes, which may be different numbers of them, those of the first process first.
 
     Args:
         rows: shape (count, ...); count differs from process to process.
@@ -73,8 +74,7 @@ def gather_rows(rows: torch.Tensor, shards: Shards) -> torch.Tensor:
     """
     if shards.size == 1:
         return rows
-    import torch
-
+    torch = import_torch()
     counts = shards.gather(torch.tensor([len(rows)], device=rows.device)).tolist()
     padded = rows.new_zeros((max(counts), *rows.shape[1:]))
     padded[: len(rows)] = rows

@@ -8,7 +8,7 @@ from falsework.errors import InputError
 from falsework.learn.algorithms.rollout_storage import Transitions
 from falsework.learn.algorithms.start_states import StartBatch
 from falsework.learn.config.ppo import CurriculumSettings
-from falsework.learn.env.rules import Rules
+from falsework.search.device.rules import TensorRules
 from falsework.utils.collectives import gather_rows
 from falsework.utils.distributed import Shards
 
@@ -31,7 +31,7 @@ class Curriculum:
     def __init__(
         self,
         starts: torch.Tensor,
-        rules: Rules,
+        rules: TensorRules,
         settings: CurriculumSettings = CurriculumSettings(),
         *,
         targets: torch.Tensor | None = None,

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -15,6 +13,7 @@ from falsework.learn.algorithms.policy_optimizer import PolicyOptimizer
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.data.random_walks import TaskSource
 from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.policy import Policy, masked_log_probabilities
 from falsework.utils.distributed import Shards
 
@@ -30,36 +29,6 @@ _AVERAGE = 0.998
 """Decay of the moving average of the weights that is evaluated and saved."""
 _VALUE_WEIGHT = 0.1
 """Weight of the squared error of the value head: all stored states are solvable, so their value is 1."""
-
-
-class Network(torch.nn.Module):
-    """A policy in the precision chosen for its device: the only place where precision is lowered.
-
-    The setting is passed to the calls of the network alone. Nothing global is changed, since the solver's iterations do
-    not come to an end in less than float32.
-    """
-
-    def __init__(self, policy: Policy, precision: str = "float32", *, compiled: bool = False) -> None:
-        """Wrap a policy, whose weights stay its own.
-
-        Args:
-            policy: the network.
-            precision: `float32` or `bfloat16`.
-            compiled: compile it for the batches of training, which all have one size.
-        """
-        super().__init__()
-        self.policy = policy
-        self.settings = policy.settings
-        self._half = precision == "bfloat16"
-        call: Any = torch.compile(policy) if compiled else policy
-        # Hidden from torch in a tuple: the compiled module is no second set of weights.
-        self._call = (call,)
-
-    def forward(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """As `Policy`; both results in float32."""
-        with torch.autocast(states.device.type, torch.bfloat16) if self._half else nullcontext():
-            logits, value = self._call[0](states, targets)
-        return logits.float(), value.float()
 
 
 def imitation_loss(logits: torch.Tensor, mask: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
@@ -110,7 +79,7 @@ class Imitation:
             shards: processes that share every batch and average their gradients.
             folder: for the batch of a step that is not finite.
             copies: policies with the very same weights for copies of the structure, as of
-                `falsework.learn.networks.policy.share`; steps take the policy and them in turn.
+                `falsework.learn.networks.factory.share`; steps take the policy and them in turn.
 
         Raises:
             InputError: fewer states in a batch than processes.
@@ -150,7 +119,7 @@ class Imitation:
         sums = torch.zeros(2, device=self._solved.device)
         for step, (states, targets, valid) in enumerate(drawn):
             place = progress[0] + (progress[1] - progress[0]) * step / steps
-            mask = self._solved.rules.mask(states, targets)
+            mask = self._solved.rules.moves(states, targets)
             valid = self._solved.valid_actions(states, mask) if valid is None else valid
             logits, value = self._networks[self.steps % len(self._networks)](states, targets)
             loss = imitation_loss(logits, mask, valid) + _VALUE_WEIGHT * (value - 1.0).square().mean()

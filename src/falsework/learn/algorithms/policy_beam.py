@@ -9,7 +9,8 @@ import torch
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import Policy, evaluate
 from falsework.learn.networks.policy import masked_log_probabilities
-from falsework.utils.tensors import place_in_group
+from falsework.search.device.parallel_beams import Level, next_level, with_ancestors
+from falsework.search.device.rules import TensorRules
 
 _SPARE = 2
 """Candidates judged for each state that is kept, since some fall."""
@@ -25,14 +26,6 @@ class GroupSearch:
     """All states on the ways that were found: proven stable and solvable, `uint8`, shape (count, parts)."""
     owner: torch.Tensor
     """Start that each of them belongs to, shape (count,)."""
-
-
-@dataclass(eq=False)
-class _Level:
-    states: torch.Tensor
-    owner: torch.Tensor
-    parent: torch.Tensor
-    score: torch.Tensor
 
 
 def search_from(
@@ -58,29 +51,30 @@ def search_from(
     rules, count, device = environment.rules, len(starts), starts.device
     number = torch.arange(count, device=device)
     found = rules.reached(starts, targets)
-    levels = [_Level(starts, number, number, torch.zeros(count, device=device))]
+    levels = [Level(starts, number, number, torch.zeros(count, device=device))]
     ends: list[torch.Tensor] = [found.nonzero()[:, 0]]
     going = (~found).nonzero()[:, 0]
+
+    def stable(states: torch.Tensor, parents: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+        return environment.stable(states, parents, needed=rules.needs_verdict(actions))
+
     while len(going):
-        level = levels[-1]
-        states, owner = level.states[going], level.owner[going]
-        aims = None if targets is None else targets[owner]
-        mask = rules.mask(states, aims)
-        logits, _ = evaluate(policy, states, aims, environment.rows_at_once)
-        score = level.score[going][:, None] + masked_log_probabilities(logits, mask)
-        row, action = _best_of_rows(score, mask, _SPARE * width)
-        kept = _choose(environment, states, owner, score, row, action, width)
-        if kept is None:
+        level = levels[-1].take(going)
+        aims = None if targets is None else targets[level.owner]
+        mask = rules.moves(level.states, aims)
+        logits, _ = evaluate(policy, level.states, aims, environment.rows_at_once)
+        score = level.value[:, None] + masked_log_probabilities(logits, mask)
+        kept = next_level(rules, level, _candidates(rules, level, score, mask, width), stable, width, _SPARE)
+        if len(kept.states) == 0:
             break
         kept.parent = going[kept.parent]
         levels.append(kept)
-        aims = None if targets is None else targets[kept.owner]
-        there = rules.reached(kept.states, aims)
+        there = rules.reached(kept.states, None if targets is None else targets[kept.owner])
         found = found.index_fill(0, kept.owner[there], True)
         ends.append(there.nonzero()[:, 0])
         going = (~found[kept.owner]).nonzero()[:, 0]
-    states, owner = _trace(levels, ends)
-    return GroupSearch(found, states, owner)
+    ways = with_ancestors(levels, ends)[::-1]
+    return GroupSearch(found, torch.cat([way.states for way in ways]), torch.cat([way.owner for way in ways]))
 
 
 def _best_of_rows(score: torch.Tensor, mask: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -91,33 +85,18 @@ def _best_of_rows(score: torch.Tensor, mask: torch.Tensor, count: int) -> tuple[
     return row, best[row, place]
 
 
-def _choose(
-    environment: Environment,
-    states: torch.Tensor,
-    owner: torch.Tensor,
-    score: torch.Tensor,
-    row: torch.Tensor,
-    action: torch.Tensor,
-    width: int,
-) -> _Level | None:
-    """The best stable successors for each start, or None if there are none."""
-    if len(row) == 0:
-        return None
-    rules = environment.rules
+def _candidates(
+    rules: TensorRules, level: Level, score: torch.Tensor, mask: torch.Tensor, width: int
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Best successors for each start, in the order of their scores."""
+    row, action = _best_of_rows(score, mask, _SPARE * width)
     value = score[row, action]
     order = torch.argsort(value, descending=True, stable=True)
-    order = order[torch.argsort(owner[row][order], stable=True)]
+    order = order[torch.argsort(level.owner[row][order], stable=True)]
     row, action, value = row[order], action[order], value[order]
-    after = rules.apply(states[row], action)
-    first = _first_of_equals(rules.hashes(after), owner[row])
-    first = first[place_in_group(owner[row][first]) < _SPARE * width]
-    row, action, value, after = row[first], action[first], value[first], after[first]
-    stable = environment.stable(after, states[row], needed=rules.needs_verdict(action))
-    kept = stable.nonzero()[:, 0]
-    kept = kept[place_in_group(owner[row][kept]) < width]
-    if len(kept) == 0:
-        return None
-    return _Level(after[kept], owner[row][kept], row[kept], value[kept])
+    hashes = rules.hashes(rules.follow(level.states[row], action))
+    first = _first_of_equals(hashes, level.owner[row])
+    return row[first], action[first], value[first]
 
 
 def _first_of_equals(hashes: torch.Tensor, owner: torch.Tensor) -> torch.Tensor:
@@ -127,15 +106,3 @@ def _first_of_equals(hashes: torch.Tensor, owner: torch.Tensor) -> torch.Tensor:
     first = torch.ones(len(order), dtype=torch.bool, device=order.device)
     first[1:] = (hashes[order][1:] != hashes[order][:-1]) | (owner[order][1:] != owner[order][:-1])
     return torch.sort(order[first]).values
-
-
-def _trace(levels: list[_Level], ends: list[torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
-    """All states from which one of the ends was reached, and whose they are."""
-    states, owners = [], []
-    later = ends[-1][:0]
-    for level, own in zip(reversed(levels), reversed(ends), strict=True):
-        rows = torch.unique(torch.cat([later, own]))
-        states.append(level.states[rows])
-        owners.append(level.owner[rows])
-        later = level.parent[rows]
-    return torch.cat(states), torch.cat(owners)

@@ -11,11 +11,12 @@ import torch
 
 from falsework.learn.algorithms.policy_beam import search_from
 from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import Policy
+from falsework.learn.env.rollout import Policy, roll_out
 from falsework.replanning.result import Decider
-from falsework.search.planner import Planner, PlannerSettings
+from falsework.search.planner import Planner
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.task import Task
+from falsework.search.settings import PlannerSettings
 
 _ROWS = 1 << 14
 """Rollouts whose states are in memory together."""
@@ -84,12 +85,12 @@ def solve_all(
         return None if targets is None else targets[rows]
 
     left, since = torch.arange(len(starts), device=starts.device), time.perf_counter()
-    left = settle(left, environment.rollout(policy, starts, targets, keep="ends").success, Decider.GREEDY, since)
+    left = settle(left, roll_out(environment, policy, starts, targets, keep="ends").success, Decider.GREEDY, since)
     if len(left) and samples:
         since, rows = time.perf_counter(), left.repeat_interleave(samples)
         options: dict[str, Any] = {"greedy": False, "generator": generator, "keep": "ends"}
         good = [
-            environment.rollout(policy, starts[piece], aims(piece), **options).success for piece in rows.split(_ROWS)
+            roll_out(environment, policy, starts[piece], aims(piece), **options).success for piece in rows.split(_ROWS)
         ]
         left = settle(left, torch.cat(good).view(len(left), samples).any(dim=1), Decider.SAMPLED, since)
     for width in widths:
@@ -113,12 +114,12 @@ def _plain(environment: Environment, start: torch.Tensor, target: torch.Tensor |
     """Whether a search without a policy finds a plan."""
     rules = environment.rules
     task = Task.create(
-        rules.boundary,
-        rules.robots,
+        rules.task.boundary,
+        rules.task.robots,
         start=start.cpu().numpy(),
         target=None if target is None else target.cpu().numpy(),
-        fixed=rules.fixed,
-        clearance=rules.clearance,
+        fixed=rules.task.fixed,
+        clearance=rules.task.clearance,
     )
     planner = Planner(task, environment.oracle, PlannerSettings(_PLAIN_WIDTH), guide=SupportGuide(environment.assembly))
     return planner.run().found

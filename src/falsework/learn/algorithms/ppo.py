@@ -14,7 +14,7 @@ import torch
 
 from falsework.learn.algorithms.advantages import normalized
 from falsework.learn.algorithms.hindsight import relabel
-from falsework.learn.algorithms.imitation import Network, imitation_loss
+from falsework.learn.algorithms.imitation import imitation_loss
 from falsework.learn.algorithms.policy_optimizer import PolicyOptimizer
 from falsework.learn.algorithms.ppo_loss import Loss, ppo_loss
 from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions
@@ -23,6 +23,7 @@ from falsework.learn.config.ppo import PpoPhase
 from falsework.learn.data.random_walks import TaskSource
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.env.environment import Environment
+from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.policy import Policy
 from falsework.utils.collectives import summed
 from falsework.utils.distributed import Shards
@@ -305,7 +306,7 @@ class PPO:
         )
         total = loss.total
         for (share, (known, goals, valid)), answer in zip(shown, others, strict=True):
-            mask = self._environment.rules.mask(known, goals)
+            mask = self._environment.rules.moves(known, goals)
             valid = self._solved.valid_actions(known, mask) if valid is None else valid
             total = total + share * imitation_loss(answer, mask, valid)
         return loss, total

@@ -11,7 +11,7 @@ from falsework.learn.algorithms.hindsight import relabel
 from falsework.learn.algorithms.rollout_storage import Transitions
 from falsework.learn.data.random_walks import TaskSource
 from falsework.learn.data.solvable_states import SolvedStates
-from falsework.learn.env.rules import Rules
+from falsework.search.device.rules import TensorRules
 
 _FROM_DATA = 0.5
 """Share of rollouts that start where searches found states."""
@@ -88,7 +88,7 @@ class MixedStarts:
         self,
         starts: torch.Tensor,
         solved: SolvedStates,
-        rules: Rules,
+        rules: TensorRules,
         collection: int,
         *,
         targets: torch.Tensor | None = None,

@@ -1,4 +1,4 @@
-"""Data sets: states of beam searches to learn from, and others to test on (paper, sections 5.1 and 7.2)."""
+"""Data sets: states of beam searches to learn from, to choose by, and to test on (paper, sections 5.1 and 7.2)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
-from falsework.search.beam.beam import BeamSettings
+from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.beam import DeviceBeam
 from falsework.search.device.oracle import TensorOracle, oracle_on
 from falsework.search.problem.hashing import StateIndex
@@ -28,9 +28,13 @@ from falsework.utils.tensors import choose_device
 if TYPE_CHECKING:
     import torch
 
-FORMAT = "falsework.dataset/1"
+FORMAT = "falsework.dataset/2"
 
-_ARRAYS = frozenset({"train", "test", "more", "boundary"})
+VALIDATION_STATES = 1024
+"""States of the validation set, at most: one in a hundred more or less shows in its success."""
+
+_SETS = ("train", "test", "validation", "more")
+_ARRAYS = frozenset({*_SETS, "boundary"})
 _KEYS = {"format", "name", "identity", "robots", "removable_only_if_clear", "fixed", "train_width", "test_width"}
 
 Report = Callable[[str], None]
@@ -46,9 +50,9 @@ class DataSettings:
     test_width: int = 128
     """Width of the search whose states, those of the first search left out, are the test set."""
     widths: tuple[int, ...] = ()
-    """Widths of further searches to learn from; what is in the test set is left out."""
+    """Widths of further searches to learn from; what is in the test or the validation set is left out."""
     seed: int = 0
-    """Of the first search; every further one, the test search included, adds one."""
+    """Of the first search; each further one adds one: those of test and validation set, then those of `widths`."""
 
     def __post_init__(self) -> None:
         for width in (self.train_width, self.test_width, *self.widths):
@@ -66,8 +70,11 @@ class Dataset:
     """The paper's training set, shape (count, parts)."""
     test: States
     """States of a wider search that are not in `train`; never to be learned from, shape (count, parts)."""
+    validation: States
+    """States of another search of that width that are in neither; never to be learned from, and what settings, networks
+    and lengths of training are chosen by, shape (count, parts)."""
     more: States
-    """States of further searches that are in neither, shape (count, parts)."""
+    """States of further searches that are in none of these, shape (count, parts)."""
     task: Task
     name: str = ""
     """Name of the structure."""
@@ -87,7 +94,7 @@ class Dataset:
         count = self.task.steps + 1
         return {
             name: np.bincount(self.task.steps_done(states), minlength=count).tolist()
-            for name, states in (("train", self.train), ("test", self.test), ("more", self.more))
+            for name, states in ((name, getattr(self, name)) for name in _SETS)
         }
 
     def save(self, path: Path | str) -> None:
@@ -102,8 +109,8 @@ class Dataset:
             "test_width": self.settings.test_width,
             "criterion": self.criterion,
         }
-        arrays = {"train": self.train, "test": self.test, "more": self.more, "boundary": self.task.boundary}
-        write_archive(path, FORMAT, header, arrays)
+        arrays = {name: getattr(self, name) for name in _SETS}
+        write_archive(path, FORMAT, header, arrays | {"boundary": self.task.boundary})
 
     @classmethod
     def load(cls, path: Path | str, assembly: Assembly) -> Dataset:
@@ -121,10 +128,10 @@ class Dataset:
             raise InputError(f"{path} is a data set of {header['name']}, not of {assembly.name}; make one for it")
         task = task_for(assembly, header["robots"], header["removable_only_if_clear"], header["fixed"])
         task = replace(task, holds_keep_stable=criterion == "equilibrium")
-        found = {name: arrays[name] for name in ("train", "test", "more")}
+        found = {name: arrays[name] for name in _SETS}
         check_states(path, found, task.part_count, "make it anew")
         settings = DataSettings(header["train_width"], header["test_width"])
-        return cls(found["train"], found["test"], found["more"], task, header["name"], settings)
+        return cls(**found, task=task, name=header["name"], settings=settings)
 
 
 def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: int, remedy: str) -> None:
@@ -235,7 +242,7 @@ def build_dataset(
     seconds: dict[str, float] = {}
     found: list[States] = []
     complete = True
-    widths = (settings.train_width, settings.test_width, *settings.widths)
+    widths = (settings.train_width, settings.test_width, settings.test_width, *settings.widths)
     for number, width in enumerate(widths):
         begin = time.perf_counter()
         states, reached = search_states(
@@ -246,12 +253,15 @@ def build_dataset(
         seconds[f"width {width}, seed {settings.seed + number}"] = round(time.perf_counter() - begin, 3)
     train = found[0]
     test = found[1][_absent(found[1], train)]
-    more = np.concatenate([train[:0], *found[2:]])
+    validation = found[2][_absent(found[2], np.concatenate([train, test]))]
+    chosen = np.random.default_rng(settings.seed).permutation(len(validation))[:VALIDATION_STATES]
+    validation = validation[np.sort(chosen)]
+    more = np.concatenate([train[:0], *found[3:]])
     if len(more):
         more = np.unique(more, axis=0)
-        more = more[_absent(more, np.concatenate([train, test]))]
+        more = more[_absent(more, np.concatenate([train, test, validation]))]
         more = more[np.argsort(task.steps_done(more), kind="stable")]
-    return Dataset(train, test, more, task, assembly.name, settings, complete, seconds)
+    return Dataset(train, test, validation, more, task, assembly.name, settings, complete, seconds)
 
 
 def _absent(states: States, others: States) -> Mask:

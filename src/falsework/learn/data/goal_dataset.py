@@ -14,9 +14,10 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.learn.data.dataset import Report, check_states, search_states
-from falsework.learn.data.goal_pairs import Pairs, PairSource
+from falsework.learn.data.goal_pairs import Pairs, PairSource, joined_pairs, unsolved_at_random
 from falsework.search.device.oracle import TensorOracle, oracle_on, without_exact
 from falsework.search.device.parallel_beams import search_many
+from falsework.search.device.rules import TensorRules
 from falsework.search.problem.state_graph import StateGraph, criterion_of, read_criterion
 from falsework.search.problem.task import Direction, Task
 from falsework.utils.archive import read_archive, write_archive
@@ -34,6 +35,14 @@ _TOGETHER, _FEW = 64, 4
 """Further searches that run side by side, on a GPU and on a processor; the time is looked at between them."""
 _KEPT = 8
 """States kept of each on a GPU, in widths, and those that lead to them: there are more than a graph can connect."""
+_RANDOM_TRIES = 16
+"""Rollouts of random legal actions none of which may solve a pair that is tested. A pair that they solve with
+probability p stays with probability (1 - p)^16: were all p equally frequent, those of the pairs that stay would have a
+mean of 1 / 18."""
+_ROUNDS = 8
+"""Times that a pair is drawn for each target, at most, to find enough of them."""
+_VALIDATION = 5
+"""One unseen pair in so many is for validation, at least; so many times fewer of them than test pairs are enough."""
 _THROUGH = 0.25
 """Share of searches that must come through, or the next ones begin at the other end."""
 
@@ -73,6 +82,8 @@ class TargetDataset:
     """From the search of the training width."""
     test: Pairs
     """Unseen: neither start nor target is in the training graph."""
+    validation: Pairs
+    """Unseen as well, other pairs than those of the test, to choose by."""
     graph: StateGraph
     """All training states."""
     wide: StateGraph
@@ -82,9 +93,10 @@ class TargetDataset:
     settings: TargetDataSettings = field(default_factory=TargetDataSettings)
 
     @property
-    def test_states(self) -> States:
-        """Every start and target of the test pairs once, to be kept out of training; shape (count, parts)."""
-        return np.unique(np.concatenate([self.test.states, self.test.targets]), axis=0)
+    def held_out(self) -> States:
+        """Every start and target of test and validation pairs once, never to be learned from. Shape (count, parts)."""
+        kept = (self.test, self.validation)
+        return np.unique(np.concatenate([states for pairs in kept for states in (pairs.states, pairs.targets)]), axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,8 +219,9 @@ def target_dataset(
     """Run the searches of the protocol of Table 4 and draw the pairs.
 
     The paper's training set is what a search of width 64 from the complete structure finds; unseen pairs come from
-    a search of width 128, and both their states are new. All of them have a way from start to target. Further searches
-    add states, and with them ways, between which `falsework.learn.data.random_walks.Ways` draws tasks.
+    a search of width 128, and both their states are new. All of them have a way from start to target, which uniformly
+    random legal actions did not find: a table of pairs that these solve says little of a policy. Further searches add
+    states, and with them ways, between which `falsework.learn.data.random_walks.Ways` draws tasks.
 
     Args:
         assembly: the structure.
@@ -225,30 +238,46 @@ def target_dataset(
     """
     from falsework.stability import Stability
 
+    where = choose_device(device)
+    asked = oracle_on(Stability(assembly), where) if oracle is None else oracle
+    task = task.judged_by(asked)
     if searched is None:
-        where = choose_device(device)
-        asked = oracle_on(Stability(assembly), where) if oracle is None else oracle
-        task = task.judged_by(asked)
         searched = Searched.find(task, settings, asked, device=where, shards=shards)
     graph = StateGraph.build(task, searched.train, name=assembly.name)
     wider = StateGraph.build(task, searched.test, name=assembly.name)
     rng = np.random.default_rng(settings.seed)
     train = PairSource(graph).draw(settings.pairs, rng)
-    test = _unseen(wider, graph.states, rng)[: settings.test_pairs]
+    wanted = settings.test_pairs + -(-settings.test_pairs // _VALIDATION)
+    unseen = _unseen(wider, graph.states, wanted, TensorRules(task, where), asked, rng)
+    count = min(settings.test_pairs, len(unseen) - len(unseen) // _VALIDATION)
+    test = unseen[:count]
+    validation = unseen[count:]
     if len(test) == 0:
         raise InputError(
             f"a search of width {settings.test_width} finds no pair of states of {assembly.name} that one of width "
-            f"{settings.train_width} has not seen; test with a greater width"
+            f"{settings.train_width} has not seen and that random actions do not solve; test with a greater width"
         )
     wide = graph
     if len(searched.more):
         wide = StateGraph.build(task, np.concatenate([searched.train, searched.more]), name=assembly.name)
-    return TargetDataset(train, test, graph, wide, task, assembly.name, settings)
+    return TargetDataset(train, test, validation, graph, wide, task, assembly.name, settings)
 
 
-def _unseen(wider: StateGraph, seen: States, rng: np.random.Generator) -> Pairs:
-    """Pairs of states of a graph that are not among `seen`, if there are any."""
+def _unseen(
+    wider: StateGraph, seen: States, count: int, rules: TensorRules, oracle: TensorOracle, rng: np.random.Generator
+) -> Pairs:
+    """At most `count` pairs of states of a graph that are not among `seen` and that random actions do not solve."""
     try:
-        return PairSource(wider, forbidden=seen).one_for_each_end(rng)
+        source = PairSource(wider, forbidden=seen)
     except InputError:
         return PairSource(wider).draw(1, rng)[:0]
+    kept: list[Pairs] = []
+    for number in range(_ROUNDS):
+        drawn = source.one_for_each_end(rng)[: 2 * count]
+        kept.append(drawn[unsolved_at_random(drawn, rules, oracle, _RANDOM_TRIES, number)])
+        pairs = joined_pairs(kept)
+        both = np.concatenate([pairs.states, pairs.targets], axis=1)
+        kept = [pairs[np.sort(np.unique(both, axis=0, return_index=True)[1])]]
+        if len(kept[0]) >= count:
+            break
+    return kept[0][:count]

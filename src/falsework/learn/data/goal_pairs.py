@@ -14,8 +14,11 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
+from falsework.search.device.oracle import TensorOracle
+from falsework.search.device.rules import TensorRules
 from falsework.search.problem.hashing import StateIndex
 from falsework.search.problem.state_graph import StateGraph
+from falsework.stability.verdict import Verdict
 from falsework.utils.tensors import put
 
 _WORD = 64
@@ -37,7 +40,7 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.states)
 
-    def __getitem__(self, rows: slice) -> Pairs:
+    def __getitem__(self, rows: slice | Mask | NDArray[np.intp]) -> Pairs:
         """Some of them."""
         return Pairs(self.states[rows], self.targets[rows], self.valid[rows])
 
@@ -139,6 +142,55 @@ class PairSource:
             source, begin = np.unique(self.graph.source[edges], return_index=True)
             leads[source] |= np.bitwise_or.reduceat(leads[self.graph.target[edges]], begin, axis=0)
         return leads
+
+
+def unsolved_at_random(pairs: Pairs, rules: TensorRules, oracle: TensorOracle, tries: int, seed: int = 0) -> Mask:
+    """Try pairs by uniformly random legal actions, and tell which of them never came to their target.
+
+    Args:
+        pairs: states and targets.
+        rules: of disassembly, on the device where verdicts are computed.
+        oracle: verdicts.
+        tries: rollouts of each pair, at most; the first that succeeds is the last.
+        seed: of the actions.
+
+    Returns:
+        Shape (pairs,).
+    """
+    generator = torch.Generator(rules.device).manual_seed(seed)
+    starts, targets, _ = pairs.tensors(rules.device)
+    left = torch.arange(len(pairs), device=rules.device)
+    for _ in range(tries):
+        left = left[~_solved_at_random(starts[left], targets[left], rules, oracle, generator)]
+    unsolved = np.zeros(len(pairs), dtype=bool)
+    unsolved[left.cpu().numpy()] = True
+    return unsolved
+
+
+def _solved_at_random(
+    starts: torch.Tensor, targets: torch.Tensor, rules: TensorRules, oracle: TensorOracle, generator: torch.Generator
+) -> torch.Tensor:
+    """Which rollouts of uniformly random legal actions reach their targets by stable states, shape (batch,)."""
+    states, rows = starts.clone(), torch.arange(len(starts), device=starts.device)
+    solved = torch.zeros(len(starts), dtype=torch.bool, device=starts.device)
+    while len(rows):
+        mask = rules.moves(states[rows], targets[rows])
+        possible = mask.any(dim=1)
+        rows, mask = rows[possible], mask[possible]
+        if len(rows) == 0:
+            break
+        actions = torch.multinomial(mask.float(), 1, generator=generator)[:, 0]
+        before = states[rows]
+        after = rules.follow(before, actions)
+        asks = rules.needs_verdict(actions)
+        stable = ~asks
+        if asks.any():
+            stable[asks] = oracle(after[asks], before[asks]) == Verdict.STABLE
+        states[rows] = after
+        there = rules.reached(after, targets[rows])
+        solved[rows[stable & there]] = True
+        rows = rows[stable & ~there]
+    return solved
 
 
 def sample_pairs(graph: StateGraph, count: int, rng: np.random.Generator, *, forbidden: States | None = None) -> Pairs:

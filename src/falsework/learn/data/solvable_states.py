@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from falsework.learn.env.rules import Rules
+from falsework.search.device.rules import TensorRules
 from falsework.search.problem.hashing import StateHash
 from falsework.utils.tensors import in_sorted, put
 
@@ -23,7 +23,7 @@ class SolvedStates:
     count as valid from then on, which is true and was found without looking at the test; nothing ever starts there.
     """
 
-    def __init__(self, rules: Rules, states: torch.Tensor | None = None) -> None:
+    def __init__(self, rules: TensorRules, states: torch.Tensor | None = None) -> None:
         """Begin with some states.
 
         Args:
@@ -141,7 +141,7 @@ class SolvedStates:
         Returns:
             Bool, shape (batch, 2 parts).
         """
-        mask = self.rules.mask(states) if mask is None else mask
+        mask = self.rules.moves(states) if mask is None else mask
         hashes = self.hashes(states)
         if self.device.type == "cuda":  # looking all of them up costs less than waiting for a list of the legal ones
             return in_sorted(self._known, hashes[:, None] ^ self._change) & mask

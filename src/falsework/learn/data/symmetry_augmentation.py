@@ -1,4 +1,4 @@
-"""Tasks of a symmetric structure, turned and reflected: what was found on one side holds on all others."""
+"""Symmetry augmentation: states and tasks of a symmetric structure, rotated and reflected."""
 
 from __future__ import annotations
 
@@ -11,6 +11,25 @@ from falsework.learn.data.random_walks import TaskSource
 from falsework.search.device.rules import hash_states
 from falsework.search.problem.hashing import StateHash
 from falsework.utils.tensors import in_sorted, put
+
+
+def symmetric_images(states: States, images: NDArray[np.intp]) -> States:
+    """States and their images under all symmetries of the structure, each once.
+
+    A policy that has learned from an image of a state has learned from the state, so what is held out for tests is
+    held out with its images.
+
+    Args:
+        states: shape (count, parts).
+        images: as of `falsework.assembly.symmetry.symmetries`, shape (symmetries, parts).
+
+    Returns:
+        Shape (images, parts).
+    """
+    whole = np.empty((len(images), *states.shape), dtype=states.dtype)
+    for number, image in enumerate(images):
+        whole[number][:, image] = states
+    return np.unique(whole.reshape(-1, states.shape[1]), axis=0)
 
 
 class TurnedTasks:

@@ -6,21 +6,18 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Literal
 
 import torch
 
 from falsework.assembly.model import Assembly
 from falsework.errors import StateError
-from falsework.learn.env.rules import Rules
 from falsework.learn.env.verdict_cache import VerdictTable
 from falsework.search.device.oracle import HostOracle, TensorOracle, oracle_on, without_exact
+from falsework.search.device.rules import TensorRules
 from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
 from falsework.utils.tensors import choose_device, put
-
-if TYPE_CHECKING:
-    from falsework.learn.env.rollout import Policy, Rollouts
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +38,42 @@ class Step:
     (batch,)."""
     mask: torch.Tensor
     """Legal actions of the new states, `bool`, shape (batch, 2 parts)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rollouts:
+    """What became of a batch of rollouts."""
+
+    states: torch.Tensor
+    """`uint8`, shape (steps + 1, batch, parts). Row `t` of a rollout that ended before is its last state again. If only
+    ends are kept, shape (2, batch, parts): first and last states."""
+    actions: torch.Tensor
+    """`int16`, shape (steps, batch), -1 after the end; empty if only ends are kept."""
+    length: torch.Tensor
+    """Actions taken, the one that led to an unstable state included. `int64`, shape (batch,)."""
+    success: torch.Tensor
+    """Target reached. `bool`, shape (batch,)."""
+    unstable: torch.Tensor
+    """Ended by an action after which stability is not proven; the last state is then that one. `bool`, shape (batch,).
+    What is neither success nor unstable came to a state without a legal action."""
+
+    @property
+    def stuck(self) -> torch.Tensor:
+        """Ended in a stable state without a legal action that is not the target. `bool`, shape (batch,)."""
+        return ~self.success & ~self.unstable
+
+    @property
+    def last(self) -> torch.Tensor:
+        """State in which each ended, shape (batch, parts)."""
+        return self.states[-1]
+
+    def passed(self) -> torch.Tensor:
+        """Which of `states` are proven stable and not repetitions of the end. `bool`, shape (steps + 1, batch).
+
+        Only if all states were kept.
+        """
+        place = torch.arange(len(self.states), device=self.states.device)[:, None]
+        return place <= (self.length - self.unstable.long())[None]
 
 
 @dataclass
@@ -106,14 +139,9 @@ class Environment:
         self.assembly = assembly
         self.device = choose_device(device) if isinstance(device, str) else torch.device(device)
         self.oracle: Oracle = Stability(assembly) if oracle is None else oracle
-        self.rules = Rules(
-            assembly,
-            robots,
-            self.device,
-            clearance=clearance,
-            fixed=fixed,
-            holds_keep_stable=bool(getattr(self.oracle, "holds_keep_stable", False)),
-        )
+        table = assembly.clearance if clearance else None
+        task = Task.create(assembly.boundary, robots, fixed=fixed, clearance=table, identity=assembly.identity)
+        self.rules = TensorRules(task.judged_by(self.oracle), self.device)
         self.counters = EnvironmentCounters()
         self.measure = False
         """Wait for the device around each kind of work, so that its seconds are its own."""
@@ -184,68 +212,16 @@ class Environment:
         if check:
             self._check_legal(states, actions, targets)
         with self.timed("seconds_rules"):
-            after = rules.apply(states, actions)
+            after = rules.follow(states, actions)
             needed = rules.needs_verdict(actions)
         stable = self.stable(after, states, needed=needed)
         with self.timed("seconds_rules"):
-            mask = rules.mask(after, targets)
+            mask = rules.moves(after, targets)
             success = rules.reached(after, targets) & stable
             failed = ~stable | ~(success | mask.any(dim=1))
             reward = success.float() - failed.float()
         self.counters.steps += len(states)
         return Step(after, reward, success | failed, success, ~stable, mask)
-
-    def rollout(
-        self,
-        policy: Policy,
-        starts: torch.Tensor,
-        targets: torch.Tensor | None = None,
-        *,
-        greedy: bool = True,
-        temperature: float = 1.0,
-        generator: torch.Generator | None = None,
-        keep: Literal["all", "ends"] = "all",
-    ) -> Rollouts:
-        """Follow a policy from stable start states until every rollout has ended.
-
-        Finished rollouts drop out of the batch that is evaluated.
-
-        Args:
-            policy: called as `policy(states, targets)`; returns logits `(batch, 2 parts)` and values `(batch,)`.
-            starts: stable, `uint8` on the device, shape (batch, parts).
-            targets: shape (batch, parts), or None.
-            greedy: take the most probable action; otherwise draw one.
-            temperature: what logits are divided by before drawing.
-            generator: source of randomness for drawing; same state of it, same rollouts.
-            keep: `all` states and actions, or only the `ends`, which takes little memory.
-
-        Raises:
-            InputError: a temperature that is not above zero.
-        """
-        from falsework.learn.env.rollout import roll_out
-
-        rollouts = roll_out(
-            self,
-            policy,
-            starts,
-            targets,
-            greedy=greedy,
-            temperature=temperature,
-            generator=generator,
-            keep=keep,
-        )
-        self.note(rollouts, told=targets is not None, drawn=not greedy, whole=keep == "all")
-        return rollouts
-
-    def note(self, rollouts: Rollouts, *, told: bool, drawn: bool, whole: bool) -> None:
-        """Called with all rollouts of `rollout`, for environments that learn from them; this one does nothing.
-
-        Args:
-            rollouts: as they ended.
-            told: they had targets.
-            drawn: actions were drawn, not the most probable ones.
-            whole: all states are kept.
-        """
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
@@ -263,7 +239,7 @@ class Environment:
     def _check_legal(self, states: torch.Tensor, actions: torch.Tensor, targets: torch.Tensor | None) -> None:
         parts = self.part_count
         inside = (actions >= 0) & (actions < 2 * parts)
-        mask = self.rules.mask(states, targets)
+        mask = self.rules.moves(states, targets)
         legal = inside & mask.gather(1, actions.long().clamp(0, 2 * parts - 1)[:, None])[:, 0]
         if not bool(legal.all()):
             row = int((~legal).nonzero()[0, 0])

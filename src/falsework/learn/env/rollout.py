@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import Literal, Protocol
 
 import torch
 
 from falsework.errors import InputError
-
-if TYPE_CHECKING:
-    from falsework.learn.env.environment import Environment, Step
+from falsework.learn.env.environment import Environment, Rollouts, Step
 
 
 class Policy(Protocol):
@@ -22,42 +20,6 @@ class Policy(Protocol):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Logits, not masked, shape (batch, 2 parts), and values in [-1, 1], shape (batch,)."""
         ...
-
-
-@dataclass(frozen=True, eq=False)
-class Rollouts:
-    """What became of a batch of rollouts."""
-
-    states: torch.Tensor
-    """`uint8`, shape (steps + 1, batch, parts). Row `t` of a rollout that ended before is its last state again. If only
-    ends are kept, shape (2, batch, parts): first and last states."""
-    actions: torch.Tensor
-    """`int16`, shape (steps, batch), -1 after the end; empty if only ends are kept."""
-    length: torch.Tensor
-    """Actions taken, the one that led to an unstable state included. `int64`, shape (batch,)."""
-    success: torch.Tensor
-    """Target reached. `bool`, shape (batch,)."""
-    unstable: torch.Tensor
-    """Ended by an action after which stability is not proven; the last state is then that one. `bool`, shape (batch,).
-    What is neither success nor unstable came to a state without a legal action."""
-
-    @property
-    def stuck(self) -> torch.Tensor:
-        """Ended in a stable state without a legal action that is not the target. `bool`, shape (batch,)."""
-        return ~self.success & ~self.unstable
-
-    @property
-    def last(self) -> torch.Tensor:
-        """State in which each ended, shape (batch, parts)."""
-        return self.states[-1]
-
-    def passed(self) -> torch.Tensor:
-        """Which of `states` are proven stable and not repetitions of the end. `bool`, shape (steps + 1, batch).
-
-        Only if all states were kept.
-        """
-        place = torch.arange(len(self.states), device=self.states.device)[:, None]
-        return place <= (self.length - self.unstable.long())[None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,14 +81,14 @@ def play(
     temperature: float = 1.0,
     generator: torch.Generator | None = None,
 ) -> Iterator[Move]:
-    """Follow a policy, one action of all rollouts that go on at a time; arguments as in `Environment.rollout`.
+    """Follow a policy, one action of all rollouts that go on at a time; arguments as in `roll_out`.
 
     Starts that are their target already, or have no legal action, do not take part.
     """
     if not temperature > 0:
         raise InputError(f"temperature is {temperature:g}; give a number above zero, or take greedy rollouts")
     rules = environment.rules
-    states, mask = starts, rules.mask(starts, targets)
+    states, mask = starts, rules.moves(starts, targets)
     rows = torch.arange(len(starts), device=starts.device)
     going = mask.any(dim=1) & ~rules.reached(starts, targets)
     while True:
@@ -182,7 +144,23 @@ def roll_out(
     generator: torch.Generator | None = None,
     keep: Literal["all", "ends"] = "all",
 ) -> Rollouts:
-    """As `Environment.rollout`."""
+    """Follow a policy from stable start states until every rollout has ended.
+
+    Finished rollouts drop out of the batch that is evaluated.
+
+    Args:
+        environment: rules and verdicts; `note` of it is called with what comes out.
+        policy: called as `policy(states, targets)`; returns logits `(batch, 2 parts)` and values `(batch,)`.
+        starts: stable, `uint8` on the device, shape (batch, parts).
+        targets: shape (batch, parts), or None.
+        greedy: take the most probable action; otherwise draw one.
+        temperature: what logits are divided by before drawing.
+        generator: source of randomness for drawing; same state of it, same rollouts.
+        keep: `all` states and actions, or only the `ends`, which takes little memory.
+
+    Raises:
+        InputError: a temperature that is not above zero.
+    """
     count, parts, device = len(starts), environment.part_count, starts.device
     last = starts.clone()
     length = torch.zeros(count, dtype=torch.int64, device=device)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import torch
 
-from falsework.learn.env.rules import Rules
+from falsework.search.device.rules import TensorRules
 from falsework.stability.verdict import Verdict
 from falsework.utils.tensors import mix
 
@@ -23,7 +23,7 @@ class VerdictTable:
     very state.
     """
 
-    def __init__(self, rules: Rules, *, memory: int = 0) -> None:
+    def __init__(self, rules: TensorRules, *, memory: int = 0) -> None:
         """Begin empty, with room for `memory` bytes of states; 0: 512 MiB on a GPU, 64 MiB on the processor."""
         memory = memory or (1 << 29 if rules.device.type == "cuda" else 1 << 26)
         slots = _LEAST

@@ -1,21 +1,17 @@
 """Policies: networks that propose the next action from any state of a structure (paper, section 5.4).
 
 A policy is a `torch.nn.Module` called as `policy(states, targets=None) -> (logits, value)`; its logits know nothing of
-the rules, which come as a mask (`falsework.learn.env.rules`).
+the rules, which come as a mask (`falsework.search.device.rules`).
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.learn.config.policy import PolicySettings as PolicySettings
+from falsework.learn.config.policy import PolicySettings
 
 
 class Policy(nn.Module):
@@ -81,43 +77,6 @@ class Policy(nn.Module):
         raise NotImplementedError
 
 
-def make_policy(
-    assembly: Assembly, settings: PolicySettings | None = None, device: torch.device | str = "cpu", seed: int = 0
-) -> Policy:
-    """A policy with random weights; the same seed gives the same weights on every device.
-
-    Args:
-        assembly: structure whose actions it proposes.
-        settings: which network, and how large.
-        device: where it lives.
-        seed: of the weights.
-    """
-    settings = settings or PolicySettings()
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        policy = _network(assembly, settings)
-    return policy.to(device)
-
-
-def _network(assembly: Assembly, settings: PolicySettings) -> Policy:
-    # Each network is a module of its own that builds on this one, so they are imported here.
-    if settings.kind == "mlp":
-        from falsework.learn.networks.mlp import MlpPolicy
-
-        return MlpPolicy(assembly, settings)
-    if settings.kind == "residual":
-        from falsework.learn.networks.residual_mlp import ResidualPolicy
-
-        return ResidualPolicy(assembly, settings)
-    if settings.kind == "parts":
-        from falsework.learn.networks.part_transformer import PartsPolicy
-
-        return PartsPolicy(assembly, settings)
-    from falsework.learn.networks.graph_attention import GraphPolicy
-
-    return GraphPolicy(assembly, settings)
-
-
 def masked_log_probabilities(logits: Tensor, mask: Tensor) -> Tensor:
     """Log probabilities of the actions that a mask allows.
 
@@ -150,56 +109,3 @@ def confidences(policy: nn.Module, states: Tensor, mask: Tensor, targets: Tensor
     """
     logits, _ = policy(states, targets)
     return masked_log_probabilities(logits, mask).exp()
-
-
-def describe(policy: nn.Module) -> dict[str, Any]:
-    """Kind, sizes and number of weights of a policy, as plain JSON values."""
-    inner = getattr(policy, "_orig_mod", policy)  # what torch.compile wrapped
-    assert isinstance(inner, Policy)
-    return {
-        **asdict(inner.settings),
-        "parts": inner.part_count,
-        "parameters": sum(weight.numel() for weight in inner.parameters()),
-    }
-
-
-def transfer(
-    weights: Mapping[str, Tensor], settings: PolicySettings, assembly: Assembly, device: torch.device | str = "cpu"
-) -> Policy:
-    """A policy for a structure with the weights of a policy trained on another one.
-
-    Args:
-        weights: `state_dict` of the trained policy.
-        settings: its settings.
-        assembly: the other structure.
-        device: where the new policy lives.
-
-    Raises:
-        InputError: the weights know the parts of their structure by number, or are of another network.
-    """
-    if not settings.transfers:
-        why = "knows every part by its number (identity)" if settings.identity else "reads the parts by their number"
-        raise InputError(f"a policy of kind {settings.kind} that {why} fits its own structure only; train another kind")
-    policy = make_policy(assembly, settings, "cpu")
-    try:
-        policy.load_state_dict(dict(weights))
-    except RuntimeError:
-        raise InputError(
-            "the weights do not fit the settings of the policy; use the settings they were trained with"
-        ) from None
-    return policy.to(device)
-
-
-def share(policy: Policy, assembly: Assembly) -> Policy:
-    """A policy for another structure that uses the very same weights: training one trains the other.
-
-    Raises:
-        InputError: as `transfer`.
-    """
-    device = next(policy.parameters()).device
-    other = transfer(policy.state_dict(), policy.settings, assembly, device)
-    owners = dict(other.named_modules())
-    for name, weight in policy.named_parameters():
-        owner, _, leaf = name.rpartition(".")
-        setattr(owners[owner], leaf, weight)
-    return other

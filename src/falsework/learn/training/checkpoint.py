@@ -16,7 +16,8 @@ from falsework.assembly.model import Assembly
 from falsework.errors import FalseworkError, InputError
 from falsework.learn.config.train import TrainSettings, from_dict
 from falsework.learn.networks import policy as policies
-from falsework.learn.networks.policy import Policy, make_policy
+from falsework.learn.networks.factory import make_policy
+from falsework.learn.networks.policy import Policy
 from falsework.utils.archive import write_whole
 
 FORMAT = "falsework.run/2"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import Policy
+from falsework.learn.env.rollout import Policy, roll_out
 from falsework.utils.collectives import summed
 from falsework.utils.distributed import Shards
 from falsework.utils.tensors import put
@@ -86,7 +86,7 @@ def greedy_success(
     """
     mine, _ = shards.block(len(states))
     aims = None if targets is None else targets[mine]
-    ended = environment.rollout(policy, states[mine], aims, greedy=True, keep="ends").success
+    ended = roll_out(environment, policy, states[mine], aims, greedy=True, keep="ends").success
     success = shards.gather_blocks(ended.to(torch.uint8), len(states)).bool()
     return Success(len(states), int(success.sum())), success
 

@@ -14,17 +14,17 @@ import torch
 from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.learn.algorithms.imitation import Network
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.train import TrainSettings, to_dict
 from falsework.learn.data.dataset import Dataset
-from falsework.learn.data.recording_environment import WatchedEnvironment
+from falsework.learn.data.recording_environment import RecordingEnvironment
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.networks import policy as policies
-from falsework.learn.networks.policy import describe, make_policy
+from falsework.learn.networks.autocast import Network
+from falsework.learn.networks.factory import describe, make_policy
 from falsework.learn.training.budget import TrainingBudget
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, save_run, write_run
-from falsework.learn.training.evaluate import Success, greedy_success, throughput
+from falsework.learn.training.evaluate import Sets, Success, greedy_success, throughput
 from falsework.learn.training.learners import (
     Learner,
     LearnerContext,
@@ -63,8 +63,10 @@ class TrainResult:
     data_seconds: float
     train: Success
     """Greedy success on a sample of the paper's training set."""
+    validation: Success
+    """Greedy success on a sample of the validation set."""
     test: Success
-    """Greedy success on a sample of the test set."""
+    """Greedy success on a sample of the test set, tried once, at the end."""
     solved: int
     """States that were learned from."""
     met_share: float
@@ -89,6 +91,7 @@ class TrainResult:
             "seconds": round(self.seconds, 2),
             "data_seconds": round(self.data_seconds, 2),
             "train": self.train.to_dict(),
+            "validation": self.validation.to_dict(),
             "test": self.test.to_dict(),
             "solved": self.solved,
             "test_states_met": round(self.met_share, 6),
@@ -126,7 +129,7 @@ class Trainer:
         self._curve: list[dict[str, float]] = []
         self._saved = time.perf_counter()
         self._oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
-        self._environment = WatchedEnvironment(
+        self._environment = RecordingEnvironment(
             assembly,
             settings.robots,
             oracle=self._oracle,
@@ -190,7 +193,7 @@ class Trainer:
 
     def _blocks(self, learner: Learner, journal: Journal | None) -> TrainResult:
         settings, evaluated = self.settings, -1
-        success = {name: Success(0, 0) for name in self._data.curve}
+        success = {name: Success(0, 0) for name in self._data.curve | self._data.test}
         numbers: dict[str, float] = {}
         blocks = interrupted = 0
         here = time.perf_counter()
@@ -208,15 +211,16 @@ class Trainer:
             blocks += 1
             whole = self.steps // settings.block
             if whole > (self.steps - steps) // settings.block and whole % settings.evaluate_every == 0:
-                success, evaluated = self._evaluate(learner), self.steps
+                success, evaluated = self._evaluate(learner, self._data.curve), self.steps
                 self._log(journal, numbers, success)
-            self.report(self.budget.progress(self.steps), self._message(numbers, success["test"]))
+            self.report(self.budget.progress(self.steps), self._message(numbers, success["validation"]))
             since = decided(time.perf_counter() - self._saved, self.shards, self.device)
             if since >= settings.checkpoint_every:
                 self._save(learner)
         if evaluated != self.steps:
-            success = self._evaluate(learner)
+            success = self._evaluate(learner, self._data.curve)
             self._log(journal, numbers, success)
+        success |= self._evaluate(learner, self._data.test)
         result = self._result(success, bool(interrupted), time.perf_counter() - here)
         self._results = result.to_dict()
         self._save(learner)
@@ -256,11 +260,11 @@ class Trainer:
         following.load_policy(self._best)
         return following
 
-    def _evaluate(self, learner: Learner) -> dict[str, Success]:
+    def _evaluate(self, learner: Learner, sets: Sets) -> dict[str, Success]:
         learner.export_policy(self._best)
         success = {}
-        with self._environment.unwatched():
-            for name, (states, targets) in self._data.curve.items():
+        with self._environment.paused_recording():
+            for name, (states, targets) in sets.items():
                 aims = None if targets is None else put(targets, self.device)
                 success[name], _ = greedy_success(
                     self._environment, self._asked, put(states, self.device), aims, shards=self.shards
@@ -275,9 +279,9 @@ class Trainer:
         if journal is not None:
             journal.write(self.steps, line)
 
-    def _message(self, numbers: dict[str, float], test: Success) -> str:
+    def _message(self, numbers: dict[str, float], held_out: Success) -> str:
         loss = f"loss {numbers['loss']:.3f}" if "loss" in numbers else ""
-        tested = f"test {100 * test.share:.1f} %" if test.states else ""
+        tested = f"validation {100 * held_out.share:.1f} %" if held_out.states else ""
         return ", ".join(text for text in (f"step {self.steps}", loss, f"{len(self._solved)} states", tested) if text)
 
     def _save(self, learner: Learner) -> None:
@@ -320,6 +324,7 @@ class Trainer:
             self.budget.seconds,
             self.data_seconds,
             success["train"],
+            success["validation"],
             success["test"],
             len(self._solved),
             self._solved.met_share,

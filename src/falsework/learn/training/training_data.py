@@ -9,10 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import States
 from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings
@@ -20,7 +18,7 @@ from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, t
 from falsework.learn.data.goal_dataset import Searched, TargetDataset, TargetDataSettings, target_dataset
 from falsework.learn.data.goal_pairs import Pairs
 from falsework.learn.data.random_walks import TaskSource, Ways
-from falsework.learn.data.symmetry_augmentation import TurnedTasks
+from falsework.learn.data.symmetry_augmentation import TurnedTasks, symmetric_images
 from falsework.learn.training.checkpoint import DATA, SEARCHED
 from falsework.learn.training.evaluate import Sets, sample
 from falsework.search.device.oracle import TensorOracle
@@ -40,10 +38,12 @@ class TrainingData:
     tasks: TaskSource | None
     """Draws more of both, with valid actions, where there are targets."""
     held_out: torch.Tensor
-    """Test states and their images under the symmetries of the structure: no loss is taken at them, no rollout starts
-    there. Shape (count, parts)."""
+    """States that are not to be learned from: those of the test and the validation set with their images under the
+    symmetries of the structure, shape (count, parts)."""
     curve: Sets
-    """Fixed samples of training and test states, for the curve."""
+    """Fixed samples of training and validation states, for the curve."""
+    test: Sets
+    """A fixed sample of test states, for the end."""
     seconds: float
     """What it took to get them."""
 
@@ -81,8 +81,7 @@ def collect_training_data(
         InputError: data of another criterion than the run.
     """
     begun = time.perf_counter()
-    count = settings.evaluation_states
-    permutations = symmetries(assembly)
+    count, images = settings.evaluation_states, symmetries(assembly)
     if settings.policy.two_states:
         path = None if folder is None else folder / SEARCHED
         task = task_for(assembly, settings.robots, settings.removable_only_if_clear).judged_by(oracle)
@@ -94,10 +93,10 @@ def collect_training_data(
             if shards.first:
                 _keep(path, lambda where: searched.save(where, task), note)
         pairs = find_pairs(assembly, settings, oracle, device=device, shards=shards, searched=searched)
-        held_out = symmetric_images(pairs.test_states, permutations)
+        held_out = symmetric_images(pairs.held_out, images)
         tasks: TaskSource = Ways(pairs.wide, device=device, forbidden=held_out)
-        if len(permutations) > 1:
-            tasks = TurnedTasks(tasks, permutations, device=device, forbidden=held_out)
+        if len(images) > 1:
+            tasks = TurnedTasks(tasks, images, device=device, forbidden=held_out)
         generator = torch.Generator(device).manual_seed(settings.data_seed)
         states, targets, _ = tasks.draw(settings.pairs, generator)
         return TrainingData(
@@ -105,7 +104,8 @@ def collect_training_data(
             targets,
             tasks,
             put(held_out, device),
-            {"train": _some(pairs.train, count), "test": _some(pairs.test, count)},
+            {"train": _some(pairs.train, count), "validation": _some(pairs.validation, count)},
+            {"test": _some(pairs.test, count)},
             time.perf_counter() - begun,
         )
     path = None if folder is None else folder / DATA
@@ -128,26 +128,18 @@ def collect_training_data(
         )
     if fresh and shards.first:
         _keep(path, data.save, note)
-    held_out = symmetric_images(data.test, permutations)
-    starts = np.concatenate([data.train, data.more])
+    held_out = symmetric_images(np.concatenate([data.test, data.validation]), images)
+    held = StateIndex(held_out)
+    train, more = (states[held.find(states) < 0] for states in (data.train, data.more))
     return TrainingData(
-        put(starts[StateIndex(held_out).find(starts) < 0], device),
+        put(np.concatenate([train, more]), device),
         None,
         None,
         put(held_out, device),
-        {"train": (sample(data.train, count), None), "test": (sample(data.test, count), None)},
+        {"train": (sample(train, count), None), "validation": (sample(data.validation, count), None)},
+        {"test": (sample(data.test, count), None)},
         time.perf_counter() - begun,
     )
-
-
-def symmetric_images(states: States, permutations: NDArray[np.intp]) -> States:
-    """Return the images of states under symmetries of their structure, each once.
-
-    Args:
-        states: shape (count, parts).
-        permutations: as of `falsework.assembly.symmetry.symmetries`, shape (symmetries, parts).
-    """
-    return np.unique(np.concatenate([states[:, np.argsort(one)] for one in permutations]), axis=0)
 
 
 def find_pairs(

@@ -19,10 +19,11 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, Mask, States
 from falsework.robots.planning.rollout import Taste, roll_out
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
-from falsework.search.planner import Planner, PlannerSettings
+from falsework.search.planner import Planner
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.result import Route, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
+from falsework.search.settings import PlannerSettings
 from falsework.stability.oracle import Stability
 
 _LEVELS = 8

@@ -7,7 +7,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from falsework.search.beam.beam import BeamSearch, BeamSettings
+from falsework.search.beam.beam import BeamSearch
+from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Progress, SearchResult, Stop

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
-from falsework.search.beam.frontier import Frontier, expand
+from falsework.search.beam.frontier import Frontier, Level, expand
 from falsework.search.beam.histories import Histories
 from falsework.search.beam.selection import Selector
+from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import Judge, Oracle
@@ -33,65 +34,12 @@ from falsework.utils.archive import read_archive, write_archive
 
 FORMAT = "falsework.beam/1"
 
-Diversity = Literal["k-means", "none"]
-
 _BACK = 8
 """Levels that a beam goes back when it is tried again ..."""
 _FARTHER = 4
 """... and this many times more each further time."""
 _REPORTED = 64
 """States handed back as deepest and as rejected, at most."""
-
-
-@dataclass(frozen=True)
-class BeamSettings:
-    """How a beam search walks."""
-
-    width: int = 64
-    """States kept at a level."""
-    direction: Direction = Direction.ASSEMBLY
-    """Which end to begin at."""
-    diversity: Diversity = "k-means"
-    """How states are chosen where there are too many: one from each of `width` clusters, or the best scored."""
-    ahead: int = 0
-    """0: ask for all verdicts of a level, then choose `width` among the stable states, as the paper does.
-    Above 0: ask in the order of promise (robots free, then score) until `width` states are found stable, and keep this
-    many more that need no verdict, so that the next level has a choice. Narrow beams then go far with few verdicts."""
-    commit: bool = False
-    """With `ahead`: drop states that keep more robots busy than the `width` states found stable."""
-    retries: int = 3
-    """Times that a beam which died goes back some levels to choose again with other random numbers."""
-    seed: int = 0
-    """Same seed, same machine, same result."""
-    pool: int = 8_000_000
-    """Bound on candidates times parts that are written down and clustered at once; beyond it a random sample is."""
-
-    def __post_init__(self) -> None:
-        if self.width < 1:
-            raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
-        if self.ahead < 0:
-            raise InputError(f"a beam cannot keep {self.ahead} states ahead; give 0 or more")
-        if self.retries < 0:
-            raise InputError(f"a beam cannot be tried again {self.retries} times; give 0 or more")
-        if self.pool < 1:
-            raise InputError("the pool of a beam search must hold at least one number")
-
-
-@dataclass(frozen=True, eq=False)
-class Level:
-    """States that a beam kept the same number of steps away from its origin."""
-
-    states: States
-    """Shape (kept, parts)."""
-    parent: NDArray[np.int64]
-    """Row of the level before, shape (kept,)."""
-    action: NDArray[np.int64]
-    """Shape (kept,)."""
-    score: NDArray[np.float64]
-    """Sum of the guide's scores on the way, shape (kept,)."""
-    grounded: NDArray[np.int8]
-    """1 where the state and all on the way to it are known to be stable, -1 where one is not, 0 where the verdict of
-    a fixed part waits; shape (kept,)."""
 
 
 class BeamSearch:

@@ -15,6 +15,23 @@ _CHUNK = 4096
 
 
 @dataclass(frozen=True, eq=False)
+class Level:
+    """States that a beam kept the same number of steps away from its origin."""
+
+    states: States
+    """Shape (kept, parts)."""
+    parent: NDArray[np.int64]
+    """Row of the level before, shape (kept,)."""
+    action: NDArray[np.int64]
+    """Shape (kept,)."""
+    score: NDArray[np.float64]
+    """Sum of the guide's scores on the way, shape (kept,)."""
+    grounded: NDArray[np.int8]
+    """1 where the state and all on the way to it are known to be stable, -1 where one is not, 0 where the verdict of
+    a fixed part waits; shape (kept,)."""
+
+
+@dataclass(frozen=True, eq=False)
 class Frontier:
     """Distinct states that one move leads to from the states of a level."""
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
+from falsework.search.beam.frontier import Level
 
 if TYPE_CHECKING:
-    from falsework.search.beam.beam import Level
     from falsework.stability.contact.replay import History, Replayer
 
 _BYTES = 256 << 20

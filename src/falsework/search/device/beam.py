@@ -11,7 +11,8 @@ import numpy as np
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.search.beam.beam import BeamSettings, Level
+from falsework.search.beam.frontier import Level
+from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.k_means import find_centers
 from falsework.search.device.oracle import TensorJudge, TensorOracle
 from falsework.search.device.rules import TensorRules
@@ -117,7 +118,7 @@ class DeviceBeam:
         self.shards = shards
         self.exhaustive = True
         """No state was left out so far: if the search dies now, there is no plan."""
-        self._rules = TensorRules(task, settings.direction, self.device)
+        self._rules = TensorRules(task, self.device, settings.direction)
         self._judge = TensorJudge(oracle, shards)
         self._guide = guide
         self._candidates = self._asked = 0

@@ -3,10 +3,14 @@
 All states that a beam ends with descend from the few that got through its narrowest place, however wide it is. Where
 ways are to differ, many beams therefore tell more than a wide one. Side by side they share every question to the
 oracle and every launch of a kernel, so that a beam more costs little beyond its verdicts.
+
+`next_level` and `with_ancestors` serve beams with any order of candidates: at random here, by a policy in
+`falsework.learn.algorithms.policy_beam`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -45,14 +49,71 @@ class ManySearches:
 
 
 @dataclass(eq=False)
-class _Level:
-    states: torch.Tensor
-    hashes: torch.Tensor
-    owner: torch.Tensor
-    parent: torch.Tensor
+class Level:
+    """States of several searches the same number of steps away from their origins, those of one search together."""
 
-    def take(self, rows: torch.Tensor) -> _Level:
-        return _Level(self.states[rows], self.hashes[rows], self.owner[rows], self.parent[rows])
+    states: torch.Tensor
+    """`uint8`, shape (count, parts)."""
+    owner: torch.Tensor
+    """Search that each belongs to, ascending, shape (count,)."""
+    parent: torch.Tensor
+    """Row of the level before, shape (count,)."""
+    value: torch.Tensor
+    """Number that the order of successors depends on, such as a hash or a score, shape (count,)."""
+
+    def take(self, rows: torch.Tensor) -> Level:
+        """Some of the states."""
+        return Level(self.states[rows], self.owner[rows], self.parent[rows], self.value[rows])
+
+
+Stable = Callable[["torch.Tensor", "torch.Tensor", "torch.Tensor"], "torch.Tensor"]
+"""Which states are stable: states and parents, shape (count, parts), and actions, shape (count,), to shape (count,)."""
+
+
+def next_level(
+    rules: TensorRules,
+    level: Level,
+    candidates: tuple[torch.Tensor, torch.Tensor, torch.Tensor],
+    stable: Stable,
+    width: int,
+    spare: int,
+) -> Level:
+    """Judge the first candidates of each search and keep the first that are stable.
+
+    Args:
+        rules: what an action does.
+        level: states that the candidates come from.
+        candidates: parent, action and value of each, in the order in which each search prefers them, those of one
+            search together, and no state twice in one search; shape (candidates,).
+        stable: verdicts.
+        width: states that each search keeps.
+        spare: candidates judged for each state that is kept, since some fall.
+    """
+    parent, action, value = candidates
+    looked = place_in_group(level.owner[parent]) < spare * width
+    parent, action, value = parent[looked], action[looked], value[looked]
+    before = level.states[parent]
+    after = rules.follow(before, action)
+    rows = stable(after, before, action).nonzero()[:, 0]
+    rows = rows[place_in_group(level.owner[parent[rows]]) < width]
+    return Level(after[rows], level.owner[parent[rows]], parent[rows], value[rows])
+
+
+def with_ancestors(levels: list[Level], chosen: list[torch.Tensor]) -> list[Level]:
+    """States chosen at each level, and those that they were come to by.
+
+    Args:
+        levels: from the origins on.
+        chosen: rows of each level.
+    """
+    torch = import_torch()
+    pieces = []
+    later = levels[-1].parent[:0]
+    for level, own in zip(reversed(levels), reversed(chosen), strict=True):
+        rows = torch.unique(torch.cat([later, own]))
+        pieces.append(level.take(rows))
+        later = level.parent[rows]
+    return pieces[::-1]
 
 
 def search_many(
@@ -108,43 +169,38 @@ class _Beams:
         task = task.judged_by(oracle)
         self.device = device
         self._width, self._seed, self._steps = width, seed, task.steps
-        self._rules = TensorRules(task, direction, device)
+        self._rules = TensorRules(task, device, direction)
         self._judge = TensorJudge(oracle, Shards())
         self._dead = not task.contains(task.origin(direction)[None])[0]
 
-    def run(self, owners: torch.Tensor) -> list[_Level]:
+    def run(self, owners: torch.Tensor) -> list[Level]:
         """All levels of some searches, as far as the last of them came."""
         origin = self._rules.origin().expand(len(owners), -1).contiguous()
-        levels = [_Level(origin, self._rules.hashes(origin), owners, owners - owners[0])]
+        levels = [Level(origin, owners, owners - owners[0], self._rules.hashes(origin))]
         while len(levels) <= self._steps and not self._dead:
-            level = self._next(levels[-1], len(levels))
+            level = levels[-1]
+            candidates = self._candidates(level, len(levels))
+            level = next_level(self._rules, level, candidates, self._stable, self._width, _SPARE)
+            level = level.take((~self._rules.dead_ends(level.states)).nonzero()[:, 0])
             if len(level.states) == 0:
                 break
             levels.append(level)
         return levels
 
-    def some(self, levels: list[_Level], keep: int) -> list[_Level]:
+    def some(self, levels: list[Level], keep: int) -> list[Level]:
         """States of each search drawn evenly, `keep` on average, and those that they were come to by."""
         torch = import_torch()
         first = levels[0].owner[0]
-        sizes = torch.bincount(torch.cat([level.owner for level in levels]) - first)
-        share = keep / sizes
-        chosen = []
-        later = levels[-1].parent[:0]
-        for number, level in reversed(list(enumerate(levels))):
-            words = self._words(level.hashes, level.owner, 2 * number + 1)
-            drawn = (uniform(words) < share[level.owner - first]).nonzero()[:, 0]
-            rows = torch.unique(torch.cat([drawn, later]))
-            chosen.append(level.take(rows))
-            later = level.parent[rows]
-        return chosen[::-1]
+        share = keep / torch.bincount(torch.cat([level.owner for level in levels]) - first)
+        words = (self._words(level.value, level.owner, 2 * number + 1) for number, level in enumerate(levels))
+        drawn = [uniform(word) < share[level.owner - first] for word, level in zip(words, levels, strict=True)]
+        return with_ancestors(levels, [rows.nonzero()[:, 0] for rows in drawn])
 
-    def _next(self, level: _Level, number: int) -> _Level:
-        """The next level: of the candidates of each search, in random order, the first that stand."""
+    def _candidates(self, level: Level, number: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Successors of the states of a level, those of each search in random order."""
         torch = import_torch()
-        rules = self._rules
-        parent, action, hashes = rules.children(level.states, level.hashes, rules.moves(level.states))
-        asks = rules.needs_verdict(action)
+        parent, action, hashes = self._rules.children(level.states, level.value, self._rules.moves(level.states))
+        asks = self._rules.needs_verdict(action)
         # Equal states get equal words. The lowest bit puts that one of them first that needs no verdict. Two others
         # of one search agree in these 42 bits once in a million levels; then one of the candidates is left out.
         owner = level.owner[parent]
@@ -155,17 +211,14 @@ class _Beams:
         first = torch.ones_like(key, dtype=torch.bool)
         first[1:] = (key[1:] >> 1) != (key[:-1] >> 1)
         order = order[first]
-        order = order[place_in_group(local[order]) < _SPARE * self._width]
-        rows = order[asks[order]]
-        stable = ~asks
+        return parent[order], action[order], hashes[order]
+
+    def _stable(self, states: torch.Tensor, parents: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+        asks = self._rules.needs_verdict(actions)
+        stable, rows = ~asks, asks.nonzero()[:, 0]
         if len(rows):
-            after = rules.follow(level.states[parent[rows]], action[rows])
-            stable[rows] = self._judge.verdicts(after, level.states[parent[rows]], len(rows)) == Verdict.STABLE
-        order = order[stable[order]]
-        order = order[place_in_group(local[order]) < self._width]
-        after = rules.follow(level.states[parent[order]], action[order])
-        alive = ~rules.dead_ends(after)
-        return _Level(after, hashes[order], owner[order], parent[order]).take(alive.nonzero()[:, 0])
+            stable[rows] = self._judge.verdicts(states[rows], parents[rows], len(rows)) == Verdict.STABLE
+        return stable
 
     def _words(self, hashes: torch.Tensor, owner: torch.Tensor, salt: int) -> torch.Tensor:
         """Random words of states, other ones in each search."""

@@ -1,47 +1,60 @@
-"""The rules of a task on tensors: what `Task` says of arrays, for a beam that stays on its device."""
+"""Rules of a task on tensors: what `Task` says of arrays, for beams and rollouts that stay on their device."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from falsework.assembly.state import HELD, INSTALLED, REMOVED
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, as_states, held_count
+from falsework.errors import StateError
 from falsework.geometry.clearance.table import ClearanceTable
 from falsework.search.problem.hashing import StateHash
-from falsework.search.problem.task import Clearance, Direction, Task
+from falsework.search.problem.task import STAGE, Clearance, Direction, Task
 from falsework.utils.bits import unpack
-from falsework.utils.tensors import import_torch, put
+from falsework.utils.tensors import choose_device, import_torch, put
 
 if TYPE_CHECKING:
     import torch
 
 
 class TensorRules:
-    """Legal moves between the states of one task in one direction, on one device."""
+    """Legal moves between the states of one task in one direction, on one device.
 
-    def __init__(self, task: Task, direction: Direction, device: torch.device) -> None:
+    The rules are those of `Task`. A task knows one goal; here every row of a batch may have a goal of its own, as
+    policies do that are conditioned on it. Goals of rows are for tasks without missing parts.
+    """
+
+    def __init__(
+        self, task: Task, device: torch.device | str = "cpu", direction: Direction = Direction.DISASSEMBLY
+    ) -> None:
         """Copy the rules to the device.
 
         Args:
             task: rules between start and target.
+            device: where the states are: a device, or `auto`, `cpu` or `cuda`.
             direction: which way a search walks.
-            device: where the states are.
+
+        Raises:
+            InputError: no such device.
         """
         self.task = task
         self.direction = direction
-        self.device = device
+        self.device = device = choose_device(device) if isinstance(device, str) else device
         self.part_count = task.part_count
         goal = task.goal(direction)
         backward = direction is Direction.ASSEMBLY
         boundary = np.asarray(task.boundary)
+        touchable = ~boundary
+        touchable[list(task.fixed)] = False
         # Assembly mirrors disassembly: installed and removed change places, and so do insert and remove.
         self._from, self._into = (REMOVED, INSTALLED) if backward else (INSTALLED, REMOVED)
-        self._movable = put(~boundary, device)
-        self._first = put(goal != self._from, device)
-        self._second = put(goal == self._into, device)
-        self._kept = put((goal == HELD) & ~boundary, device)
-        self._robots = task.robots
+        self._loose = put(~boundary, device)
+        self._touchable = put(touchable, device)
+        self._goal = put(goal, device)
+        self._keeps = bool(((goal == HELD) & ~boundary).any())
+        self._stage = put(-STAGE if backward else STAGE, device)
         self._origin = put(task.origin(direction), device)
         self._to_come = put(task.start != REMOVED, device)
         self._words = put(StateHash.for_parts(task.part_count).words, device)
@@ -54,17 +67,34 @@ class TensorRules:
         """State that the search begins with, shape (1, parts)."""
         return self._origin[None].clone()
 
-    def moves(self, states: torch.Tensor) -> torch.Tensor:
-        """Actions that the rules allow from each state, as `Task.moves`. Shapes (batch, parts), (batch, 2 parts)."""
+    def complete(self, count: int = 1) -> torch.Tensor:
+        """The complete structure, nothing held, `count` times. Shape (count, parts)."""
+        state = import_torch().where(self._loose, INSTALLED, HELD).to(self._origin.dtype)
+        return state.expand(count, -1).clone()
+
+    def moves(self, states: torch.Tensor, goals: torch.Tensor | None = None) -> torch.Tensor:
+        """Actions that the rules allow from each state, stability aside, as `Task.moves`.
+
+        Args:
+            states: between the origin and the goals, `uint8`, shape (batch, parts).
+            goals: `uint8`, shape (batch, parts); None for the goal of the task.
+
+        Returns:
+            `bool`, shape (batch, 2 parts); `[:, i]` hold part `i`, `[:, parts + i]` remove part `i`, or undo that.
+        """
         torch = import_torch()
-        held = (states == HELD) & self._movable
-        idle = held.sum(dim=1) < self._robots
-        take = (states == self._from) & idle[:, None] & self._first
-        give = held & self._second
-        # A robot that holds a part to the end is lost for the rest: the last robot must stay free.
-        last = (held & self._kept).sum(dim=1) + 1 >= self._robots
-        waiting = (self._second & (states != self._into)).any(dim=1)
-        take &= ~(self._kept & (last & waiting)[:, None])
+        goal = self._goal if goals is None else goals
+        held = (states == HELD) & self._loose
+        idle = held.sum(dim=1) < self.task.robots
+        take = (states == self._from) & idle[:, None] & self._touchable & (goal != self._from)
+        goes = goal == self._into
+        give = held & self._touchable & goes
+        if goals is not None or self._keeps:
+            # A robot that holds a part to the end is lost for the rest: the last robot must stay free.
+            kept = (goal == HELD) & self._loose
+            last = (held & kept).sum(dim=1) + 1 >= self.task.robots
+            waiting = (goes & (states != self._into)).any(dim=1)
+            take &= ~(kept & (last & waiting)[:, None])
         forward = self.direction is Direction.DISASSEMBLY
         hold, remove = (take, give) if forward else (give, take)
         if self.task.clearance is not None:
@@ -78,6 +108,61 @@ class TensorRules:
             after = present[:, None] + step * moved.long()
             mask &= after <= self._missing_allowed(states, step)[:, None]
         return mask
+
+    def goals(self, states: torch.Tensor) -> torch.Tensor:
+        """Goals that None stands for: that of the task, with boundary and fixed parts as they are in each state.
+
+        Args:
+            states: shape (batch, parts).
+
+        Returns:
+            Shape (batch, parts).
+        """
+        return import_torch().where(self._touchable, self._goal, states)
+
+    def reached(self, states: torch.Tensor, goals: torch.Tensor | None = None) -> torch.Tensor:
+        """Which states are their goal; boundary and fixed parts do not count without goals. Shape (batch,)."""
+        if goals is None:
+            return ((states == self._goal) | ~self._touchable).all(dim=1)
+        return (states == goals).all(dim=1)
+
+    def steps_left(self, states: torch.Tensor, goals: torch.Tensor | None = None) -> torch.Tensor:
+        """Number of actions from each state to its goal, the same on all ways. `int64`, shape (batch,)."""
+        goals = self.goals(states) if goals is None else goals
+        return (self._stage[goals.long()] - self._stage[states.long()]).sum(dim=1)
+
+    def contains(self, states: torch.Tensor, goals: torch.Tensor | None = None) -> torch.Tensor:
+        """Which states may lead to their goal as far as the rules go, as `Task.create` checks. Shape (batch,).
+
+        No part has to go backwards, no fixed part has to change, and robots suffice in both.
+        """
+        goals = self.goals(states) if goals is None else goals
+        forward = (self._stage[goals.long()] >= self._stage[states.long()]).all(dim=1)
+        still = ((states == goals) | self._touchable).all(dim=1)
+        first, last = (((s == HELD) & self._loose).sum(dim=1) <= self.task.robots for s in (states, goals))
+        return forward & still & first & last
+
+    def put(self, states: ArrayLike | torch.Tensor) -> torch.Tensor:
+        """Check states that come from outside, and put them on the device.
+
+        Args:
+            states: one state `(parts,)` or a batch `(batch, parts)` of 0 removed, 1 installed, 2 held.
+
+        Returns:
+            `uint8`, shape (batch, parts).
+
+        Raises:
+            StateError: as `as_states`, or more parts held than there are robots.
+        """
+        if isinstance(states, import_torch().Tensor):
+            states = states.detach().cpu().numpy()
+        boundary, robots = self.task.boundary, self.task.robots
+        batch = as_states(states, boundary)
+        held = held_count(batch, boundary)
+        if (held > robots).any():
+            row = int(np.argmax(held > robots))
+            raise StateError(f"state {row} has {held[row]} parts held; {robots} robots can hold {robots}")
+        return put(batch, self.device)
 
     def dead_ends(self, states: torch.Tensor) -> torch.Tensor:
         """States from which the goal is certainly out of reach, as `Task.dead_ends`. Shape (batch,)."""
@@ -99,7 +184,8 @@ class TensorRules:
     def follow(self, states: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
         """States after one move each. Shapes (batch, parts), (batch,)."""
         after = states.clone()
-        return after.scatter_(1, (actions % self.part_count)[:, None], self.moved_value(actions)[:, None])
+        part = (actions % self.part_count).long()
+        return after.scatter_(1, part[:, None], self.moved_value(actions)[:, None])
 
     def hashes(self, states: torch.Tensor) -> torch.Tensor:
         """The words of `StateHash`, as int64 of the same bits. Shape (batch,)."""

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, States
-from falsework.search.problem.task import Direction
+from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.task import Direction, Task
 
 
 class Outcome(StrEnum):
@@ -149,3 +150,31 @@ class SearchResult:
     def found(self) -> bool:
         """Whether there is a plan in the result."""
         return self.outcome is Outcome.FOUND
+
+
+def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
+    """Judge the start and the target of a task; the failed search if one of them is not stable, else None."""
+    ends = np.stack([task.start, task.target])
+    verdicts = oracle.judge(ends)
+    if verdicts.stable.all():
+        return None
+    row = int(np.argmin(verdicts.stable))
+    name = ("start", "target")[row]
+    proved, slides = bool(verdicts.unstable[row]), bool(verdicts.slides[row])
+    word = "unstable" if proved else "sliding" if slides else "undecided"
+    limit = f"the {name} state slides" if slides else f"the {name} state could be proved neither stable nor unstable"
+    return SearchResult(
+        outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
+        routes=(),
+        direction=(Direction.DISASSEMBLY, Direction.ASSEMBLY)[row],
+        steps=task.steps,
+        reached=0,
+        deepest=ends[:0],
+        rejected=ends[row : row + 1],
+        counters=SearchCounters(asked=2, rejected=int((~verdicts.stable).sum())),
+        seconds=0.0,
+        limit="" if proved else limit,
+        undecided=int(word == "undecided"),
+        sliding=int(slides),
+        notes=(f"the {name} state is {word}",),
+    )

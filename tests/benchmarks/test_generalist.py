@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from experiments.generalist import GeneralistSettings, fine_tune, train_generalist
+from experiments.policy_cost import policy_cost
+from experiments.structure_generator import turned_copies
+from experiments.transfer import Budget, Workbench, compare_networks, transfer_experiment
 
 from falsework.assembly import load_structure
 from falsework.errors import InputError
-from falsework.learn.family import turned_copies
-from falsework.learn.generalist import GeneralistSettings, fine_tune, train_generalist
-from falsework.learn.networks.policy import PolicySettings, make_policy, transfer
-from falsework.learn.policy_table import policy_table
+from falsework.learn.config.policy import PolicySettings
+from falsework.learn.networks.factory import make_policy, transfer
 from falsework.learn.training.evaluate import greedy_success
-from falsework.learn.transfer import Budget, Workbench, compare_networks, transfer_experiment
 
 SMALL = PolicySettings("parts", layers=2, channels=32, heads=4)
 
@@ -85,7 +86,7 @@ def test_networks_are_compared_on_the_same_data_for_the_same_time() -> None:
 def test_operations_of_the_perceptrons_are_those_of_their_matrices() -> None:
     arch = load_structure("arch:blocks=4")
     parts = arch.part_count
-    row = policy_table(arch, [PolicySettings("mlp")])[0]
+    row = policy_cost(arch, [PolicySettings("mlp")])[0]
     assert row["flops_forward"] == 2 * (4 * parts * 64 + 2 * 64 * 64 + 64 * 2 * parts + 64)
     assert 2 * row["flops_forward"] < row["flops_training"] <= 3 * row["flops_forward"]
 
@@ -94,7 +95,7 @@ def test_operations_of_attention_are_those_of_its_docstring() -> None:
     """`L (2 m c^2 (4 + 2 e) + 4 m^2 c)`, and little besides."""
     vault = load_structure("vault:parts=40")
     m, c = vault.part_count, 128
-    row = policy_table(vault, [PolicySettings("parts")])[0]
+    row = policy_cost(vault, [PolicySettings("parts")])[0]
     formula = 4 * (2 * m * c * c * (4 + 2 * 2) + 4 * m * m * c)
     assert formula < row["flops_forward"] < 1.15 * formula
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +16,6 @@ from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import Judge, Oracle
 from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
-from falsework.utils.archive import read_archive, write_archive
-
-FORMAT = "falsework.depth-first/1"
 
 _REPORTED = 64
 
@@ -72,9 +68,7 @@ class DepthFirstSearch:
         self._untried: list[list[int]] = []
         self._entered: set[bytes] = set()
         self._candidates = 0
-        self._before = SearchCounters()
         self._seconds = 0.0
-        self._undecided = self._sliding = 0
         self._reached = 0
         self._deepest = np.empty((0, task.part_count), dtype=np.uint8)
         self._rejected = np.empty((0, task.part_count), dtype=np.uint8)
@@ -100,8 +94,7 @@ class DepthFirstSearch:
     @property
     def counters(self) -> SearchCounters:
         """Work done so far, earlier runs included."""
-        now = SearchCounters(len(self._entered), self._candidates, self._judge.asked, self._judge.rejected)
-        return self._before + now
+        return SearchCounters(len(self._entered), self._candidates, self._judge.asked, self._judge.rejected)
 
     def step(self) -> None:
         """Enter the next state, or go back by one."""
@@ -124,7 +117,7 @@ class DepthFirstSearch:
 
         Args:
             progress: called after every step.
-            stop: asked before every step; true stops the search, which can then be saved or run on.
+            stop: asked before every step; true stops the search, which can then be run on.
         """
         begun = time.perf_counter()
         interrupted = False
@@ -140,58 +133,6 @@ class DepthFirstSearch:
             interrupted = True
         self._seconds += time.perf_counter() - begun
         return self._result(interrupted)
-
-    def save(self, path: Path | str) -> None:
-        """Write the search as it stands, to be resumed by `load`."""
-        parts = self.task.part_count
-        entered = np.frombuffer(b"".join(sorted(self._entered)), dtype=np.uint8).reshape(-1, parts)
-        arrays = {
-            "path": np.array(self._path, dtype=np.uint8).reshape(-1, parts),
-            "untried": np.array([action for actions in self._untried for action in actions], dtype=np.int64),
-            "sizes": np.array([len(actions) for actions in self._untried], dtype=np.int64),
-            "entered": entered,
-            "deepest": self._deepest,
-            "rejected": self._rejected,
-        }
-        header = {
-            "task": self.task.describe(),
-            "settings": asdict(self.settings),
-            "counters": asdict(self.counters) | {"states": 0},
-            "seconds": self._seconds,
-            "reached": self._reached,
-            "undecided": self._judge.undecided + self._undecided,
-            "sliding": self._judge.sliding + self._sliding,
-        }
-        write_archive(path, FORMAT, header, arrays)
-
-    @classmethod
-    def load(cls, path: Path | str, task: Task, oracle: Oracle, *, guide: Guide | None = None) -> DepthFirstSearch:
-        """Read a search that `save` wrote and go on where it stood.
-
-        Raises:
-            InputError: no such file, a damaged one, or one of another task.
-        """
-        names = frozenset({"path", "untried", "sizes", "entered", "deepest", "rejected"})
-        header, arrays = read_archive(path, FORMAT, names)
-        if header.get("task") != task.judged_by(oracle).describe():
-            raise InputError(f"{path} belongs to another structure or task; begin a new search")
-        try:
-            settings = dict(header["settings"])
-            settings["direction"] = Direction(settings["direction"])
-            search = cls(task, oracle, DepthFirstSettings(**settings), guide=guide)
-            search._path = list(arrays["path"])
-            ends = np.cumsum(arrays["sizes"])[:-1]
-            search._untried = [part.tolist() for part in np.split(arrays["untried"], ends)][: len(search._path)]
-            search._entered = {row.tobytes() for row in arrays["entered"]}
-            search._reached, search._deepest = int(header["reached"]), arrays["deepest"]
-            search._rejected = arrays["rejected"]
-            search._judge, search._candidates = Judge(oracle), 0
-            search._before = SearchCounters(**header["counters"])
-            search._seconds, search._undecided = float(header["seconds"]), int(header["undecided"])
-            search._sliding = int(header["sliding"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path} is damaged ({error}); begin a new search") from None
-        return search
 
     def _enter(self, state: States) -> None:
         """Put a state on the path, with its stable moves in the order in which they are to be tried."""
@@ -233,7 +174,7 @@ class DepthFirstSearch:
 
     def _result(self, interrupted: bool) -> SearchResult:
         limit, routes = "", ()
-        undecided, sliding = self._judge.undecided + self._undecided, self._judge.sliding + self._sliding
+        undecided, sliding = self._judge.undecided, self._judge.sliding
         if self.found:
             outcome, routes = Outcome.FOUND, (self._route(),)
         elif self.done and not interrupted and undecided == 0 and sliding == 0 and not self.task.doubt:

@@ -9,12 +9,13 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from falsework.assembly.model import Assembly
-from falsework.learn.networks.policy import PolicySettings, describe, make_policy
+from falsework.learn.config.policy import PolicySettings
+from falsework.learn.networks.factory import describe, make_policy
 
 KINDS = (PolicySettings("mlp"), PolicySettings("residual"), PolicySettings("graph"), PolicySettings("parts"))
 
 
-def policy_table(
+def policy_cost(
     assembly: Assembly, settings: Sequence[PolicySettings] = KINDS, *, batch: int = 64
 ) -> list[dict[str, Any]]:
     """Parameters and floating-point operations a state of several networks on one structure.

@@ -6,10 +6,10 @@ from itertools import islice
 
 import numpy as np
 import pytest
+from experiments.structure_generator import KINDS, members, specifications, turned
 
 from falsework.assembly import load_structure
 from falsework.errors import InputError
-from falsework.learn.family import KINDS, members, specifications, turned
 from falsework.stability import Stability
 
 

@@ -14,15 +14,18 @@ from typing import Any
 
 import numpy as np
 import torch
+from experiments.structure_generator import KINDS, Member, members, turned_copies
+from experiments.transfer import Budget, Workbench
 from torch import Tensor
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.learn.algorithms.imitation import Network, imitation_loss
-from falsework.learn.family import KINDS, Member, members, turned_copies
-from falsework.learn.networks.policy import Policy, PolicySettings, make_policy, share, transfer
+from falsework.learn.algorithms.imitation import imitation_loss
+from falsework.learn.config.policy import PolicySettings
+from falsework.learn.networks.autocast import Network
+from falsework.learn.networks.factory import make_policy, share, transfer
+from falsework.learn.networks.policy import Policy
 from falsework.learn.training.evaluate import greedy_success, sample
-from falsework.learn.transfer import Budget, Workbench
 
 EVALUATED = 128
 """States of each structure that a policy is tried from, at most."""
@@ -35,7 +38,7 @@ class GeneralistSettings:
     policy: PolicySettings = field(default_factory=lambda: PolicySettings("parts"))
     """A network whose weights fit any structure."""
     kinds: tuple[str, ...] = tuple(KINDS)
-    """Recipes of structures, of `family.KINDS`."""
+    """Recipes of structures, of `structure_generator.KINDS`."""
     structures: int = 64
     """Structures to train on."""
     unseen: int = 24
@@ -172,7 +175,7 @@ def _train(
             member, network = family[chosen], networks[chosen][int(draw.integers(settings.turns))]
             rows = torch.randint(len(member.solved), (batch,), generator=generator, device=device)
             states = member.solved.states[rows]
-            mask = member.environment.rules.mask(states)
+            mask = member.environment.rules.moves(states)
             logits, value = network(states)
             valid = member.solved.valid_actions(states, mask)
             loss = (imitation_loss(logits, mask, valid) + 0.1 * (value - 1.0).square().mean()) / settings.mix

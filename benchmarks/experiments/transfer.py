@@ -9,15 +9,19 @@ from typing import Any
 
 import numpy as np
 import torch
+from experiments.structure_generator import turned_copies
 
 from falsework.assembly.model import Assembly
+from falsework.assembly.symmetry import symmetries
 from falsework.learn.algorithms.imitation import Imitation
 from falsework.learn.config.imitation import ImitationPhase
+from falsework.learn.config.policy import PolicySettings
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
 from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.env.environment import Environment
-from falsework.learn.family import turned_copies
-from falsework.learn.networks.policy import Policy, PolicySettings, describe, make_policy, share, transfer
+from falsework.learn.networks.factory import describe, make_policy, share, transfer
+from falsework.learn.networks.policy import Policy
 from falsework.learn.training.evaluate import greedy_success, sample
 
 EVALUATED = 1024
@@ -75,7 +79,8 @@ class Workbench:
         self.dataset = dataset
         self.rules = self.environment.rules
         self.solved = SolvedStates(self.rules)
-        self.solved.forbid(torch.from_numpy(dataset.test))
+        held_out = np.concatenate([dataset.test, dataset.validation])
+        self.solved.forbid(torch.from_numpy(symmetric_images(held_out, symmetries(assembly))))
         for states in (dataset.train, dataset.more):
             self.solved.add(torch.from_numpy(states))
 

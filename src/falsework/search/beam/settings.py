@@ -1,0 +1,45 @@
+"""Settings of a beam search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from falsework.errors import InputError
+from falsework.search.problem.task import Direction
+
+Diversity = Literal["k-means", "none"]
+
+
+@dataclass(frozen=True)
+class BeamSettings:
+    """How a beam search walks."""
+
+    width: int = 64
+    """States kept at a level."""
+    direction: Direction = Direction.ASSEMBLY
+    """Which end to begin at."""
+    diversity: Diversity = "k-means"
+    """How states are chosen where there are too many: one from each of `width` clusters, or the best scored."""
+    ahead: int = 0
+    """0: ask for all verdicts of a level, then choose `width` among the stable states, as the paper does.
+    Above 0: ask in the order of promise (robots free, then score) until `width` states are found stable, and keep this
+    many more that need no verdict, so that the next level has a choice. Narrow beams then go far with few verdicts."""
+    commit: bool = False
+    """With `ahead`: drop states that keep more robots busy than the `width` states found stable."""
+    retries: int = 3
+    """Times that a beam which died goes back some levels to choose again with other random numbers."""
+    seed: int = 0
+    """Same seed, same machine, same result."""
+    pool: int = 8_000_000
+    """Bound on candidates times parts that are written down and clustered at once; beyond it a random sample is."""
+
+    def __post_init__(self) -> None:
+        if self.width < 1:
+            raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
+        if self.ahead < 0:
+            raise InputError(f"a beam cannot keep {self.ahead} states ahead; give 0 or more")
+        if self.retries < 0:
+            raise InputError(f"a beam cannot be tried again {self.retries} times; give 0 or more")
+        if self.pool < 1:
+            raise InputError("the pool of a beam search must hold at least one number")

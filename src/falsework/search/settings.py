@@ -1,0 +1,54 @@
+"""Settings of the planner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from falsework.errors import InputError
+from falsework.search.problem.task import Direction
+
+_BOTH = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
+_FIRST_WIDTH = 16
+"""Beams grow to this width from one end before the other end is tried ..."""
+_WIDENING = 4
+"""... and then to widths this many times larger, in turn."""
+_TRIAL_WIDTH = 4
+"""Widest beam for a plan with missing parts later: how wide the first plan's beam was is no guide to that."""
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """How hard to look for plans."""
+
+    width: int = 64
+    """Widest beam that is tried before giving up."""
+    directions: tuple[Direction, ...] = _BOTH
+    """Ends from which to search, in turn."""
+    alternatives: int = 1
+    """Number of plans wanted."""
+    seed: int = 0
+    """Same seed, same machine, same result."""
+
+    def __post_init__(self) -> None:
+        if self.width < 1:
+            raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
+        if not self.directions:
+            raise InputError("no direction to search in; give assembly, disassembly or both")
+        if self.alternatives < 1:
+            raise InputError(f"{self.alternatives} alternatives is no number of plans; ask for at least 1")
+
+    def attempts(self, stage: str = "plan") -> tuple[tuple[Direction, int], ...]:
+        """Ends to search from, and how wide a beam may become there, in the order in which they are tried.
+
+        Args:
+            stage: `plan`, `postpone` or `alternatives`.
+        """
+        limit = min(self.width, _TRIAL_WIDTH) if stage == "postpone" else self.width
+        widths = [min(_FIRST_WIDTH, limit)]
+        while widths[-1] < limit and stage == "plan":
+            widths.append(min(widths[-1] * _WIDENING, limit))
+        directions = self.directions
+        if stage == "alternatives":
+            # Taking apart leaves more freedom in the order of removal than putting together.
+            directions = tuple(sorted(directions, key=lambda direction: direction is not Direction.DISASSEMBLY))
+        return tuple((direction, width) for width in widths for direction in directions)
