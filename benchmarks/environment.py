@@ -32,7 +32,7 @@ from falsework.assembly import Assembly, load_structure
 from falsework.learn.algorithms.curriculum import Curriculum
 from falsework.learn.algorithms.ppo import PPO
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.ppo import PpoSettings
+from falsework.learn.config.ppo import PAPER
 from falsework.learn.data.dataset import search_states, task_for
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import roll_out
@@ -153,15 +153,15 @@ class Bench:
     def ppo(self) -> None:
         """Whole updates."""
         environment, policy = self.environment(), self.policy()
-        generator = environment.generator(self.shards.rank)
-        ppo = PPO(policy, environment, PpoSettings(), generator, shards=self.shards)
         starts = environment.rules.put(self.graph.states)
-        curriculum = Curriculum(starts, environment.rules, generator=generator, shards=self.shards)
-        ppo.learn(curriculum, self.count)
+        curriculum = Curriculum(starts, environment.rules, shards=self.shards)
+        ppo = PPO(environment, policy, curriculum, PAPER, shards=self.shards)
+        generator = environment.generator(self.shards.rank)
+        ppo.update(curriculum.sample(self.count, generator))
         before, updates, begin = environment.counters.steps, 0, time.perf_counter()
         going = True
         while going:
-            ppo.learn(curriculum, self.count)
+            ppo.update(curriculum.sample(self.count, generator))
             wait(self.device)
             updates += 1
             late = time.perf_counter() - begin >= self.options.seconds
@@ -198,7 +198,7 @@ class Bench:
 
         settings = PolicySettings(kind="mlp").resolved()
         environment = gymnasium.make(ID, structure=self.assembly, robots=self.options.robots, starts=self.graph)
-        ppo = PpoSettings()
+        ppo = PAPER
         model = MaskablePPO(
             "MlpPolicy",
             environment,
@@ -206,7 +206,7 @@ class Bench:
             batch_size=ppo.batch,
             n_epochs=ppo.epochs,
             gamma=ppo.discount,
-            gae_lambda=ppo.trace,
+            gae_lambda=ppo.gae_lambda,
             learning_rate=ppo.learning_rate,
             policy_kwargs={"net_arch": [settings.channels] * settings.layers, "activation_fn": torch.nn.Tanh},
             device="cpu",

@@ -16,7 +16,7 @@ states of them, `random` beside it for uniformly random legal actions, `paper` w
 width64` learns from the paper's data alone, `--search` adds the share of test states with a proven plan. `table4`: two
 states, beside a policy that is not told the target, or one of the two (`--told`). `table5`: graph network, attention
 between parts and perceptrons with the same budget. `transfer`: a policy of the bottle asked about the dog. `methods`:
-curves of all ways to train. `minutes` is the budget for everything from the meshes on, `seconds` what it came to;
+curves of all presets of training. `minutes` is the budget for everything from the meshes on, `seconds` what it came to;
 evaluating all states comes on top. Rows are independent: run them as processes of their own, each with its
 CUDA_VISIBLE_DEVICES.
 """
@@ -37,9 +37,8 @@ import record
 from states import find
 
 from falsework.assembly import load_structure
-from falsework.learn.algorithms.hindsight import OneState
 from falsework.learn.config.policy import PolicySettings, recommended
-from falsework.learn.config.train import METHODS, Criterion, RefinePhase, TrainSettings
+from falsework.learn.config.train import METHODS, Criterion, TrainSettings
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import roll_out
@@ -47,7 +46,7 @@ from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.factory import transfer
 from falsework.learn.networks.policy import Policy
 from falsework.learn.networks.uniform import UniformPolicy
-from falsework.learn.training.evaluate import EvaluateSettings, evaluate, sample
+from falsework.learn.training.evaluate import EvaluateSettings, GoalBlindPolicy, evaluate, sample
 from falsework.learn.training.train import TrainResult, train
 from falsework.learn.training.training_data import find_pairs
 from falsework.search.device.oracle import TensorOracle, oracle_on
@@ -93,12 +92,12 @@ def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, *
     minutes = options.minutes or (target[3] if target and options.device != "cpu" else 0.0)
     given: dict[str, Any] = {"robots": robots, "seed": seed, "minutes": minutes, "steps": options.steps}
     given |= {"data": options.data, "widths": tuple(options.widths), "criterion": options.criterion}
-    if options.method:
-        given["method"] = options.method
+    given["phases"] = METHODS[changes.pop("method", options.method)]
     if options.policy:
         given["policy"] = PolicySettings(options.policy)
     if options.imitation_steps is not None:
-        given["refine"] = RefinePhase(imitation_steps=options.imitation_steps)
+        first, *others = given["phases"]
+        given["phases"] = (replace(first, steps=options.imitation_steps), *others)
     given |= changes
     sizes = {name: getattr(options, name) for name in ("layers", "channels", "heads") if getattr(options, name)}
     return TrainSettings(**{**given, "policy": replace(given.get("policy", PolicySettings()), **sizes)})
@@ -146,7 +145,7 @@ def evaluated(
             "train": (pairs.train.states, pairs.train.targets),
             "test": (pairs.test.states, pairs.test.targets),
         }
-        network = OneState(network) if one_state else network
+        network = GoalBlindPolicy(network) if one_state else network
     else:
         data = protocol(assembly, settings, oracle_on(oracle, device), str(device))
         sets = {"train": (data.train, None), "test": (data.test, None)}
@@ -184,7 +183,7 @@ def line(
         seeds=(settings.seed,),
         data=settings.data,
         criterion=settings.criterion,
-        method=settings.method,
+        phases=[phase.algorithm for phase in settings.phases],
         policy=result.policy.settings.kind,
         two_states=settings.policy.two_states,
         **found,
@@ -254,15 +253,15 @@ def carry_over(options: argparse.Namespace) -> None:
 
 
 def methods(options: argparse.Namespace) -> None:
-    """Curves of all ways to train."""
+    """Curves of all presets of training."""
     for name, assembly, robots, seeds in rows_of(options):
         for seed in seeds[:1]:
             for method in METHODS:
                 settings = settings_of(options, name, robots, seed, method=method)
                 result = run(options, name, assembly, settings, f"{name}:{robots} {method} seed {seed}")
                 points = [[one["seconds"], one["success/train"], one["success/validation"]] for one in result.curve]
-                found = {"train": result.train.as_json(), "test": result.test.as_json()}
-                line("methods", name, settings, result, found, curve=points)
+                found = {"train": result.train.to_dict(), "test": result.test.to_dict()}
+                line("methods", name, settings, result, found, method=method, curve=points)
 
 
 def plot(options: argparse.Namespace) -> None:
@@ -302,8 +301,8 @@ def main() -> None:
     parser.add_argument("--data", choices=("wide", "width64"), default="wide")
     parser.add_argument("--criterion", choices=get_args(Criterion), default="contact", help="what stable means")
     parser.add_argument("--widths", nargs="*", type=int, default=[], help="of the wide searches")
-    parser.add_argument("--method", choices=METHODS, default="")
-    parser.add_argument("--imitation-steps", type=int, help="of imitation before the refinement; 0 for any number")
+    parser.add_argument("--method", choices=METHODS, default="default")
+    parser.add_argument("--imitation-steps", type=int, help="of imitation before PPO; 0 for any number")
     parser.add_argument("--policy", choices=("residual", "parts", "graph", "mlp"), default="")
     parser.add_argument("--layers", type=int, default=0, help="of the network; 0 for what is recommended")
     parser.add_argument("--channels", type=int, default=0, help="likewise")

@@ -14,8 +14,8 @@ from experiments.structure_generator import turned_copies
 from falsework.assembly.model import Assembly
 from falsework.assembly.symmetry import symmetries
 from falsework.learn.algorithms.imitation import Imitation
+from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.train import ImitationSettings
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.data.symmetry_augmentation import symmetric_images
@@ -102,14 +102,14 @@ class Workbench:
         """
         gpu = self.device.type == "cuda"
         batch = batch or (1024 if gpu else 128)
-        settings = ImitationSettings(batch=batch, learning_rate=1e-3 if gpu else 2e-3, mistakes=batch // 4)
+        settings = ImitationPhase(batch=batch).resolved(self.device.type)
         student = make_policy(self.assembly, policy.settings, self.device)
         student.load_state_dict(policy.state_dict())
         begin = time.perf_counter()
         copies = list(turned_copies(self.assembly, turns, np.random.default_rng(seed)))[1:]
         work = Imitation(
             student,
-            self.rules,
+            self.solved,
             settings,
             seed=seed,
             precision="bfloat16" if gpu else "float32",
@@ -121,11 +121,11 @@ class Workbench:
             now = time.perf_counter() - begin
             pace = work.steps / max(now, 1e-9) * budget.seconds
             block = max(1, min(int((budget.steps or pace) / 100), 200))
-            work.run(self.solved, block, (done, min(done + 0.01, 1.0)))
+            work.block(block, (done, min(done + 0.01, 1.0)))
             if gpu:
                 torch.cuda.synchronize(self.device)
             done = budget.share(work.steps, time.perf_counter() - begin)
-        return work.averaged(student), work.steps
+        return work.export_policy(student), work.steps
 
     def success(self, policy: Policy) -> dict[str, float]:
         """Share of the training and of the test states from which greedy rollouts succeed."""

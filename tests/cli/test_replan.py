@@ -35,14 +35,14 @@ def old(falsework: Run, tmp_path: Path) -> Path:
 def run(tmp_path: Path) -> Path:
     """A run as training leaves it, with a policy that was never trained."""
     from falsework.learn.config.policy import PolicySettings
-    from falsework.learn.config.train import TrainSettings, as_json
+    from falsework.learn.config.train import TrainSettings, to_dict
     from falsework.learn.networks.factory import make_policy
     from falsework.learn.training.checkpoint import describe_structure, save_run
 
     settings = TrainSettings(policy=PolicySettings("mlp"))
     metadata = {
         "structure": describe_structure(ARCH, {"built_in": "arch:blocks=5"}),
-        "settings": as_json(settings),
+        "settings": to_dict(settings),
         "policy": {},
         "results": {},
         "versions": {},

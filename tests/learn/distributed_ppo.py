@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import torch
 from safetensors.torch import save_file
@@ -10,8 +11,9 @@ from safetensors.torch import save_file
 from falsework.assembly import load_structure
 from falsework.learn.algorithms.curriculum import Curriculum
 from falsework.learn.algorithms.ppo import PPO
+from falsework.learn.algorithms.start_states import StartBatch
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.ppo import PpoSettings
+from falsework.learn.config.ppo import PAPER
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.factory import make_policy
 from falsework.search import BeamSearch, BeamSettings, task_of
@@ -28,17 +30,16 @@ def main() -> None:
         search.run()
         states = torch.from_numpy(search.states())
         policy = make_policy(assembly, PolicySettings(kind="mlp", layers=1, channels=16), device, 0)
-        generator = environment.generator(shards.rank)
-        ppo = PPO(policy, environment, PpoSettings(batch=64, epochs=2), generator, shards=shards)
-        curriculum = Curriculum(
-            states, environment.rules, generator=environment.generator(9 + shards.rank), shards=shards
-        )
-        numbers = [ppo.learn(curriculum, 12 + 20 * shards.rank) for _ in range(3)]
+        curriculum = Curriculum(states, environment.rules, shards=shards)
+        ppo = PPO(environment, policy, curriculum, replace(PAPER, batch=64, epochs=2), shards=shards)
+        generator = environment.generator(9 + shards.rank)
+        numbers = [ppo.update(curriculum.sample(12 + 20 * shards.rank, generator)) for _ in range(3)]
         # One process has nothing to learn; it must not keep the others waiting.
         there = environment.rules.goals(environment.rules.complete(4))
-        numbers.append(ppo.update(there if shards.rank else environment.rules.complete(4)))
+        rows = torch.arange(4)
+        numbers.append(ppo.update(StartBatch(there if shards.rank else environment.rules.complete(4), rows=rows)))
         report = {f"report.{name}": torch.tensor([one[name] for one in numbers]) for name in numbers[-1]}
-        tensors = {**ppo.tensors(), **curriculum.tensors(), **report}
+        tensors = {**ppo.state_dict(), **report}
         save_file({name: one.clone().contiguous() for name, one in tensors.items()}, f"{sys.argv[1]}/{shards.rank}")
 
 

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from safetensors.torch import save_file
 
 from falsework.assembly import load_structure
+from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.policy_gradient import RefineSettings
-from falsework.learn.config.train import ImitationSettings, ImproveRounds, RefinePhase, TrainSettings
+from falsework.learn.config.ppo import PAPER, PpoPhase
+from falsework.learn.config.train import TrainSettings
 from falsework.learn.training import train as module
 from falsework.learn.training.trainer import Trainer
 from falsework.utils.distributed import Shards, joined
+
+PHASES = {
+    "default": (ImitationPhase(until=0.5, batch=16), PpoPhase(rollouts=16, batch=16)),
+    "paper": (replace(PAPER, rollouts=16, batch=16),),
+}
 
 
 def main() -> None:
@@ -40,16 +47,13 @@ def main() -> None:
 def run(method: str, folder: Path, kept: dict[str, Trainer]) -> None:
     """One training."""
     settings = TrainSettings(
-        method=method,  # pyright: ignore[reportArgumentType]
+        phases=PHASES[method],
         steps=20,
         block=10,
         data="width64",
         evaluate_every=1,
         evaluation_states=32,
         policy=PolicySettings("residual", channels=16, layers=1),
-        imitation=ImitationSettings(batch=16),
-        improve=ImproveRounds(first=0.0, every=1, starts=10),
-        refine=RefinePhase(settings=RefineSettings(rollouts=16, batch=16)),
     )
     folder.mkdir(exist_ok=True)
     result = module.train(load_structure("arch:blocks=13"), settings, folder=folder / "run", device="cpu", logs=())
@@ -58,7 +62,7 @@ def run(method: str, folder: Path, kept: dict[str, Trainer]) -> None:
     weights["solved"] = kept["trainer"]._solved.states.clone()
     save_file(weights, folder / f"{rank}.safetensors")
     own = kept["trainer"]._environment.counters.steps
-    (folder / f"{rank}.json").write_text(json.dumps({"own_steps": own, **result.as_json()}))
+    (folder / f"{rank}.json").write_text(json.dumps({"own_steps": own, **result.to_dict()}))
 
 
 if __name__ == "__main__":

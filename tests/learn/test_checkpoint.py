@@ -17,7 +17,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from falsework.assembly import load_structure, save_assembly  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.train import TrainSettings, as_json, from_json  # noqa: E402
+from falsework.learn.config.train import TrainSettings, from_dict, to_dict  # noqa: E402
 from falsework.learn.networks.factory import describe, make_policy  # noqa: E402
 from falsework.learn.training import checkpoint as module  # noqa: E402
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, load_run, save_run  # noqa: E402
@@ -33,7 +33,7 @@ def arch() -> Any:
 def metadata(assembly: Any, policy: Any, **source: Any) -> dict[str, Any]:
     return {
         "structure": describe_structure(assembly, source),
-        "settings": as_json(SETTINGS),
+        "settings": to_dict(SETTINGS),
         "policy": describe(policy),
         "results": {},
         "versions": {},
@@ -63,11 +63,8 @@ def test_a_run_comes_back_as_it_was(arch: Any, run: Path) -> None:
 
 
 def test_a_run_names_its_criterion(arch: Any, run: Path) -> None:
-    """One from before there was a choice was trained under equilibrium."""
     assert load_run(run).settings.criterion == "contact"
-    settings = as_json(SETTINGS)
-    del settings["criterion"]
-    change(run, settings=settings)
+    change(run, settings=to_dict(replace(SETTINGS, criterion="equilibrium")))
     assert load_run(run).settings == replace(SETTINGS, criterion="equilibrium")
     with pytest.raises(InputError, match="unknown criterion 'good'; choose contact or equilibrium"):
         TrainSettings(criterion="good")  # type: ignore[arg-type]
@@ -88,11 +85,13 @@ def test_a_structure_on_disk_is_found_beside_the_run(arch: Any, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda run: change(run, format="falsework.run/2"), "has format 'falsework.run/2'; this version reads"),
+        (lambda run: change(run, format="falsework.run/3"), "has format 'falsework.run/3'; this version reads"),
         (lambda run: change(run, extra=1), "unexpected or absent entries extra"),
         (lambda run: change(run, settings={"robot": 2}), "'robot' is no setting of TrainSettings"),
         (lambda run: change(run, settings={"robots": "two"}), "TrainSettings.robots is 'two'"),
-        (lambda run: change(run, settings={"imitation": {"batch": None}}), "ImitationSettings.batch is None"),
+        (lambda run: change(run, settings={"phases": [{"algorithm": "ppo", "batch": None}]}), "PpoPhase.batch is None"),
+        (lambda run: change(run, settings={"phases": [{"batch": 3}]}), "a phase of the algorithm None"),
+        (lambda run: change(run, settings={"phases": "ppo"}), "a phase of the algorithm None"),
         (lambda run: (run / "run.json").write_text("{"), "is damaged"),
         (lambda run: (run / "run.json").unlink(), "is no run: it has no run.json"),
         (lambda run: (run / "weights.safetensors").unlink(), "there is no file .*weights.safetensors"),
@@ -163,13 +162,13 @@ def test_checkpoints_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     file.path.write_bytes(content[:-8])
     with pytest.raises(InputError, match="is damaged"):
         file.load()
-    file.path.write_bytes(content.replace(b"falsework.checkpoint/1", b"falsework.checkpoint/9"))
-    with pytest.raises(InputError, match=r"this version reads 'falsework.checkpoint/1'"):
+    file.path.write_bytes(content.replace(b"falsework.checkpoint/2", b"falsework.checkpoint/9"))
+    with pytest.raises(InputError, match=r"this version reads 'falsework.checkpoint/2'"):
         file.load()
 
 
 def test_settings_survive_json() -> None:
-    assert from_json(TrainSettings, json.loads(json.dumps(as_json(SETTINGS)))) == SETTINGS
+    assert from_dict(TrainSettings, json.loads(json.dumps(to_dict(SETTINGS)))) == SETTINGS
     filled = SETTINGS.resolved(62, "cuda")
-    assert from_json(TrainSettings, json.loads(json.dumps(as_json(filled)))) == filled
+    assert from_dict(TrainSettings, json.loads(json.dumps(to_dict(filled)))) == filled
     assert filled.resolved(62, "cuda") == filled

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -10,10 +11,10 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.algorithms.curriculum import Curriculum  # noqa: E402
+from falsework.learn.algorithms.curriculum import _CORRECTED_AFTER, Curriculum  # noqa: E402
 from falsework.learn.algorithms.ppo import PPO  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.ppo import CurriculumSettings, PpoSettings  # noqa: E402
+from falsework.learn.config.ppo import PAPER, CurriculumSettings  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
@@ -32,71 +33,78 @@ def arch() -> tuple[Environment, Any]:
     return environment, torch.from_numpy(search.states())
 
 
-def make(rules: TensorRules, states: Any, seed: int = 0, **settings) -> Curriculum:
-    return Curriculum(states, rules, CurriculumSettings(**settings), torch.Generator().manual_seed(seed))
+def make(rules: TensorRules, states: Any, **settings) -> Curriculum:
+    return Curriculum(states, rules, CurriculumSettings(**settings))
 
 
-def tell(curriculum: Curriculum, count: int, success: bool, surrogate: float = 1.0):
-    draw = curriculum.draw(count)
-    curriculum.learn(draw, torch.full((count,), success), torch.full((count,), surrogate))
-    return draw
+@pytest.fixture
+def generator() -> Any:
+    return torch.Generator().manual_seed(0)
 
 
-def test_every_state_is_drawn_before_any_is_drawn_again(arch) -> None:
+def tell(curriculum: Curriculum, generator: Any, count: int, success: bool, surrogate: float = 1.0):
+    batch = curriculum.sample(count, generator)
+    curriculum.record_outcomes(batch.rows, torch.full((count,), success), torch.full((count,), surrogate))
+    return batch
+
+
+def test_every_state_is_drawn_before_any_is_drawn_again(arch, generator) -> None:
     environment, states = arch
     curriculum = make(environment.rules, states, growing=False)
-    rows = torch.cat([tell(curriculum, 25, success=False).rows for _ in range(len(curriculum) // 25)])
+    rows = torch.cat([tell(curriculum, generator, 25, success=False).rows for _ in range(len(curriculum) // 25)])
     assert len(rows.unique()) == len(rows)
     rest = len(curriculum) - len(rows)
-    draw = curriculum.draw(25)
+    draw = curriculum.sample(25, generator)
     assert not set(draw.rows[:rest].tolist()) & set(rows.tolist())
-    assert torch.equal(draw.starts, curriculum._starts[draw.rows])
+    assert torch.equal(draw.states, curriculum._starts[draw.rows])
     assert not environment.rules.reached(curriculum._starts).any()
 
 
-def test_states_of_high_surrogate_loss_are_drawn_by_their_rank(arch) -> None:
+def test_states_of_high_surrogate_loss_are_drawn_by_their_rank(arch, generator) -> None:
     environment, states = arch
     curriculum = make(environment.rules, states, growing=False, rank_power=0.8, correction=0.0)
     count = len(curriculum)
-    everything = curriculum.draw(count)
-    curriculum.learn(everything, torch.ones(count, dtype=torch.bool), torch.arange(count, dtype=torch.float32))
-    drawn = curriculum.draw(40_000)
+    everything = curriculum.sample(count, generator)
+    curriculum.record_outcomes(
+        everything.rows, torch.ones(count, dtype=torch.bool), torch.arange(count, dtype=torch.float32)
+    )
+    drawn = curriculum.sample(40_000, generator)
     share = torch.bincount(drawn.rows, minlength=count)[everything.rows.flip(0)] / 40_000
     expected = torch.arange(1, count + 1, dtype=torch.float32).pow(-0.8)
     assert torch.allclose(share, expected / expected.sum(), atol=0.01)
     # Fully corrected, every state weighs as if it had been drawn evenly.
-    curriculum.updates = curriculum.settings.corrected_after
-    drawn = curriculum.draw(1000)
+    curriculum.updates = _CORRECTED_AFTER
+    drawn = curriculum.sample(1000, generator)
     weight = curriculum._probability(torch.ones(count, dtype=torch.bool))[drawn.rows] * drawn.weight
     assert torch.allclose(weight, weight[0].expand(1000), rtol=1e-3)
     assert drawn.weight.max() == 1
 
 
-def test_entropy_rises_where_rollouts_keep_failing(arch) -> None:
+def test_entropy_rises_where_rollouts_keep_failing(arch, generator) -> None:
     environment, states = arch
     settings = {"growing": False, "entropy": 0.005, "entropy_rise": 0.002, "entropy_most": 0.01}
     curriculum = make(environment.rules, states, **settings)
     count = len(curriculum)
     seen = []
     for success in (False, False, False, False, True):
-        draw = curriculum.draw(count)
-        curriculum.learn(draw, torch.full((count,), success), torch.ones(count))
+        draw = curriculum.sample(count, generator)
+        curriculum.record_outcomes(draw.rows, torch.full((count,), success), torch.ones(count))
         seen.append(float(curriculum._entropy[draw.rows[0]]))
         curriculum._visited.zero_()
     assert seen == pytest.approx([0.007, 0.009, 0.01, 0.01, 0.005])
 
 
-def test_it_grows_back_to_the_complete_structure_as_rollouts_succeed(arch) -> None:
+def test_it_grows_back_to_the_complete_structure_as_rollouts_succeed(arch, generator) -> None:
     environment, states = arch
     curriculum = make(environment.rules, states, growing=True, stages=5, pass_mark=0.6)
     left = environment.rules.steps_left(curriculum._starts)
     horizons = [curriculum.horizon]
     for _ in range(10):
-        draw = tell(curriculum, 64, success=False)
+        draw = tell(curriculum, generator, 64, success=False)
         assert left[draw.rows].max() <= curriculum.horizon
     assert curriculum.horizon == horizons[0] < int(left.max())
     for _ in range(200):
-        tell(curriculum, 64, success=True)
+        tell(curriculum, generator, 64, success=True)
         horizons.append(curriculum.horizon)
     assert horizons == sorted(horizons)
     assert horizons[-1] == int(left.max())
@@ -104,31 +112,30 @@ def test_it_grows_back_to_the_complete_structure_as_rollouts_succeed(arch) -> No
     assert curriculum.report()["curriculum_visited"] == 1.0
 
 
-def test_what_is_added_is_drawn_first(arch) -> None:
+def test_what_is_added_is_drawn_first(arch, generator) -> None:
     environment, states = arch
     curriculum = make(environment.rules, states[:40], growing=False)
     for _ in range(4):
-        tell(curriculum, 40, success=True)
+        tell(curriculum, generator, 40, success=True)
     before = len(curriculum)
     curriculum.add(states[40:60])
-    assert set(curriculum.draw(20).rows.tolist()) == set(range(before, before + 20))
+    assert set(curriculum.sample(20, generator).rows.tolist()) == set(range(before, before + 20))
     with pytest.raises(InputError, match="either all states of a curriculum have targets or none"):
         curriculum.add(states[:2], states[:2])
 
 
-def test_saved_and_loaded_it_goes_on_the_same(arch) -> None:
+def test_saved_and_loaded_it_goes_on_the_same(arch, generator) -> None:
     environment, states = arch
-    one = make(environment.rules, states, seed=1)
+    one = make(environment.rules, states)
     for turn in range(5):
-        tell(one, 50, success=turn % 2 == 0, surrogate=float(turn))
-    other = make(environment.rules, states[:7], seed=9)
-    other.load(
-        {name: tensor.clone() for name, tensor in one.tensors().items()},
-        {name: tensor.clone() for name, tensor in one.own_tensors().items()},
-    )
+        tell(one, generator, 50, success=turn % 2 == 0, surrogate=float(turn))
+    other = make(environment.rules, states[:7])
+    other.load_state_dict({name: tensor.clone() for name, tensor in one.state_dict().items()}, {})
+    twin = torch.Generator().manual_seed(0)
+    twin.set_state(generator.get_state())
     for _ in range(5):
-        first, second = tell(one, 30, success=True), tell(other, 30, success=True)
-        assert torch.equal(first.starts, second.starts)
+        first, second = tell(one, generator, 30, success=True), tell(other, twin, 30, success=True)
+        assert torch.equal(first.states, second.states)
         assert torch.equal(first.weight, second.weight)
         assert torch.equal(first.entropy, second.entropy)
     assert other.report() == one.report()
@@ -141,18 +148,17 @@ def test_a_policy_learns_an_arch_from_a_curriculum() -> None:
     search.run()
     states = torch.from_numpy(search.states())
     policy = make_policy(assembly, PolicySettings(kind="mlp"), "cpu", 0)
-    ppo = PPO(policy, environment, PpoSettings(batch=512), environment.generator(0))
-    curriculum = Curriculum(states, environment.rules, generator=ppo.generator)
+    ppo = PPO(environment, policy, Curriculum(states, environment.rules), replace(PAPER, batch=512, rollouts=64))
     before = float(roll_out(environment, policy, states, keep="ends").success.float().mean())
     for _ in range(80):
-        report = ppo.learn(curriculum, 64)
+        report = ppo.block(1, (0.0, 1.0))
     after = float(roll_out(environment, policy, states, keep="ends").success.float().mean())
     assert after > max(0.9, before)
     assert report["curriculum_horizon"] == 1.0
-    assert 0.0 <= report["success"] <= 1.0
+    assert 0.0 <= report["rollout_success"] <= 1.0
 
 
-def test_without_states_there_is_nothing_to_draw(arch) -> None:
+def test_without_states_there_is_nothing_to_draw(arch, generator) -> None:
     environment, _ = arch
     empty = environment.rules.goals(environment.rules.complete())
     with pytest.raises(InputError, match="start states that are not their own target"):

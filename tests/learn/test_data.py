@@ -76,7 +76,7 @@ def test_a_file_names_its_criterion(arch: Any, data: Dataset, tmp_path: Path) ->
     assert header.pop("criterion") == "contact"
     write_archive(path, header.pop("format"), header, arrays)
     assert load_dataset(path, arch).criterion == "equilibrium"
-    settings = TrainSettings(steps=1, method="imitation", criterion="equilibrium")
+    settings = TrainSettings(steps=1, criterion="equilibrium")
     with pytest.raises(InputError, match="criterion contact, and the run is of equilibrium"):
         train(arch, settings, folder=None, device="cpu", logs=(), dataset=data)
 

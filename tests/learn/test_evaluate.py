@@ -15,9 +15,9 @@ pytest.importorskip("safetensors", reason="safetensors is not installed")
 
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.cli.main import main  # noqa: E402
-from falsework.errors import InputError  # noqa: E402
+from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.train import ImitationSettings, TrainSettings  # noqa: E402
+from falsework.learn.config.train import METHODS, TrainSettings  # noqa: E402
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
@@ -44,7 +44,7 @@ def data(arch: Any) -> Dataset:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, arch: Any) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "run"
-    settings = TrainSettings(method="imitation", steps=60, widths=(16,), policy=PARTS)
+    settings = TrainSettings(phases=METHODS["imitation"], steps=60, widths=(16,), policy=PARTS)
     train(arch, settings, folder=folder, device="cpu", logs=(), source={"built_in": "arch:blocks=9"})
     return folder
 
@@ -65,7 +65,7 @@ def test_success_is_a_way_to_the_end_that_stands(arch: Any, data: Dataset) -> No
             if not oracle.stable(state.numpy())[0]:
                 break
         assert bool(rules.reached(state)[0]) == expected
-    assert success.as_json() == {"states": len(states), "success": round(int(which.sum()) / len(states), 6)}
+    assert success.to_dict() == {"states": len(states), "success": round(int(which.sum()) / len(states), 6)}
 
 
 def test_search_on_top_finds_a_plan_from_every_state(arch: Any, data: Dataset) -> None:
@@ -127,7 +127,7 @@ def test_a_policy_is_asked_about_another_structure(run: Path, capsys: pytest.Cap
 
 def test_a_policy_of_one_state_is_masked_to_targets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, wide = tmp_path / "run", load_structure(WIDE)
-    settings = TrainSettings(method="imitation", steps=60, widths=(16,), policy=PARTS)
+    settings = TrainSettings(phases=METHODS["imitation"], steps=60, widths=(16,), policy=PARTS)
     train(wide, settings, folder=folder, device="cpu", logs=(), source={"built_in": WIDE})
     assert main(["evaluate", str(folder), "--json", "--targets", "--states", "50", "--device", "cpu"]) == 0
     record = json.loads(capsys.readouterr().out)
@@ -136,16 +136,15 @@ def test_a_policy_of_one_state_is_masked_to_targets(tmp_path: Path, capsys: pyte
     assert 0 < record["test"]["success"] <= 1
 
 
-@pytest.mark.parametrize("method", ["imitation", "refine", "ppo"])
+@pytest.mark.parametrize("method", ["imitation", "default", "paper"])
 def test_a_policy_of_two_states_learns_targets(method: Any, tmp_path: Path) -> None:
     settings = TrainSettings(
-        method=method,
+        phases=tuple(replace(one, batch=64) if isinstance(one, ImitationPhase) else one for one in METHODS[method]),
         steps=120 if method == "imitation" else 20,
         policy=PolicySettings("residual", two_states=True, channels=32, layers=1),
         pairs=500,
         widths=(8,),
         evaluation_states=64,
-        imitation=ImitationSettings(batch=64),
     )
     wide = load_structure(WIDE)
     result = train(wide, settings, folder=tmp_path / "run", device="cpu", logs=(), source={"built_in": WIDE})
@@ -174,11 +173,6 @@ def test_a_resumed_run_with_targets_does_not_search_again(tmp_path: Path, monkey
     more = replace(settings, steps=40)
     second = train(wide, more, folder=folder, device="cpu", logs=(), source={"built_in": WIDE}, resume=True)
     assert (first.steps, second.steps) == (20, 40)
-
-
-def test_targets_need_a_method_that_knows_them() -> None:
-    with pytest.raises(InputError, match="method search knows no targets; choose refine"):
-        TrainSettings(method="search", policy=PolicySettings(two_states=True))
 
 
 def test_what_cannot_be_evaluated_is_refused(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Failed rollouts, seen as successes at what they passed, and policies that are not told the target."""
+"""Hindsight relabelling, and policies that ignore goals."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
 from falsework.assembly import Assembly  # noqa: E402
-from falsework.learn.algorithms.hindsight import OneState, relabel  # noqa: E402
+from falsework.learn.algorithms.hindsight import relabel  # noqa: E402
+from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions  # noqa: E402
 from falsework.learn.data.goal_pairs import sample_pairs  # noqa: E402
+from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
+from falsework.learn.training.evaluate import GoalBlindPolicy  # noqa: E402
 from falsework.search import Direction, StateGraph, Task  # noqa: E402
 from falsework.stability.reference.clarabel import ExactSolver  # noqa: E402
 
@@ -26,52 +29,58 @@ def replay(bottle: Assembly, exact: ExactSolver, states, targets, actions) -> No
         assert exact.check(np.concatenate([state[None], after, target[None]])).stable.all()
 
 
-def test_failed_rollouts_are_ways_to_what_they_passed(bottle: Assembly) -> None:
-    """Relabelled, they are samples of tasks that exist, proven stable by the exact solver."""
+def test_relabelled_rollouts_are_paths_to_visited_states(bottle: Assembly) -> None:
+    """They are samples of tasks that exist, proven stable by the exact solver, and the rollout itself reaches them."""
     environment = Environment(bottle, 2, device="cpu")
 
     def policy(states, targets=None):
         return torch.zeros(len(states), 2 * states.shape[1]), torch.zeros(len(states))
 
     starts = environment.rules.complete(80)
-    rollouts = roll_out(environment, policy, starts, greedy=False, generator=environment.generator(0))
-    failed = ~rollouts.success
-    assert failed.any()
-    states, targets, actions = relabel(rollouts, 60, environment.generator(1))
-    assert len(states) == 60
-    replay(bottle, ExactSolver(bottle), states, targets, actions)
-    # With these targets, the very same actions end in success, by the environment's own rules.
-    good = failed & (rollouts.length - rollouts.unstable.long() > 0)
-    row = int(good.nonzero()[0, 0])
-    last = int(rollouts.length[row] - rollouts.unstable[row].long())
-    target = rollouts.states[last, row][None]
-    state = rollouts.states[0, row][None]
-    for step in range(last):
-        done = environment.step(state, rollouts.actions[step, row][None].long(), target, check=True)
+    options = {"discount": 1.0, "gae_lambda": 0.9, "probabilities": True}
+    played = collect_transitions(environment, policy, starts, None, environment.generator(0), **options)
+    assert not played.success.all()
+    solved = SolvedStates(environment.rules)
+    states, goals, actions = relabel(played, 60, solved, environment.generator(1))
+    assert 40 < len(states) <= 60
+    replay(bottle, ExactSolver(bottle), states, goals, actions)
+    # With these goals, the very same actions end in success, by the environment's own rules.
+    rows = (played.rollout == int(played.rollout.bincount().argmax())).nonzero()[:, 0]
+    state, goal = played.states[rows[:1]], played.states[rows[-1:]]
+    for place, row in enumerate(rows[:-1]):
+        done = environment.step(state, played.actions[row][None], goal, check=True)
         state = done.states
-        assert done.success.item() == (step == last - 1)
-        assert done.reward.item() == float(step == last - 1)
+        assert done.success.item() == (place == len(rows) - 2)
+        assert done.reward.item() == float(place == len(rows) - 2)
+    # What is held out becomes neither state nor goal.
+    assert solved.is_forbidden(states).sum() == 0
+    solved.forbid(played.states.unique(dim=0)[::2])
+    states, goals, _ = relabel(played, 600, solved, environment.generator(1))
+    assert len(states)
+    assert not (solved.is_forbidden(states) | solved.is_forbidden(goals)).any()
+    assert len(relabel(played.take(rows[:0]), 10, solved, environment.generator(1))[0]) == 0
 
 
-def test_relabelling_draws_pairs_of_steps_evenly() -> None:
-    from falsework.learn.env.rollout import Rollouts
+def test_pairs_of_one_rollout_are_drawn_evenly(bottle: Assembly) -> None:
+    """First a transition among all, then another of the same rollout: a rollout of three and one of two."""
+    solved = SolvedStates(Environment(bottle, 2, device="cpu").rules)
+    rollout = torch.tensor([0, 1, 0, 1, 0])
+    number = torch.arange(5)
+    states = torch.zeros((5, bottle.part_count), dtype=torch.uint8)
+    states[:, 0], states[:, 1] = number // 3, number % 3
+    zero, mask = torch.zeros(5), torch.ones((5, 2 * bottle.part_count), dtype=torch.bool)
+    played = Transitions(states, None, number, mask, zero, zero, zero, rollout, torch.tensor([True, False]))
+    begin, end, action = relabel(played, 60_000, solved, torch.Generator().manual_seed(0))
+    first, last = (3 * one[:, 0].long() + one[:, 1].long() for one in (begin, end))
+    assert torch.equal(first, action)
+    share = torch.bincount(first * 5 + last, minlength=25).view(5, 5) / len(first)
+    expected = torch.zeros(5, 5)
+    expected[0, 2] = expected[0, 4] = expected[2, 4] = 3 / 5 * 2 / 9
+    expected[1, 3] = 2 / 5 * 2 / 4
+    assert torch.allclose(share, expected / expected.sum(), atol=0.01)
 
-    states = torch.arange(4, dtype=torch.uint8)[:, None, None].expand(4, 3, 1)
-    actions = torch.arange(3, dtype=torch.int16)[:, None].expand(3, 3)
-    length = torch.tensor([3, 1, 3])
-    rollouts = Rollouts(states, actions, length, torch.tensor([False, False, True]), torch.tensor([False, True, False]))
-    begin, end, action = relabel(rollouts, 30_000, torch.Generator().manual_seed(0))
-    assert torch.equal(begin[:, 0].long(), action)
-    share = torch.bincount(begin[:, 0].long() * 4 + end[:, 0].long(), minlength=16).view(4, 4) / 30_000
-    assert torch.allclose(share.triu(1)[:3, 1:][torch.ones(3, 3).triu().bool()], torch.full((6,), 1 / 6), atol=0.01)
-    assert share.tril().sum() == 0
-    nothing = relabel(
-        Rollouts(states, actions, torch.tensor([1, 1, 1]), length > 5, length > 0), 10, torch.Generator().manual_seed(0)
-    )
-    assert [len(column) for column in nothing] == [0, 0, 0]
 
-
-def test_a_policy_of_one_state_is_not_told_the_target(bottle: Assembly, bottle_graph: StateGraph) -> None:
+def test_a_goal_blind_policy_ignores_the_target(bottle: Assembly, bottle_graph: StateGraph) -> None:
     environment = Environment(bottle, 2, device="cpu")
     seen = []
 
@@ -81,7 +90,7 @@ def test_a_policy_of_one_state_is_not_told_the_target(bottle: Assembly, bottle_g
 
     pairs = sample_pairs(bottle_graph, 50, np.random.default_rng(0))
     states, targets, _ = pairs.tensors(environment.device)
-    rollouts = roll_out(environment, OneState(policy), states, targets)
+    rollouts = roll_out(environment, GoalBlindPolicy(policy), states, targets)
     assert all(one is None for one in seen)
     kept = targets == 1
     assert (rollouts.last[kept] == 1).all()

@@ -13,14 +13,14 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.errors import InputError, TrainingError  # noqa: E402
-from falsework.learn.algorithms.imitation import Imitation, Network, imitation_loss, unlearning_loss  # noqa: E402
+from falsework.learn.algorithms.imitation import Imitation, imitation_loss  # noqa: E402
+from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.train import ImitationSettings, TrainSettings  # noqa: E402
 from falsework.learn.data.dataset import DataSettings, build_dataset, task_for  # noqa: E402
-from falsework.learn.data.recording_environment import WatchedEnvironment  # noqa: E402
-from falsework.learn.data.replay_buffer import Memory  # noqa: E402
+from falsework.learn.data.recording_environment import RecordingEnvironment  # noqa: E402
 from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
+from falsework.learn.networks.autocast import Network  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
 from falsework.utils.distributed import Shards  # noqa: E402
 
@@ -37,8 +37,8 @@ def states(arch: Any) -> Any:
     return build_dataset(arch, task_for(arch, 2), DataSettings(16, 1), device="cpu").train
 
 
-def settings(**changes: Any) -> ImitationSettings:
-    return TrainSettings(imitation=ImitationSettings(**changes)).resolved(9, "cpu").imitation
+def settings(**changes: Any) -> ImitationPhase:
+    return ImitationPhase(**changes).resolved("cpu")
 
 
 def test_the_loss_is_minus_the_logarithm_of_the_probability_of_all_valid_actions() -> None:
@@ -55,15 +55,6 @@ def test_the_loss_is_minus_the_logarithm_of_the_probability_of_all_valid_actions
     assert float(imitation_loss(logits, mask, valid)) == pytest.approx(np.mean(expected), rel=1e-5)
 
 
-def test_unlearning_is_minus_the_logarithm_of_all_other_probability() -> None:
-    logits = torch.tensor([[0.0, 1.0, 2.0, -1.0]])
-    mask = torch.tensor([[True, True, False, True]])
-    wrong = float(torch.softmax(torch.tensor([0.0, 1.0, -1.0]), 0)[1])
-    assert float(unlearning_loss(logits, mask, torch.tensor([1]))) == pytest.approx(-np.log(1 - wrong), rel=1e-5)
-    only = torch.tensor([[False, True, False, False]])
-    assert float(unlearning_loss(logits, only, torch.tensor([1]))) == 0.0  # there is nothing else to do
-
-
 def test_rows_without_a_valid_or_a_legal_action_are_left_out() -> None:
     """And their gradients are zeros, not NaN."""
     logits = torch.randn((4, 6), generator=torch.Generator().manual_seed(1), requires_grad=True)
@@ -72,11 +63,11 @@ def test_rows_without_a_valid_or_a_legal_action_are_left_out() -> None:
     valid = mask.clone()
     valid[:, 3:] = False
     valid[2] = False
-    for loss in (imitation_loss(logits, mask, valid), unlearning_loss(logits, mask, torch.tensor([0, 0, 5, 1]))):
-        assert torch.isfinite(loss)
-        (gradient,) = torch.autograd.grad(loss, logits)
-        assert torch.isfinite(gradient).all()
-        assert (gradient[1] == 0).all()
+    loss = imitation_loss(logits, mask, valid)
+    assert torch.isfinite(loss)
+    (gradient,) = torch.autograd.grad(loss, logits)
+    assert torch.isfinite(gradient).all()
+    assert (gradient[1:3] == 0).all()
     alone = imitation_loss(logits[[0, 3]], mask[[0, 3]], valid[[0, 3]])
     assert imitation_loss(logits, mask, valid).item() == pytest.approx(alone.item())
 
@@ -95,22 +86,20 @@ def test_an_action_that_is_not_legal_is_not_imitated() -> None:
 
 
 def test_it_learns_what_the_valid_actions_are(arch: Any, states: Any) -> None:
-    environment = WatchedEnvironment(arch, 2, device="cpu")
+    environment = RecordingEnvironment(arch, 2, device="cpu")
     solved = SolvedStates(environment.rules, torch.from_numpy(states))
-    imitation = Imitation(make_policy(arch, SMALL), environment.rules, settings())
-    imitation.run(solved, 20, (0.0, 0.05))
-    first = imitation.report()["loss"]
-    imitation.run(solved, 400, (0.05, 1.0))
-    imitation.report()
-    imitation.run(solved, 20, (1.0, 1.0))
-    assert imitation.report()["loss"] < 0.1 * first
-    best = imitation.averaged(make_policy(arch, SMALL, seed=1))
+    imitation = Imitation(make_policy(arch, SMALL), solved, settings())
+    first = imitation.block(20, (0.0, 0.05))["loss"]
+    imitation.block(400, (0.05, 1.0))
+    assert imitation.block(20, (1.0, 1.0))["loss"] < 0.1 * first
+    best = imitation.export_policy(make_policy(arch, SMALL, seed=1))
     assert roll_out(environment, best, solved.states).success.all()
 
 
 def test_the_learning_rate_rises_stays_and_falls(arch: Any, states: Any) -> None:
-    environment = WatchedEnvironment(arch, 2, device="cpu")
-    imitation = Imitation(make_policy(arch, SMALL), environment.rules, settings(warm_up=10, decay=0.5))
+    environment = RecordingEnvironment(arch, 2, device="cpu")
+    solved = SolvedStates(environment.rules, torch.from_numpy(states))
+    imitation = Imitation(make_policy(arch, SMALL), solved, settings(warm_up=10, decay=0.5))
     assert imitation.schedule(0, 0.0) == pytest.approx(0.1)
     assert imitation.schedule(50, 0.3) == imitation.schedule(50, 0.5) == 1.0
     falling = [imitation.schedule(50, place) for place in np.linspace(0.5, 1.0, 20)]
@@ -122,11 +111,11 @@ def test_the_learning_rate_rises_stays_and_falls(arch: Any, states: Any) -> None
 def test_a_step_that_is_not_finite_is_left_out_and_its_batch_kept(
     arch: Any, states: Any, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    environment = WatchedEnvironment(arch, 2, device="cpu")
+    environment = RecordingEnvironment(arch, 2, device="cpu")
     solved = SolvedStates(environment.rules, torch.from_numpy(states))
     policy = make_policy(arch, PolicySettings(kind, layers=1, channels=8, heads=1))
-    imitation = Imitation(policy, environment.rules, settings(batch=16), folder=tmp_path)
-    imitation.run(solved, 3, (0.0, 0.1))
+    imitation = Imitation(policy, solved, settings(batch=16), folder=tmp_path)
+    imitation.block(3, (0.0, 0.1))
     weights = [weight.clone() for weight in policy.parameters()]
     whole, seen = Network.forward, []
 
@@ -136,75 +125,49 @@ def test_a_step_that_is_not_finite_is_left_out_and_its_batch_kept(
         return logits * torch.nan, value
 
     monkeypatch.setattr(Network, "forward", broken)
-    imitation.run(solved, 2, (0.1, 0.2))
+    with pytest.raises(TrainingError, match="not a finite number at step 4"):
+        imitation.block(2, (0.1, 0.2))
     for before, after in zip(weights, policy.parameters(), strict=True):
         assert torch.equal(before, after)
-    with pytest.raises(TrainingError, match="not a finite number at step 5"):
-        imitation.report()
     from safetensors.torch import load_file
 
-    (path,) = tmp_path.glob("not-finite*.safetensors")
+    path = tmp_path / "not-finite-step-4.safetensors"
+    assert list(tmp_path.iterdir()) == [path]
     assert torch.equal(load_file(path)["states"], seen[0])
 
 
 def test_saved_and_loaded_it_goes_on_alike(arch: Any, states: Any) -> None:
-    environment = WatchedEnvironment(arch, 2, device="cpu")
+    environment = RecordingEnvironment(arch, 2, device="cpu")
     solved = SolvedStates(environment.rules, torch.from_numpy(states))
-    whole = Imitation(make_policy(arch, SMALL), environment.rules, settings())
-    whole.run(solved, 10, (0.0, 0.5))
-    other = Imitation(make_policy(arch, SMALL, seed=5), environment.rules, settings(), seed=9)
-    other.load({name: tensor.clone() for name, tensor in whole.tensors().items()})
-    other.set_generator_state(whole.generator_state())
+    whole = Imitation(make_policy(arch, SMALL), solved, settings())
+    whole.block(10, (0.0, 0.5))
+    other = Imitation(make_policy(arch, SMALL, seed=5), solved, settings(), seed=9)
+    saved = [{name: one.clone() for name, one in part().items()} for part in (whole.state_dict, whole.local_state_dict)]
+    other.load_state_dict(saved[0], saved[1])
     for one in (whole, other):
-        one.run(solved, 10, (0.5, 1.0))
-    for name, tensor in whole.tensors().items():
-        assert torch.equal(tensor, other.tensors()[name]), name
+        one.block(10, (0.5, 1.0))
+    for name, tensor in whole.state_dict().items():
+        assert torch.equal(tensor, other.state_dict()[name]), name
 
 
 def test_a_batch_smaller_than_the_processes_is_refused(arch: Any) -> None:
-    environment = WatchedEnvironment(arch, 2, device="cpu")
+    environment = RecordingEnvironment(arch, 2, device="cpu")
     with pytest.raises(InputError, match="cannot be shared by 4 processes"):
-        Imitation(make_policy(arch, SMALL), environment.rules, settings(batch=3), shards=Shards(0, 4))
+        Imitation(make_policy(arch, SMALL), SolvedStates(environment.rules), settings(batch=3), shards=Shards(0, 4))
 
 
-def test_memory_keeps_the_last_rows() -> None:
-    memory = Memory(5, {"x": torch.zeros(2), "y": torch.zeros((), dtype=torch.int64)})
-    rows = torch.arange(26.0).view(13, 2)
-    for piece in (rows[:2], rows[2:6], rows[6:6], rows[6:]):
-        memory.add(x=piece, y=piece[:, 0].long())
-    assert len(memory) == 5
-    drawn = memory.draw(200, torch.Generator().manual_seed(0))
-    assert set(drawn["y"].tolist()) == {16, 18, 20, 22, 24}
-    assert torch.equal(drawn["x"][:, 0].long(), drawn["y"])
-    again = Memory(5, {"x": torch.zeros(2), "y": torch.zeros((), dtype=torch.int64)})
-    again.load(memory.tensors())
-    memory.add(x=rows[:1], y=rows[:1, 0].long())
-    again.add(x=rows[:1], y=rows[:1, 0].long())
-    for one in ("x", "y"):
-        assert torch.equal(memory.tensors()[one], again.tensors()[one])
-
-
-def test_rollouts_leave_notes(arch: Any, states: Any) -> None:
-    """Actions that bring something down, how rollouts ended, and test states met; none of a test state."""
-    environment = WatchedEnvironment(arch, 2, device="cpu")
+def test_visits_to_held_out_states_are_recorded(arch: Any, states: Any) -> None:
+    """By rollouts of training, not while recording is paused."""
+    environment = RecordingEnvironment(arch, 2, device="cpu")
     solved = SolvedStates(environment.rules, torch.from_numpy(states))
     solved.forbid(torch.from_numpy(states[::3].copy()))
-    environment.solved, environment.remember = solved, True
-    policy = make_policy(arch, SMALL)
-    starts = solved.states
-    with environment.unwatched():
+    environment.solved = solved
+    policy, starts = make_policy(arch, SMALL), solved.states
+    with environment.paused_recording():
         assert environment.exact
         roll_out(environment, policy, starts, greedy=False, generator=environment.generator(0))
     assert not environment.exact
-    assert solved.met == len(environment.mistakes) == len(environment.outcomes) == 0
+    assert solved.met == 0
     rollouts = roll_out(environment, policy, starts, greedy=False, generator=environment.generator(0))
     visited = rollouts.states[1:].flatten(0, 1)
     assert solved.met == len(torch.unique(visited[solved.is_forbidden(visited)], dim=0)) > 0
-    mistakes = environment.mistakes.tensors()
-    after = environment.rules.follow(mistakes["states"], mistakes["actions"])
-    assert len(after)
-    assert not environment.stable(after).any()
-    assert not solved.is_forbidden(mistakes["states"]).any()
-    outcomes = environment.outcomes.tensors()
-    assert set(outcomes["value"].tolist()) == {-1.0, 1.0}
-    assert not solved.is_forbidden(outcomes["states"]).any()

@@ -1,7 +1,9 @@
-"""Reinforcement learning: its arithmetic by hand, a game whose answer is known, and what must never happen."""
+"""Proximal policy optimisation: its arithmetic by hand, a game whose answer is known, and what must never happen."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +14,31 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from safetensors.torch import load_file  # noqa: E402
 
-from falsework.assembly import load_structure  # noqa: E402
+from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError, TrainingError  # noqa: E402
+from falsework.learn.algorithms.advantages import generalized_advantages, normalized  # noqa: E402
+from falsework.learn.algorithms.curriculum import Curriculum  # noqa: E402
+from falsework.learn.algorithms.imitation import imitation_loss  # noqa: E402
 from falsework.learn.algorithms.nan_guard import NanGuard  # noqa: E402
-from falsework.learn.algorithms.ppo import PPO, Batch, ppo_loss  # noqa: E402
-from falsework.learn.algorithms.rollout_storage import Storage  # noqa: E402
+from falsework.learn.algorithms.ppo import PPO  # noqa: E402
+from falsework.learn.algorithms.ppo_loss import ppo_loss  # noqa: E402
+from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions  # noqa: E402
+from falsework.learn.algorithms.start_states import MixedStarts, StartBatch  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.ppo import CurriculumSettings, PpoSettings  # noqa: E402
-from falsework.learn.env.environment import Environment, Step  # noqa: E402
-from falsework.learn.env.rollout import Move, roll_out  # noqa: E402
+from falsework.learn.config.ppo import PAPER, CurriculumSettings, PpoPhase  # noqa: E402
+from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.data.random_walks import TaskSource, Ways  # noqa: E402
+from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
+from falsework.learn.env.environment import Environment  # noqa: E402
+from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
-from falsework.learn.networks.policy import masked_log_probabilities  # noqa: E402
+from falsework.learn.networks.policy import Policy, masked_log_probabilities  # noqa: E402
+from falsework.search import StateGraph  # noqa: E402
+from falsework.stability import Stability  # noqa: E402
 
 MLP = PolicySettings(kind="mlp", layers=2, channels=32)
+RESIDUAL = PolicySettings(kind="residual", layers=2, channels=32)
+SMALL = PpoPhase(rollouts=64, batch=64, learning_rate=2e-3)
 
 
 @pytest.fixture(scope="module")
@@ -33,71 +47,99 @@ def stack() -> Environment:
     return Environment(load_structure("stack:blocks=4"), 1, device="cpu")
 
 
-def learner(environment: Environment, settings: PpoSettings = PpoSettings(), seed: int = 0, **options) -> PPO:
-    policy = make_policy(environment.assembly, MLP, "cpu", seed)
-    return PPO(policy, environment, settings, environment.generator(seed), **options)
+@pytest.fixture(scope="module")
+def arch() -> Assembly:
+    return load_structure("arch:blocks=9")
+
+
+@pytest.fixture(scope="module")
+def data(arch: Assembly) -> Dataset:
+    return build_dataset(arch, task_for(arch), DataSettings(train_width=8, test_width=16), device="cpu")
+
+
+def learner(environment: Environment, settings: PpoPhase = PAPER, seed: int = 0, **options: Any) -> PPO:
+    """From the complete structure, as the paper trains."""
+    policy = options.pop("policy", None) or make_policy(environment.assembly, MLP, "cpu", seed)
+    complete = Curriculum(environment.rules.complete(), environment.rules, settings.curriculum)
+    return PPO(environment, policy, complete, settings, seed=seed, **options)
+
+
+def fine_tuner(arch: Assembly, data: Dataset, *, settings: PpoPhase = SMALL, seed: int = 0, **options: Any) -> PPO:
+    """From mixed start states, as by default, with the test states held out."""
+    environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
+    solved = SolvedStates(environment.rules)
+    solved.forbid(torch.as_tensor(data.test))
+    solved.add(torch.as_tensor(data.train))
+    starts = MixedStarts(torch.as_tensor(data.train), solved, environment.rules, settings.rollouts)
+    return PPO(environment, make_policy(arch, RESIDUAL), starts, settings, solved=solved, seed=seed, **options)
+
+
+def with_targets(
+    environment: Environment,
+    starts: torch.Tensor,
+    targets: torch.Tensor,
+    settings: PpoPhase = SMALL,
+    *,
+    tasks: TaskSource | None = None,
+    solved: SolvedStates | None = None,
+) -> PPO:
+    solved = SolvedStates(environment.rules) if solved is None else solved
+    policy = make_policy(environment.assembly, replace(RESIDUAL, two_states=True))
+    sampler = MixedStarts(starts, solved, environment.rules, settings.rollouts, targets=targets, tasks=tasks)
+    return PPO(environment, policy, sampler, settings, solved=solved, tasks=tasks)
 
 
 def weights_of(ppo: PPO) -> list[Any]:
     return [weight.detach().clone() for weight in ppo.policy.parameters()]
 
 
-def write(storage: Storage, rows: list[int], value: list[float], reward: list[float], done: list[bool]) -> None:
-    count, parts = len(rows), storage.states.shape[2]
-    states = torch.zeros(count, parts, dtype=torch.uint8)
-    mask = torch.zeros(count, 2 * parts, dtype=torch.bool)
-    zeros = torch.zeros(count)
-    ended = torch.tensor(done)
-    step = Step(states, torch.tensor(reward), ended, ended, ended, mask)
-    move = Move(torch.tensor(rows), states, None, mask, zeros, torch.tensor(value), zeros.long(), step)
-    storage.write(move, zeros)
-
-
 def test_advantages_by_hand() -> None:
-    """Rollout 0 takes three actions, rollout 1 one, rollout 2 none; discount 1/2, trace 1/2."""
-    storage = Storage(5, 3, 2, torch.device("cpu"))
-    for _ in range(2):  # the second time over what the first left behind
-        storage.clear(torch.tensor([False, False, True]), None)
-        write(storage, [0, 1], [0.4, 0.2], [0.0, -1.0], [False, True])
-        write(storage, [0], [0.6], [0.0], [False])
-        write(storage, [0], [0.8], [1.0], [True])
-        advantage, returns = storage.returns(0.5, 0.5)
+    """Rollout 0 takes three actions, rollout 1 one, rollout 2 none; discount 1/2, lambda 1/2."""
+    rows = [torch.tensor([0, 1]), torch.tensor([0]), torch.tensor([0])]
+    values = [torch.tensor([0.4, 0.2]), torch.tensor([0.6]), torch.tensor([0.8])]
+    rewards = [torch.tensor([0.0, -1.0]), torch.tensor([0.0]), torch.tensor([1.0])]
+    first, second, third = generalized_advantages(rows, values, rewards, 3, 0.5, 0.5)
     last = 1.0 - 0.8
     middle = 0.0 + 0.5 * 0.8 - 0.6 + 0.25 * last
-    first = 0.0 + 0.5 * 0.6 - 0.4 + 0.25 * middle
-    expected = torch.tensor([[first, -1.2, 0.0], [middle, 0.0, 0.0], [last, 0.0, 0.0]])
-    assert torch.allclose(advantage, expected)
-    values = torch.tensor([[0.4, 0.2, 0.0], [0.6, 0.0, 0.0], [0.8, 0.0, 0.0]])
-    assert torch.allclose(returns, expected + values)
-    place, rollout = storage.pairs()
-    assert place.tolist() == [0, 1, 3, 6]
-    assert rollout.tolist() == [0, 1, 0, 0]
-    assert storage.success.tolist() == [True, True, True]
+    assert third.tolist() == pytest.approx([last])
+    assert second.tolist() == pytest.approx([middle])
+    assert first.tolist() == pytest.approx([0.0 + 0.5 * 0.6 - 0.4 + 0.25 * middle, -1.2])
 
 
-def test_with_full_trace_returns_are_the_discounted_rewards() -> None:
-    storage = Storage(6, 1, 2, torch.device("cpu"))
-    storage.clear(torch.tensor([False]), None)
-    rng = np.random.default_rng(0)
-    for step in range(6):
-        write(storage, [0], [float(rng.normal())], [1.0 if step == 5 else 0.0], [step == 5])
-    _, returns = storage.returns(0.9, 1.0)
-    assert torch.allclose(returns[:, 0], torch.tensor([0.9**k for k in range(5, -1, -1)]))
+def test_a_lambda_of_one_compares_with_the_discounted_outcome() -> None:
+    """The sum of all differences telescopes: only the outcome and the estimate are left."""
+    generator = torch.Generator().manual_seed(0)
+    rows = [torch.arange(5), torch.tensor([0, 2, 4]), torch.tensor([2])]
+    values = [torch.rand(len(active), generator=generator) for active in rows]
+    rewards = [torch.tensor([0.0, -1.0, 0.0, 1.0, 0.0]), torch.tensor([1.0, 0.0, -1.0]), torch.tensor([1.0])]
+    outcomes = [torch.tensor([0.9, -1.0, 0.81, 1.0, -0.9]), torch.tensor([1.0, 0.9, -1.0]), torch.tensor([1.0])]
+    found = generalized_advantages(rows, values, rewards, 5, 0.9, 1.0)
+    for value, outcome, advantage in zip(values, outcomes, found, strict=True):
+        assert torch.allclose(advantage, outcome - value, atol=1e-6)
 
 
-def make_batch(log_probability: float, advantage: float, mask: list[bool], weight: float = 1.0) -> Batch:
+def test_normalized_advantages() -> None:
+    """Deviation 1; mean 0 or the sign kept."""
+    values = torch.tensor([1.0, 2.0, 3.0, 6.0])
+    centered = normalized(values, centered=True)
+    assert float(centered.mean()) == pytest.approx(0.0, abs=1e-6)
+    assert float(centered.std(correction=0)) == pytest.approx(1.0, rel=1e-5)
+    assert torch.allclose(normalized(values, centered=False), values / values.std(correction=0), rtol=1e-5)
+    assert normalized(torch.zeros(0), centered=True).tolist() == []
+
+
+def transition(log_probability: float, advantage: float, mask: list[bool], returns: float = 0.25) -> Transitions:
     one = torch.ones(1)
-    return Batch(
+    return Transitions(
         states=torch.zeros(1, 2, dtype=torch.uint8),
-        mask=torch.tensor([mask]),
+        targets=None,
         actions=torch.tensor([1]),
+        mask=torch.tensor([mask]),
         log_probability=one * log_probability,
         advantage=one * advantage,
-        returns=one * 0.25,
-        weight=one * weight,
-        entropy=one * 0.01,
+        returns=one * returns,
         rollout=torch.tensor([0]),
-        targets=None,
+        success=torch.tensor([True]),
     )
 
 
@@ -105,26 +147,36 @@ def make_batch(log_probability: float, advantage: float, mask: list[bool], weigh
     ("old", "advantage", "surrogate"),
     [(0.5, 2.0, -2.0), (0.25, 2.0, -2.4), (0.25, -2.0, 4.0), (0.8, -2.0, 1.6), (0.8, 2.0, -1.25)],
 )
-def test_loss_by_hand(old: float, advantage: float, surrogate: float) -> None:
+@pytest.mark.parametrize("probabilities", [True, False])
+def test_loss_by_hand(old: float, advantage: float, surrogate: float, probabilities: bool) -> None:
     """Two legal actions of equal probability: the new one is 1/2; the ratio is clipped to 0.8 and 1.2."""
     logits = torch.zeros(1, 4, requires_grad=True)
-    batch = make_batch(np.log(old), advantage, [False, True, True, False])
-    loss = ppo_loss(logits, torch.tensor([0.75]), batch, 0.2, 0.5)
+    batch = transition(np.log(old), advantage, [False, True, True, False])
+    one = torch.ones(1)
+    loss = ppo_loss(
+        logits, torch.tensor([0.75]), batch, weight=one, entropy_weight=0.01 * one, probabilities=probabilities
+    )
+    chance = 0.5 + 0.5 * 0.75
+    error = -0.25 * np.log(chance) - 0.75 * np.log(1 - chance) if probabilities else (0.75 - 0.25) ** 2
     assert loss.surrogate.item() == pytest.approx(surrogate, rel=1e-5)
-    assert loss.total.item() == pytest.approx(surrogate + 0.5 * 0.25 - 0.01 * np.log(2), rel=1e-5)
+    assert loss.total.item() == pytest.approx(surrogate + 0.5 * error - 0.01 * np.log(2), rel=1e-3)
     ratio = 0.5 / old
     divergence = ratio - 1 - np.log(ratio)
-    expected = [surrogate, 0.25, np.log(2), divergence, float(abs(ratio - 1) > 0.2)]
-    assert loss.statistics.tolist() == pytest.approx(expected, rel=1e-5)
+    expected = [surrogate, error, np.log(2), divergence, float(abs(ratio - 1) > 0.2)]
+    assert loss.statistics.tolist() == pytest.approx(expected, rel=1e-3)
     loss.total.backward()
     assert logits.grad is not None
     assert logits.grad[0, [0, 3]].tolist() == [0.0, 0.0]
     assert logits.grad.isfinite().all()
 
 
-def test_padding_counts_for_nothing() -> None:
+@pytest.mark.parametrize("probabilities", [True, False])
+def test_padding_counts_for_nothing(probabilities: bool) -> None:
     logits = torch.zeros(1, 4, requires_grad=True)
-    loss = ppo_loss(logits, torch.tensor([0.75]), make_batch(-700.0, 1.0, [False] * 4, weight=0.0), 0.2, 0.5)
+    zero = torch.zeros(1)
+    batch = transition(-700.0, 1.0, [False] * 4)
+    value = torch.tensor([0.75])
+    loss = ppo_loss(logits, value, batch, weight=zero, entropy_weight=zero, probabilities=probabilities)
     loss.total.backward()
     assert loss.total.item() == 0.0
     assert loss.statistics.tolist() == [0.0] * 5
@@ -132,29 +184,42 @@ def test_padding_counts_for_nothing() -> None:
     assert (logits.grad == 0).all()
 
 
-def test_every_pair_is_seen_once_an_epoch(stack: Environment) -> None:
-    ppo = learner(stack, PpoSettings(batch=7))
-    for pairs in (1, 6, 7, 8, 50):
-        pieces = list(ppo._minibatches(pairs))
+def test_every_transition_is_seen_once_an_epoch(stack: Environment) -> None:
+    ppo = learner(stack, replace(PAPER, batch=7))
+    for count in (1, 6, 7, 8, 50):
+        pieces = ppo._minibatches(count)
         assert len({len(rows) for rows, _ in pieces}) == 1
         seen = torch.cat([rows[counts > 0] for rows, counts in pieces])
-        assert sorted(seen.tolist()) == list(range(pairs))
-    assert list(ppo._minibatches(0)) == []
+        assert sorted(seen.tolist()) == list(range(count))
+    assert ppo._minibatches(0) == []
+
+
+def test_a_single_pass_takes_full_batches(stack: Environment) -> None:
+    """No more than asked for, no transition twice; what makes no full batch is left out unless there is no other."""
+    ppo = learner(stack, replace(PAPER, batch=7, epochs=1))
+    for count, most, sizes in ((50, None, [7] * 7), (50, 3, [7] * 3), (6, None, [6]), (13, 5, [7])):
+        pieces = ppo._minibatches(count, most)
+        assert [len(rows) for rows, _ in pieces] == sizes
+        assert all(bool((counts == 1).all()) for _, counts in pieces)
+        seen = torch.cat([rows for rows, _ in pieces])
+        assert len(seen.unique()) == len(seen)
+    (nothing,) = ppo._minibatches(0)
+    assert nothing[1].tolist() == [0.0]  # one step of imitation alone
 
 
 def test_a_game_with_one_answer_is_solved(stack: Environment) -> None:
     """From the complete stack, every action but one ends badly; the value is the discounted reward."""
-    settings = PpoSettings(batch=256, discount=0.9, curriculum=CurriculumSettings(entropy=0.01))
+    settings = replace(PAPER, batch=256, discount=0.9, entropy=0.01)
     ppo = learner(stack, settings)
-    complete = stack.rules.complete(32)
-    assert not roll_out(stack, ppo.policy, complete[:1]).success.all()
-    reports = [ppo.update(complete) for _ in range(50)]
-    rollouts = roll_out(stack, ppo.policy, complete[:1])
+    starts = StartBatch(stack.rules.complete(32), rows=torch.zeros(32, dtype=torch.int64))
+    assert not roll_out(stack, ppo.policy, starts.states[:1]).success.all()
+    reports = [ppo.update(starts) for _ in range(50)]
+    rollouts = roll_out(stack, ppo.policy, starts.states[:1])
     assert rollouts.success.all()
     order = [action - 5 for action in rollouts.actions[:, 0].tolist() if action >= 5]
     heights = [stack.assembly.meshes[part].bounds[1][2] for part in order]
     assert heights == sorted(heights, reverse=True)
-    assert reports[-1]["success"] > 0.9 > reports[0]["success"]
+    assert reports[-1]["rollout_success"] > 0.9 > reports[0]["rollout_success"]
     with torch.no_grad():
         values = ppo.policy(rollouts.states[:-1, 0])[1]
     assert torch.allclose(values, 0.9 ** torch.arange(7, -1, -1.0), atol=0.15)
@@ -163,114 +228,246 @@ def test_a_game_with_one_answer_is_solved(stack: Environment) -> None:
 
 def test_targets_are_learned_too(stack: Environment) -> None:
     """Take off the first two blocks, hold the third: no other action is even legal in the end."""
-    policy = make_policy(stack.assembly, PolicySettings(kind="mlp", two_states=True, layers=2, channels=32), "cpu", 0)
-    ppo = PPO(policy, stack, PpoSettings(batch=256), stack.generator(0))
     starts = stack.rules.complete(32)
     order = np.argsort([-mesh.bounds[1][2] for mesh in stack.assembly.meshes])
     targets = starts.clone()
     targets[:, order[:2].tolist()] = 0
     targets[::2, int(order[2])] = 2
+    ppo = with_targets(stack, starts, targets, replace(PAPER, batch=256))
     for _ in range(30):
-        report = ppo.update(starts, targets)
-    assert report["success"] > 0.9
-    assert roll_out(stack, policy, starts[:2], targets[:2]).success.all()
+        report = ppo.update(StartBatch(starts, targets))
+    assert report["rollout_success"] > 0.9
+    assert roll_out(stack, ppo.policy, starts[:2], targets[:2]).success.all()
 
 
-def test_in_hindsight_failed_rollouts_teach_how_to_get_where_they_came() -> None:
-    """Their samples are legal steps of their new tasks, and become more probable than without them."""
+def test_hindsight_teaches_paths_to_visited_states() -> None:
+    """First actions to states that failed rollouts passed become more probable than without it."""
     arch = Environment(load_structure("arch:blocks=5"), 2, device="cpu")
     starts = arch.rules.complete(32)
     targets = arch.rules.goals(starts)
     gained = []
     for weight in (0.0, 5.0):
-        policy = make_policy(
-            arch.assembly, PolicySettings(kind="mlp", two_states=True, layers=2, channels=32), "cpu", 0
-        )
-        ppo = PPO(policy, arch, PpoSettings(batch=64, hindsight=weight or 1e-9), arch.generator(0))
-        samples = ppo._hindsight(ppo._play(starts, targets))
-        assert samples is not None
-        states, aims, actions = samples
-        mask = arch.rules.moves(states, aims)
-        assert mask.gather(1, actions[:, None]).all()
-        assert arch.rules.contains(states, aims).all()
-        assert arch.stable(aims).all()
+        ppo = with_targets(arch, starts, targets, replace(PAPER, batch=64, hindsight=weight or 1e-9))
+        played = collect(arch, ppo.policy, starts, targets)
+        (((_, (states, goals, valid)),),) = ppo._demonstrations(played, 1)
+        assert goals is not None
+        assert valid is not None
+        mask = arch.rules.moves(states, goals)
+        assert mask[valid].all()
 
-        def likelihood(policy=policy, states=states, aims=aims, actions=actions, mask=mask) -> float:
+        def likelihood(policy=ppo.policy, states=states, goals=goals, valid=valid, mask=mask) -> float:
             with torch.no_grad():
-                logits, _ = policy(states, aims)
-            return float(masked_log_probabilities(logits, mask).gather(1, actions[:, None]).mean())
+                logits, _ = policy(states, goals)
+            return float(masked_log_probabilities(logits, mask)[valid].mean())
 
         before = likelihood()
         for _ in range(3):
-            ppo.update(starts, targets)
+            ppo.update(StartBatch(starts, targets))
         gained.append(likelihood() - before)
     assert gained[1] > gained[0]
 
 
-def test_same_seed_same_weights_and_saved_learning_goes_on_the_same(stack: Environment) -> None:
-    starts = stack.rules.complete(16)
-    one, two = learner(stack, seed=3), learner(stack, seed=3)
-    for ppo in (one, two):
-        ppo.update(starts)
-    tensors, own = one.tensors(), one.own_tensors()
-    tensors = {name: tensor.clone() for name, tensor in tensors.items()}
-    own = {name: tensor.clone() for name, tensor in own.items()}
-    later = [one.update(starts) for _ in range(2)]
-    again = learner(stack, seed=4)
-    again.load(tensors, own)
-    assert [again.update(starts) for _ in range(2)] == later
-    for first, second in zip(weights_of(one), weights_of(again), strict=True):
-        assert torch.equal(first, second)
-    assert again.updates == 3
+def collect(
+    environment: Environment, policy: Policy, starts: torch.Tensor, targets: torch.Tensor | None = None
+) -> Transitions:
+    options = {"discount": 1.0, "gae_lambda": 0.9, "probabilities": True}
+    return collect_transitions(environment, policy, starts, targets, environment.generator(1), **options)
 
 
-def test_learning_rate_falls_at_milestones(stack: Environment) -> None:
-    ppo = learner(stack, PpoSettings(learning_rate=1e-3, milestones=(2, 4)))
+def test_every_action_of_every_rollout_is_stored(arch: Assembly, data: Dataset) -> None:
+    """One row an action; those of a successful rollout are as many as steps to the end, and all are legal."""
+    environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
+    starts = torch.as_tensor(data.train)
+    played = collect(environment, make_policy(arch, RESIDUAL), starts)
+    assert played.success.any()
+    assert not played.success.all()
+    taken = torch.bincount(played.rollout, minlength=len(starts))
+    left = environment.rules.steps_left(starts)
+    assert torch.equal(taken[played.success], left[played.success])
+    assert bool(played.mask.gather(1, played.actions[:, None]).all())
+    assert bool(((played.returns >= 0) & (played.returns <= 1)).all())
+
+
+def test_rollouts_that_cannot_begin_have_no_transitions(arch: Assembly, data: Dataset) -> None:
+    """From the empty structure nothing is left to do, which is success; an update with nothing changes no weight."""
+    ppo = fine_tuner(arch, data, settings=replace(SMALL, imitation=0.0))
+    empty = ppo._environment.rules.goals(torch.as_tensor(data.train[:3]))
+    played = collect(ppo._environment, ppo.policy, empty)
+    assert len(played) == 0
+    assert played.success.all()
+    before = weights_of(ppo)
+    ppo.update(StartBatch(empty))
+    decay = 1 - SMALL.learning_rate * SMALL.weight_decay
+    for one, two in zip(before, weights_of(ppo), strict=True):
+        assert torch.allclose(decay * one, two)
+
+
+def test_rollouts_make_a_policy_better(arch: Assembly, data: Dataset) -> None:
+    """From random weights, without any imitation, on states that were never started from."""
+    ppo = fine_tuner(arch, data, settings=replace(SMALL, imitation=0.0))
+    environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
+
+    def greedy(policy: Policy) -> float:
+        return float(roll_out(environment, policy, torch.as_tensor(data.test), keep="ends").success.float().mean())
+
+    before = greedy(make_policy(arch, RESIDUAL))
+    for block in range(12):
+        ppo.block(10, (block / 12, (block + 1) / 12))
+    after = greedy(ppo.export_policy(make_policy(arch, RESIDUAL)))
+    assert after > max(before, 0.8), f"{before:.2f} before, {after:.2f} after"
+
+
+def test_a_target_one_action_away_is_learned(arch: Assembly) -> None:
+    """Whatever the target keeps."""
+    environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
+    complete = environment.rules.complete()
+    actions = environment.rules.moves(complete).nonzero()[:, 1]
+    starts = complete.expand(len(actions), -1).contiguous()
+    ppo = with_targets(environment, starts, environment.rules.follow(starts, actions))
+    assert ppo.block(60, (0.0, 1.0))["rollout_success"] > 0.9
+
+
+def test_tasks_are_drawn_anew_and_imitated(bottle: Assembly, bottle_graph: StateGraph) -> None:
+    """With a source of tasks hardly any start comes twice, and what the source knows is learned beside."""
+    environment = Environment(bottle, 2, oracle=Stability(bottle), device="cpu")
+    ways = Ways(bottle_graph, device=environment.device)
+    states, targets, valid = ways.draw(300, environment.generator(7))
+
+    def learned(imitation: float) -> float:
+        settings = replace(SMALL, imitation=imitation)
+        ppo = with_targets(environment, states[:1], targets[:1], settings, tasks=ways)
+        batch = ppo._sampler.sample(64, ppo._generator)
+        assert batch.targets is not None
+        assert len(torch.unique(torch.cat([batch.states, batch.targets], dim=1), dim=0)) > 0.9 * 64
+        ppo.block(60, (0.0, 1.0))
+        with torch.no_grad():
+            logits, _ = ppo.policy(states, targets)
+        return float(imitation_loss(logits, environment.rules.moves(states, targets), valid))
+
+    assert learned(1.0) < learned(0.0)
+
+
+def test_no_loss_is_taken_at_held_out_states(arch: Assembly, data: Dataset) -> None:
+    """Neither by gradients of rollouts nor by imitation, although rollouts come across them."""
+    ppo = fine_tuner(arch, data)
+    seen = recorded(ppo)
+    ppo.block(20, (0.0, 0.5))
+    assert ppo._solved.is_forbidden(collect(ppo._environment, ppo.policy, torch.as_tensor(data.train)).states).any()
+    assert seen
+    assert not ppo._solved.is_forbidden(torch.cat(seen)).any()
+    assert not ppo._solved.is_forbidden(ppo._solved.states).any()
+
+
+def recorded(ppo: PPO) -> list[torch.Tensor]:
+    """States, and targets if there are any, that a loss is taken at from now on."""
+    seen: list[torch.Tensor] = []
+    network: Callable[..., Any] = ppo._network
+
+    def record(states: torch.Tensor, targets: torch.Tensor | None = None) -> Any:
+        seen.extend([states] if targets is None else [states, targets])
+        return network(states, targets)
+
+    ppo._network = record  # type: ignore[assignment]
+    return seen
+
+
+def test_hindsight_keeps_held_out_states_out(arch: Assembly) -> None:
+    """As starts, as goals and as what is imitated, of rollouts that pass them again and again."""
+    environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
+    solved = SolvedStates(environment.rules)
+    starts = environment.rules.complete(64)
+    targets = environment.rules.goals(starts)
+    settings = replace(SMALL, hindsight=0.1)
+    ppo = with_targets(environment, starts, targets, settings, solved=solved)
+    states = collect(environment, ppo.policy, starts, targets).states.unique(dim=0)
+    solved.forbid(states[~(states == starts[0]).all(dim=1)][::2])
+    seen = recorded(ppo)
+    for _ in range(8):
+        ppo.block(1, (0.0, 0.1))
+    assert solved.is_forbidden(collect(environment, ppo.policy, starts, targets).states).any()
+    local = ppo.local_state_dict()
+    assert len(local["starts.passed"]) > 20
+    for name in ("starts.passed", "starts.passed_targets"):
+        assert not solved.is_forbidden(local[name]).any()
+    assert not solved.is_forbidden(torch.cat(seen)).any()
+
+
+@pytest.mark.parametrize("default", [True, False])
+def test_saved_learning_goes_on_the_same(stack: Environment, arch: Assembly, data: Dataset, default: bool) -> None:
+    """Saved between two blocks and loaded by another learner, it goes on as if nothing had happened."""
+
+    def make(seed: int) -> PPO:
+        return fine_tuner(arch, data, seed=seed) if default else learner(stack, replace(PAPER, rollouts=16), seed)
+
+    whole, first, second = make(3), make(3), make(5)
+    whole.block(6, (0.0, 0.5))
+    first.block(6, (0.0, 0.5))
+    second._solved.load(first._solved.tensors())
+    saved = [{name: one.clone() for name, one in part().items()} for part in (first.state_dict, first.local_state_dict)]
+    second.load_state_dict(saved[0], saved[1])
+    reports = [one.block(6, (0.5, 1.0)) for one in (whole, second)]
+    assert reports[0] == reports[1]
+    for name, tensor in whole.state_dict().items():
+        assert torch.equal(tensor, second.state_dict()[name]), name
+    assert second.updates == whole.updates
+
+
+def test_learning_rate(stack: Environment) -> None:
+    """To a tenth at each milestone, or linearly to a tenth over the phase."""
+    ppo = learner(stack, replace(PAPER, learning_rate=1e-3, milestones=(2, 4)))
     rates = []
     for updates in range(5):
         ppo.updates = updates
-        rates.append(ppo.learning_rate)
+        rates.append(ppo.learning_rate(0.5))
     assert rates == pytest.approx([1e-3, 1e-3, 1e-4, 1e-4, 1e-5])
-    ppo.updates, ppo.rate = 0, 0.5
-    assert ppo.learning_rate == pytest.approx(5e-4)
+    linear = learner(stack, replace(PAPER, learning_rate=1e-3, milestones=()), begin=0.5)
+    assert [linear.learning_rate(place) for place in (0.2, 0.5, 0.75, 1.0)] == pytest.approx([1e-3, 1e-3, 5.5e-4, 1e-4])
 
 
 def test_an_update_ends_early_once_the_policy_has_moved_far(stack: Environment) -> None:
-    starts = stack.rules.complete(16)
     counts = []
     for limit in (0.0, 1e-9):
-        ppo = learner(stack, PpoSettings(batch=10_000, target_divergence=limit, epochs=4))
-        ppo.update(starts)
-        states = ppo.tensors()
-        counts.append(int(states["optimizer.0.step"]))
+        ppo = learner(stack, replace(PAPER, batch=10_000, target_divergence=limit, epochs=4))
+        ppo.update(ppo._sampler.sample(16, ppo._generator))
+        counts.append(ppo.steps)
     assert counts[0] == 4
     assert counts[1] < 4
 
 
-class Broken(torch.nn.Module):
-    """A policy whose answer is not a number where its weight is used."""
+def break_value(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
+    """Let values be no numbers where a gradient is asked for, from some call on."""
+    from falsework.learn.networks.autocast import Network
 
-    def __init__(self, parts: int) -> None:
-        super().__init__()
-        self.weight = torch.nn.Parameter(torch.ones(()))
-        self.parts = parts
+    whole, calls = Network.forward, 0
 
-    def forward(self, states, targets=None):
-        logits = torch.zeros(len(states), 2 * self.parts) * self.weight
-        broken = torch.log(self.weight - 2.0) if torch.is_grad_enabled() else self.weight
-        return logits, broken.expand(len(states))
+    def broken(self: Any, states: Any, targets: Any = None) -> Any:
+        nonlocal calls
+        logits, value = whole(self, states, targets)
+        calls += torch.is_grad_enabled()
+        return (logits, value * torch.nan) if torch.is_grad_enabled() and calls > after else (logits, value)
+
+    monkeypatch.setattr(Network, "forward", broken)
 
 
-def test_a_loss_that_is_not_finite_is_caught_with_its_batch(stack: Environment, tmp_path: Path) -> None:
-    policy = Broken(stack.part_count)
-    ppo = PPO(policy, stack, PpoSettings(batch=8), stack.generator(0), folder=tmp_path)
-    with pytest.raises(TrainingError, match="not a finite number at update 1 epoch 1 step 1; the batch") as caught:
-        ppo.update(stack.rules.complete(8))
-    assert policy.weight.item() == 1.0
-    path = tmp_path / "not-finite-update-1-epoch-1-step-1.safetensors"
+@pytest.mark.parametrize("default", [True, False])
+def test_a_step_that_is_not_finite_is_left_out_and_its_batch_saved(
+    stack: Environment, arch: Assembly, data: Dataset, default: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the middle of training, by the default settings and by those of the paper."""
+    settings = replace(PAPER, batch=16, rollouts=16, learning_rate=1e-3)
+    ppo = fine_tuner(arch, data, folder=tmp_path) if default else learner(stack, settings, folder=tmp_path)
+    ppo.block(3, (0.0, 0.1))
+    taken, before = ppo.steps, weights_of(ppo)
+    break_value(monkeypatch, 0)
+    step = taken + 1
+    with pytest.raises(TrainingError, match=f"not a finite number at step {step}; the batch") as caught:
+        ppo.block(20, (0.1, 0.2))
+    for one, two in zip(before, weights_of(ppo), strict=True):
+        assert torch.equal(one, two)
+    path = tmp_path / f"not-finite-step-{step}.safetensors"
     assert str(path) in str(caught.value)
     batch = load_file(path)
-    assert batch["states"].shape[1] == stack.part_count
+    assert batch["states"].shape[1] == ppo._environment.part_count
     assert len(batch["states"]) == len(batch["advantage"]) > 0
     assert list(tmp_path.iterdir()) == [path]
 
@@ -291,28 +488,31 @@ def test_the_guard_names_the_step_that_failed_even_where_nothing_can_be_written(
 
 def test_illegal_actions_have_probability_zero_in_every_rollout(stack: Environment) -> None:
     ppo = learner(stack)
-    ppo.update(stack.rules.complete(32))
-    storage = ppo._storage
-    assert storage is not None
-    place, _ = storage.pairs()
-    mask = storage.mask.flatten(0, 1)[place]
-    assert mask.gather(1, storage.actions.flatten()[place][:, None]).all()
-    logits, _ = ppo.policy(storage.states.flatten(0, 1)[place])
-    assert (masked_log_probabilities(logits, mask).exp()[~mask] == 0).all()
+    ppo.update(ppo._sampler.sample(32, ppo._generator))
+    played = collect(stack, ppo.policy, stack.rules.complete(32))
+    assert played.mask.gather(1, played.actions[:, None]).all()
+    logits, _ = ppo.policy(played.states)
+    assert (masked_log_probabilities(logits, played.mask).exp()[~played.mask] == 0).all()
 
 
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        (lambda: PpoSettings(batch=0), "batch and epochs are counts"),
-        (lambda: PpoSettings(learning_rate=0.0), "learning_rate is 0"),
-        (lambda: PpoSettings(discount=1.5), "discount is 1.5; give a number between 0 and 1"),
-        (lambda: PpoSettings(clip=0.0), "clip and gradient_norm are above zero"),
+        (lambda: PpoPhase(batch=-1), "sizes and learning rate of PPO are not negative"),
+        (lambda: PpoPhase(rollouts=-1), "sizes and learning rate of PPO are not negative"),
+        (lambda: PpoPhase(learning_rate=-1.0), "sizes and learning rate of PPO are not negative"),
+        (lambda: PpoPhase(epochs=0), "epochs is 0"),
+        (lambda: PpoPhase(discount=1.5), "discount is 1.5; give a number between 0 and 1"),
+        (lambda: PpoPhase(gae_lambda=1.5), "gae_lambda is 1.5"),
+        (lambda: PpoPhase(average=1.0), "average is 1; give 0 or more"),
+        (lambda: PpoPhase(hindsight=-1.0), "hindsight is -1; give 0 or more"),
+        (lambda: PpoPhase(starts="middle"), "unknown starts 'middle'; choose mixed, curriculum, complete"),  # type: ignore[arg-type]
+        (lambda: PpoPhase(value_loss="huber"), "unknown value_loss 'huber'; choose bce, mse"),  # type: ignore[arg-type]
         (lambda: CurriculumSettings(pass_mark=0.0), "pass_mark is 0"),
-        (lambda: CurriculumSettings(stages=0), "stages and corrected_after are counts"),
+        (lambda: CurriculumSettings(stages=0), "stages is 0; give at least 1"),
         (lambda: CurriculumSettings(entropy=-1.0), "entropy is -1; give 0 or more"),
     ],
 )
-def test_settings_out_of_range(settings, message: str) -> None:
+def test_settings_out_of_range(settings: Callable[[], Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         settings()

@@ -22,19 +22,14 @@ safetensors = pytest.importorskip("safetensors.torch", reason="safetensors is no
 
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.assembly.symmetry import symmetries  # noqa: E402
-from falsework.errors import DependencyError, InputError  # noqa: E402
+from falsework.errors import DependencyError, InputError, TrainingError  # noqa: E402
+from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.policy_gradient import RefineSettings  # noqa: E402
-from falsework.learn.config.train import (  # noqa: E402
-    METHODS,
-    ImitationSettings,
-    ImproveRounds,
-    PpoPhase,
-    RefinePhase,
-    TrainSettings,
-)
+from falsework.learn.config.ppo import COMPLETE, PAPER, PpoPhase  # noqa: E402
+from falsework.learn.config.train import METHODS, Phase, TrainSettings  # noqa: E402
 from falsework.learn.data.dataset import load_dataset  # noqa: E402
 from falsework.learn.data.symmetry_augmentation import symmetric_images  # noqa: E402
+from falsework.learn.networks.autocast import Network  # noqa: E402
 from falsework.learn.training import checkpoint  # noqa: E402
 from falsework.learn.training import train as module  # noqa: E402
 from falsework.learn.training.checkpoint import load_run  # noqa: E402
@@ -43,19 +38,23 @@ from falsework.learn.training.train import TrainResult, train  # noqa: E402
 from falsework.learn.training.trainer import Trainer  # noqa: E402
 from falsework.utils.archive import write_whole  # noqa: E402
 
+IMITATION = ImitationPhase(batch=16)
+PHASES: dict[str, tuple[Phase, ...]] = {
+    "default": (replace(IMITATION, until=0.5), PpoPhase(rollouts=8, batch=16)),
+    "imitation": (IMITATION,),
+    "paper": (replace(PAPER, rollouts=4),),
+    "complete": (replace(COMPLETE, rollouts=4),),
+    "imitation, then paper": (replace(IMITATION, until=0.4), replace(PAPER, rollouts=4)),
+}
+"""Every preset, with small batches, and a combination of two of them."""
 SMALL = TrainSettings(
-    method="search",
+    phases=PHASES["default"],
     steps=40,
     block=5,
     widths=(8,),
     evaluate_every=2,
     evaluation_states=32,
     policy=PolicySettings("residual", channels=16, layers=1),
-    imitation=ImitationSettings(batch=16),
-    improve=ImproveRounds(first=0.0, every=1, starts=10),
-    ppo=PpoPhase(rollouts=4),
-    refine=RefinePhase(settings=RefineSettings(rollouts=8, batch=16)),
-    patience=0,
 )
 
 
@@ -92,7 +91,7 @@ def test_a_small_arch_is_learned_completely(tmp_path: Path) -> None:
     """All states of a wider search than the ones that were learned from."""
     arch = load_structure("arch:blocks=9")
     policy = PolicySettings("parts", channels=32, layers=2, heads=4)
-    settings = TrainSettings(method="imitation", steps=120, policy=policy)
+    settings = TrainSettings(phases=METHODS["imitation"], steps=120, policy=policy)
     begun = time.process_time()  # of one thread: other work on the machine does not count
     result = train(arch, settings, folder=tmp_path / "run", device="cpu")
     assert time.process_time() - begun < 60
@@ -106,17 +105,23 @@ def test_a_small_arch_is_learned_completely(tmp_path: Path) -> None:
     ("share", "most", "imitated"), [(1.0, 10, 2), (0.5, 0, 4), (0.25, 1000, 2), (0.0, 0, 0)], ids=str
 )
 def test_imitation_ends_by_share_or_steps(arch: Any, share: float, most: int, imitated: int) -> None:
-    """Only the refinement after it plays rollouts; blocks are of five steps."""
-    phase = replace(SMALL.refine, imitation=share, imitation_steps=most)
-    settings = replace(SMALL, method="refine", refine=phase, evaluate_every=1)
+    """Only PPO after it plays rollouts; blocks are of five steps."""
+    first = replace(IMITATION, until=share, steps=most)
+    settings = replace(SMALL, phases=(first, *SMALL.phases[1:]), evaluate_every=1)
     result = train(arch, settings, folder=None, device="cpu")
     assert ["train/rollout_success" in line for line in result.curve] == [False] * imitated + [True] * (8 - imitated)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_two_pieces_are_one_run(arch: Any, method: Any, tmp_path: Path) -> None:
-    """To the last bit of the weights, and line by line of the curve; in every phase of every method."""
-    settings = replace(SMALL, method=method)
+def test_every_preset_is_tested() -> None:
+    assert set(METHODS) < set(PHASES)
+    for name, phases in METHODS.items():
+        assert [type(one) for one in phases] == [type(one) for one in PHASES[name]]
+
+
+@pytest.mark.parametrize("phases", list(PHASES.values()), ids=list(PHASES))
+def test_two_pieces_are_one_run(arch: Any, phases: tuple[Phase, ...], tmp_path: Path) -> None:
+    """To the last bit of the weights, and line by line of the curve; in every phase of every preset."""
+    settings = replace(SMALL, phases=phases)
     whole = train(arch, settings, folder=tmp_path / "whole", device="cpu")
     piece = interrupted(arch, settings, tmp_path / "pieces", 1)
     assert piece.interrupted
@@ -126,7 +131,7 @@ def test_two_pieces_are_one_run(arch: Any, method: Any, tmp_path: Path) -> None:
     rest = train(arch, TrainSettings(), folder=tmp_path / "pieces", device="cpu", resume=True)
     assert not rest.interrupted
     assert rest.steps == whole.steps == 40
-    assert rest.as_json()["test"] == whole.as_json()["test"]
+    assert rest.to_dict()["test"] == whole.to_dict()["test"]
     assert rest.met_share == whole.met_share
     expected = weights(tmp_path / "whole")
     assert all(torch.equal(tensor, expected[name]) for name, tensor in weights(tmp_path / "pieces").items())
@@ -197,31 +202,79 @@ def test_a_disk_that_fills_up_costs_checkpoints_only(
     assert all(torch.equal(tensor, again[name]) for name, tensor in weights(tmp_path / "run").items())
 
 
-def test_test_states_are_not_learned_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """None is stored, started from, or among mistakes and outcomes, whatever rollouts come across."""
-    arch = load_structure("arch:blocks=9")
+@pytest.mark.parametrize("two_states", [False, True])
+@pytest.mark.parametrize("name", list(PHASES))
+def test_no_loss_is_taken_at_test_states(name: str, two_states: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By no preset, at none of them and at none of their mirror images, as states or as targets."""
+    if two_states and name == "complete":
+        return  # knows no targets
+    arch = load_structure("arch:blocks=13" if two_states else "arch:blocks=9")
+    permutations = symmetries(arch)
+    assert len(permutations) == 2
+    seen: list[Any] = []
     kept: dict[str, Any] = {}
 
     def keep(*arguments: Any) -> Any:
         kept["trainer"] = Trainer(*arguments)
         return kept["trainer"]
 
+    whole = Network.forward
+
+    def watch(self: Any, states: Any, targets: Any = None) -> Any:
+        if torch.is_grad_enabled():
+            seen.extend([states] if targets is None else [states, targets])
+        return whole(self, states, targets)
+
     monkeypatch.setattr(module, "Trainer", keep)
-    for method in ("search", "refine"):
-        result = train(arch, replace(SMALL, method=method), folder=tmp_path / method, device="cpu")
-        data = load_dataset(tmp_path / method / "data.npz", arch)
-        test = symmetric_images(np.concatenate([data.test, data.validation]), symmetries(arch))
-        solved, environment = kept["trainer"]._solved, kept["trainer"]._environment
-        assert solved.forbidden == len(test) > 0
-        assert not solved.contains(torch.from_numpy(test)).any()
-        assert not solved.is_forbidden(solved.states).any()
-        for memory in (environment.mistakes, environment.outcomes):
-            assert not solved.is_forbidden(memory.tensors()["states"]).any()
-        assert 0 < result.met_share <= 1
+    monkeypatch.setattr(Network, "forward", watch)
+    policy = replace(SMALL.policy, two_states=two_states)
+    phases = tuple(replace(one, hindsight=0.1) if isinstance(one, PpoPhase) else one for one in PHASES[name])
+    settings = replace(SMALL, phases=phases if two_states else PHASES[name], policy=policy, pairs=300)
+    train(arch, settings, folder=None, device="cpu")
+    trainer = kept["trainer"]
+    solved, data = trainer._solved, trainer._data
+    test = torch.cat(
+        [torch.from_numpy(one) for one in (*data.curve["validation"], *data.test["test"]) if one is not None]
+    )
+    images = torch.cat([test[:, np.argsort(one)] for one in permutations])
+    assert len(images.unique(dim=0)) > len(test.unique(dim=0)) > 0
+    assert solved.is_forbidden(images).all()
+    met = torch.cat(seen)
+    assert len(met) > 100
+    assert not solved.is_forbidden(met).any()
+    assert not solved.is_forbidden(solved.states).any()
+    assert not solved.is_forbidden(data.starts).any()
+    if name == "default" and not two_states:
+        assert 0 < solved.met_share < 1  # although rollouts come across them
+
+
+def test_a_step_that_is_not_finite_stops_the_default_training(
+    arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the phase after imitation; the last checkpoint is whole, and the batch is in the folder of the run."""
+    whole = Network.forward
+    broken = False
+
+    def forward(self: Any, states: Any, targets: Any = None) -> Any:
+        logits, value = whole(self, states, targets)
+        return (logits, value * torch.nan) if broken and torch.is_grad_enabled() else (logits, value)
+
+    def report(done: float, text: str) -> None:
+        nonlocal broken
+        broken = text.startswith("step 30")
+
+    monkeypatch.setattr(Network, "forward", forward)
+    settings = replace(SMALL, checkpoint_every=0.0)
+    with pytest.raises(TrainingError, match="not a finite number at step 11; the batch that caused it is in"):
+        train(arch, settings, folder=tmp_path / "run", device="cpu", logs=(), report=report)
+    assert (tmp_path / "run" / "not-finite-step-11.safetensors").is_file()
+    broken = False
+    rest = train(arch, TrainSettings(), folder=tmp_path / "run", device="cpu", logs=(), resume=True)
+    assert rest.steps == 40
 
 
 def test_the_papers_data_alone(arch: Any, tmp_path: Path) -> None:
-    settings = replace(SMALL, method="imitation", data="width64", steps=5)
+    settings = replace(SMALL, phases=PHASES["imitation"], data="width64", steps=5)
     result = train(arch, settings, folder=tmp_path / "run", device="cpu")
     data = load_dataset(tmp_path / "run" / "data.npz", arch)
     assert len(data.more) == 0
@@ -229,7 +282,7 @@ def test_the_papers_data_alone(arch: Any, tmp_path: Path) -> None:
 
 
 def test_minutes_are_kept(arch: Any, tmp_path: Path) -> None:
-    settings = replace(SMALL, steps=0, minutes=0.05, method="imitation")
+    settings = replace(SMALL, steps=0, minutes=0.05, phases=PHASES["imitation"])
     result = train(arch, settings, folder=tmp_path / "run", device="cpu")
     assert result.steps > 0
     assert result.seconds < 20
@@ -277,13 +330,36 @@ def test_folders_that_are_taken_and_runs_that_are_not_there(arch: Any, tmp_path:
             train(arch, SMALL, folder=tmp_path / "gpu", device="cuda")
 
 
-@pytest.mark.parametrize("wrong", [{"method": "magic"}, {"data": "all"}, {"steps": -1}, {"seed": -1}, {"robots": 0}])
+def test_a_run_of_an_older_format_is_refused(arch: Any, tmp_path: Path) -> None:
+    """With one line that says what to do, to resume it and to use it."""
+    train(arch, replace(SMALL, steps=5), folder=tmp_path / "run", device="cpu", logs=())
+    path = tmp_path / "run" / "run.json"
+    path.write_text(path.read_text().replace("falsework.run/2", "falsework.run/1"))
+    message = r"has format 'falsework.run/1'; this version reads 'falsework.run/2' only; train again$"
+    with pytest.raises(InputError, match=message):
+        train(arch, SMALL, folder=tmp_path / "run", device="cpu", resume=True)
+    with pytest.raises(InputError, match=message):
+        load_run(tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"phases": ()},
+        {"phases": (PAPER, ImitationPhase())},
+        {"data": "all"},
+        {"steps": -1},
+        {"seed": -1},
+        {"robots": 0},
+        {"phases": (COMPLETE,), "policy": PolicySettings(two_states=True)},
+    ],
+)
 def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError):
         TrainSettings(**wrong)
 
 
-PARALLEL = ("search", "refine")
+PARALLEL = ("default", "paper")
 
 
 def test_two_processes_are_one_training(tmp_path: Path, run_processes: Callable[..., None]) -> None:
@@ -298,8 +374,15 @@ def test_two_processes_are_one_training(tmp_path: Path, run_processes: Callable[
         assert numbers[0]["test"] == numbers[1]["test"]
         assert numbers[0]["processes"] == 2
         assert load_run(folder / "run").metadata["results"]["processes"] == 2
-        learned = load_dataset(folder / "run" / "data.npz", load_structure("arch:blocks=13")).train
-        assert len(one["solved"]) > len(learned)  # rollouts of either process found more
+        arch = load_structure("arch:blocks=13")
+        data = load_dataset(folder / "run" / "data.npz", arch)
+        held_out = {
+            state.tobytes()
+            for state in symmetric_images(np.concatenate([data.test, data.validation]), symmetries(arch))
+        }
+        learned = [state for state in data.train if state.tobytes() not in held_out]
+        found = len(one["solved"]) > len(learned)
+        assert found == (method == "default")  # rollouts of either process found more, which the paper's way ignores
 
 
 def test_weights_and_biases_gets_the_same_numbers(arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -337,6 +420,6 @@ def test_nothing_is_kept_where_no_folder_is_named(arch: Any, tmp_path: Path, mon
 
 def test_a_search_that_never_arrives_is_said(tmp_path: Path) -> None:
     """One robot cannot build an arch: what is learned is of little use."""
-    settings = replace(SMALL, robots=1, method="imitation", steps=5)
+    settings = replace(SMALL, robots=1, phases=PHASES["imitation"], steps=5)
     result = train(load_structure("arch:blocks=5"), settings, folder=tmp_path / "run", device="cpu", logs=())
     assert any("not every search reached the complete structure" in note for note in result.notes)

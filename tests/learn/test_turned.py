@@ -19,7 +19,7 @@ from falsework.learn.data.goal_dataset import TargetDataSettings, target_dataset
 from falsework.learn.data.random_walks import Ways  # noqa: E402
 from falsework.learn.data.symmetry_augmentation import TurnedTasks  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.training.training_data import find_material  # noqa: E402
+from falsework.learn.training.training_data import collect_training_data  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 from falsework.search.device.oracle import HostOracle  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
@@ -93,13 +93,15 @@ def test_same_seed_same_tasks(dome: Assembly, graph: StateGraph) -> None:
 def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly) -> None:
     """Starts of a run, and tasks drawn later, are states that its searches did not see, and never test states."""
     settings = TrainSettings(policy=PolicySettings("parts", two_states=True), widths=(8, 8), pairs=3000, steps=10)
-    material = find_material(dome, settings.resolved(dome.part_count, "cpu"), HostOracle(Stability(dome)), device=CPU)
-    assert isinstance(material.tasks, TurnedTasks)
-    assert material.targets is not None
-    test = {tuple(state) for state in material.held_out.tolist()}
+    data_of_run = collect_training_data(
+        dome, settings.resolved(dome.part_count, "cpu"), HostOracle(Stability(dome)), device=CPU
+    )
+    assert isinstance(data_of_run.tasks, TurnedTasks)
+    assert data_of_run.targets is not None
+    test = {tuple(state) for state in data_of_run.held_out.tolist()}
     searches = TargetDataSettings(widths=(8, 8), pairs=3000)
     data = target_dataset(dome, task_for(dome), searches, device="cpu")
-    drawn_later = drawn(material.tasks, 3000, seed=3)
-    for states in (material.starts, material.targets, *drawn_later[:2]):
+    drawn_later = drawn(data_of_run.tasks, 3000, seed=3)
+    for states in (data_of_run.starts, data_of_run.targets, *drawn_later[:2]):
         assert not test & {tuple(state) for state in states.tolist()}
         assert (data.wide.index.find(states.numpy()) < 0).any()

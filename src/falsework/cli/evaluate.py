@@ -62,11 +62,10 @@ class Evaluate(Command):
         from falsework.utils.optional_packages import check_torch
 
         check_torch()
-        from falsework.learn.algorithms.hindsight import OneState
         from falsework.learn.env.environment import Environment
         from falsework.learn.networks.autocast import Network
         from falsework.learn.training.checkpoint import load_run
-        from falsework.learn.training.evaluate import EvaluateSettings, evaluate
+        from falsework.learn.training.evaluate import EvaluateSettings, GoalBlindPolicy, evaluate
         from falsework.search.device.oracle import oracle_on
         from falsework.stability import Stability, StabilitySettings
         from falsework.utils.distributed import joined
@@ -86,7 +85,7 @@ class Evaluate(Command):
             network: Any = Network(policy, settings.precision if device.type == "cuda" else "float32")
             if self.targets:
                 sets = self._pairs(trained, assembly, oracle_on(oracle, device), device)
-                network = network if settings.policy.two_states else OneState(network)
+                network = network if settings.policy.two_states else GoalBlindPolicy(network)
             else:
                 data = self._data(trained, assembly, oracle_on(oracle, device), device)
                 sets = {name: (getattr(data, name), None) for name in ("train", "validation", "test")}
@@ -101,7 +100,7 @@ class Evaluate(Command):
             "trained_on": trained.assembly.name,
             "robots": settings.robots,
             "criterion": criterion,
-            "method": settings.method,
+            "phases": [phase.algorithm for phase in settings.phases],
             "policy": settings.policy.kind,
             "two_states": settings.policy.two_states,
             "targets": self.targets,

@@ -13,7 +13,7 @@ from falsework.cli.command import UNSET, Command, Exit, StructureOptions
 from falsework.cli.planning import refuse_unstable
 from falsework.errors import InputError
 from falsework.learn.config.policy import Kind, recommended
-from falsework.learn.config.train import Criterion, Method, TrainSettings
+from falsework.learn.config.train import METHODS, Criterion, Method, TrainSettings
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -27,8 +27,8 @@ _DEFAULTS = TrainSettings()
 class Train(Command):
     """Train a policy that proposes the next action from any state of a structure.
 
-    States are found by searches, learned from, and then the policy plays itself; where it fails, a search shows how.
-    What is left is a folder, the run, with weights, configuration and logs. Interrupted at any moment, the same command
+    Searches find states, the policy imitates the actions that they found, and then improves by its own rollouts. The
+    result is a folder, the run, with weights, configuration and logs. Interrupted at any moment, the same command
     with --resume goes on. Under torchrun several processes share the work.
     """
 
@@ -48,9 +48,9 @@ class Train(Command):
     """Optimizer steps in place of a time limit, for a reproducible run."""
     resume: bool = False
     """Resume the run in the folder; of the other options only --minutes, --steps, --device and --log apply."""
-    method: Method = _DEFAULTS.method
-    """Way to learn: imitation of searches, then policy gradients (`refine`) or searches where the policy fails
-    (`search`) or neither (`imitation`); `ppo` as in the paper, `imitation+ppo`, `ppo-complete` without curriculum."""
+    method: Method = "default"
+    """Preset: imitation of searches and then PPO from many rollouts (`default`), `imitation` alone, PPO with the
+    curriculum of the `paper` from scratch, or PPO from the `complete` structure alone, a baseline."""
     policy: Annotated[
         Kind | None, arg(help_behavior_hint="(default: residual; parts for large structures with --two-states)")
     ] = None
@@ -85,7 +85,7 @@ class Train(Command):
                 raise InputError(f"{name} {given} leaves no time to learn; give more than 0")
         assembly = self.structure.load()
         settings = TrainSettings(
-            method=self.method,
+            phases=METHODS[self.method],
             robots=self.robots,
             policy=recommended(assembly.part_count, two_states=self.two_states, kind=self.policy),
             removable_only_if_clear=self.removable_only_if_clear,
@@ -118,7 +118,7 @@ class Train(Command):
             return Exit.DONE
         for note in result.notes:
             output.note(note)
-        output.record({"run": str(self.out), **result.as_json()})
+        output.record({"run": str(self.out), **result.to_dict()})
         train, test = result.train, result.test
         tested = f"{100 * test.share:.1f} % of {test.states} test states and "
         output.say(

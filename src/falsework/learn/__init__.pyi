@@ -1,10 +1,14 @@
-from falsework.learn.algorithms.expert_iteration import SolveAll as SolveAll
-from falsework.learn.algorithms.expert_iteration import solve_all as solve_all
+from falsework.learn.algorithms.curriculum import Curriculum as Curriculum
+from falsework.learn.algorithms.policy_search import SolveReport as SolveReport
+from falsework.learn.algorithms.policy_search import solve_all as solve_all
 from falsework.learn.algorithms.ppo import PPO as PPO
+from falsework.learn.config.imitation import ImitationPhase as ImitationPhase
 from falsework.learn.config.policy import PolicySettings as PolicySettings
 from falsework.learn.config.policy import recommended as recommended
+from falsework.learn.config.ppo import PAPER as PAPER
 from falsework.learn.config.ppo import CurriculumSettings as CurriculumSettings
-from falsework.learn.config.ppo import PpoSettings as PpoSettings
+from falsework.learn.config.ppo import PpoPhase as PpoPhase
+from falsework.learn.config.train import METHODS as METHODS
 from falsework.learn.config.train import TrainSettings as TrainSettings
 from falsework.learn.data.dataset import Dataset as Dataset
 from falsework.learn.data.dataset import DataSettings as DataSettings

@@ -1,1 +1,1 @@
-"""Imitation, policy gradients, expert iteration."""
+"""Imitation, proximal policy optimisation, search guided by a policy."""

@@ -1,41 +1,27 @@
-"""The curriculum: start states from the state graph, the hard ones more often (paper, section 5.2)."""
+"""Curriculum of start states from the state graph, hard ones more often (paper, section 5.2)."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import torch
 
 from falsework.errors import InputError
+from falsework.learn.algorithms.rollout_storage import Transitions
+from falsework.learn.algorithms.start_states import StartBatch
 from falsework.learn.config.ppo import CurriculumSettings
 from falsework.search.device.rules import TensorRules
 from falsework.utils.collectives import gather_rows
 from falsework.utils.distributed import Shards
 
 _FAR = 0.75
-"""Starts beyond this share of the horizon say whether the policy is ready to begin farther away."""
-_ENOUGH = 32
-"""Rollouts from there that say it."""
-
-
-@dataclass(frozen=True, eq=False)
-class Draw:
-    """Start states of some rollouts."""
-
-    rows: torch.Tensor
-    """Which states of the curriculum they are, shape (count,)."""
-    starts: torch.Tensor
-    """Shape (count, parts)."""
-    targets: torch.Tensor | None
-    """Shape (count, parts)."""
-    entropy: torch.Tensor
-    """Weight of the entropy for each, shape (count,)."""
-    weight: torch.Tensor
-    """Weight against being drawn often, at most 1, shape (count,)."""
+"""Share of the horizon beyond which rollouts decide whether the horizon moves on."""
+_FAR_ROLLOUTS = 32
+"""Rollouts from there that decide it."""
+_CORRECTED_AFTER = 500
+"""Updates until importance weights correct completely for how often states are drawn."""
 
 
 class Curriculum:
-    """Draws start states that are known to be solvable.
+    """Prioritised sampling of start states that are known to be solvable; a `StartSampler`.
 
     Every state is drawn once before any is drawn again; then those whose last rollout had a high surrogate loss, from
     which there is most to learn, are drawn more often. Where rollouts fail again and again, the policy is made to
@@ -47,7 +33,6 @@ class Curriculum:
         starts: torch.Tensor,
         rules: TensorRules,
         settings: CurriculumSettings = CurriculumSettings(),
-        generator: torch.Generator | None = None,
         *,
         targets: torch.Tensor | None = None,
         shards: Shards = Shards(),
@@ -59,7 +44,6 @@ class Curriculum:
                 left out.
             rules: of the structure.
             settings: how to draw.
-            generator: source of randomness on the device of the states, another one in every process.
             targets: of each start, shape (count, parts), or None.
             shards: processes; each draws for itself, and all hear of all outcomes.
 
@@ -73,7 +57,6 @@ class Curriculum:
         self._rules = rules
         self._shards = shards
         device = starts.device
-        self._generator = torch.Generator(device).manual_seed(shards.rank) if generator is None else generator
         self._starts = starts[:0]
         self._targets = None if targets is None else targets[:0]
         self._left = torch.zeros(0, dtype=torch.int64, device=device)
@@ -114,33 +97,35 @@ class Curriculum:
         if not self.settings.growing and len(self):
             self.horizon = self._longest()
 
-    def draw(self, count: int) -> Draw:
-        """Start states for `count` rollouts."""
+    @property
+    def mean_steps(self) -> float:
+        """Steps from a start within the horizon to its target, on average."""
+        return float(self._left[self._left <= self.horizon].double().mean())
+
+    def sample(self, count: int, generator: torch.Generator) -> StartBatch:
+        """As `StartSampler`."""
         inside = self._left <= self.horizon
         fresh = (inside & ~self._visited).nonzero()[:, 0]
-        order = torch.randperm(len(fresh), generator=self._generator, device=fresh.device)
+        order = torch.randperm(len(fresh), generator=generator, device=fresh.device)
         rows = fresh[order[:count]]
         probability = self._probability(inside)
         if len(rows) < count:
-            more = torch.multinomial(probability, count - len(rows), replacement=True, generator=self._generator)
+            more = torch.multinomial(probability, count - len(rows), replacement=True, generator=generator)
             rows = torch.cat([rows, more])
-        return Draw(
-            rows,
-            self._starts[rows],
-            None if self._targets is None else self._targets[rows],
-            self._entropy[rows],
-            self._correction(probability[rows]),
-        )
+        targets = None if self._targets is None else self._targets[rows]
+        weight = self._correction(probability[rows])
+        return StartBatch(self._starts[rows], targets, self._entropy[rows], weight, rows)
 
-    def learn(self, draw: Draw, success: torch.Tensor, surrogate: torch.Tensor) -> None:
-        """Hear how rollouts ended.
+    def record(
+        self, batch: StartBatch, transitions: Transitions, surrogate: torch.Tensor, generator: torch.Generator
+    ) -> None:
+        """As `StartSampler`."""
+        assert batch.rows is not None
+        self.record_outcomes(batch.rows, transitions.success, surrogate)
 
-        Args:
-            draw: where they began.
-            success: shape (count,).
-            surrogate: size of the surrogate loss of each, shape (count,).
-        """
-        rows = gather_rows(draw.rows, self._shards)
+    def record_outcomes(self, rows: torch.Tensor, success: torch.Tensor, surrogate: torch.Tensor) -> None:
+        """Take note of rollouts of this process by the indices of their starts; all columns of shape (rollouts,)."""
+        rows = gather_rows(rows, self._shards)
         success = gather_rows(success, self._shards)
         surrogate = gather_rows(surrogate, self._shards)
         self._visited[rows] = True
@@ -167,19 +152,19 @@ class Curriculum:
             "curriculum_entropy": float(self._entropy.mean()),
         }
 
-    def tensors(self) -> dict[str, torch.Tensor]:
-        """All that there is to save and is the same in all processes."""
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """As `StartSampler`."""
         columns = {name: getattr(self, f"_{name}") for name in ("starts", "visited", "surrogate", "entropy", "far")}
         if self._targets is not None:
             columns["targets"] = self._targets
         return {**columns, "counts": torch.tensor([self.updates, self.horizon])}
 
-    def own_tensors(self) -> dict[str, torch.Tensor]:
-        """The source of randomness, which every process has for itself."""
-        return {"generator": self._generator.get_state()}
+    def local_state_dict(self) -> dict[str, torch.Tensor]:
+        """As `StartSampler`."""
+        return {}
 
-    def load(self, tensors: dict[str, torch.Tensor], own: dict[str, torch.Tensor] | None = None) -> None:
-        """Go back to what `tensors` and `own_tensors` gave; without the latter, randomness goes on where it is."""
+    def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
+        """As `StartSampler`."""
         device = self._left.device
         for name in ("starts", "visited", "surrogate", "entropy", "far"):
             setattr(self, f"_{name}", tensors[name].to(device).clone())
@@ -187,8 +172,6 @@ class Curriculum:
         self._targets = tensors["targets"].to(device).clone() if "targets" in tensors else None
         self._left = self._rules.steps_left(self._starts, self._targets)
         self.updates, self.horizon = tensors["counts"].tolist()
-        if own is not None:
-            self._generator.set_state(own["generator"].cpu())
 
     def _probability(self, inside: torch.Tensor) -> torch.Tensor:
         """With which each state is drawn: by its rank in surrogate loss, nothing beyond the horizon."""
@@ -201,7 +184,7 @@ class Curriculum:
 
     def _correction(self, probability: torch.Tensor) -> torch.Tensor:
         """Weights of samples that were drawn with these probabilities (Schaul et al. 2016), at most 1."""
-        done = min(self.updates / self.settings.corrected_after, 1.0)
+        done = min(self.updates / _CORRECTED_AFTER, 1.0)
         power = min(self.settings.correction + (1.0 - self.settings.correction) * done, 1.0)
         if power == 0 or self.settings.rank_power == 0:
             return torch.ones_like(probability)
@@ -221,8 +204,8 @@ class Curriculum:
 
     def _grow(self) -> None:
         seen, solved = self._far.tolist()
-        if seen >= _ENOUGH and solved >= self.settings.pass_mark * seen:
+        if seen >= _FAR_ROLLOUTS and solved >= self.settings.pass_mark * seen:
             self.horizon = max(self._next_horizon(), self.horizon)
             self._far.zero_()
-        elif seen >= 8 * _ENOUGH:  # what the policy could do long ago says nothing of it now
+        elif seen >= 8 * _FAR_ROLLOUTS:  # what the policy could do long ago says nothing of it now
             self._far *= 0.5

@@ -1,63 +1,44 @@
-"""Two-state tasks: failed rollouts seen as successes at something else, and a policy that is not told its target.
-
-Any state that a stable way passes can be made the target of that way: the actions that led to it keep what it keeps
-(paper, section 5.3). So a rollout that failed still shows how to get to all it passed.
-"""
+"""Hindsight relabelling (Andrychowicz et al. 2017): states that a rollout passed become its goals."""
 
 from __future__ import annotations
 
 import torch
 
-from falsework.learn.env.rollout import Policy, Rollouts
+from falsework.learn.algorithms.rollout_storage import Transitions
+from falsework.learn.data.solvable_states import SolvedStates
 
 
 def relabel(
-    rollouts: Rollouts, count: int, generator: torch.Generator, *, failed_only: bool = True
+    transitions: Transitions, count: int, solved: SolvedStates, generator: torch.Generator
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Hindsight: states of rollouts with a state that was passed later as the target.
+    """Draw two states of one rollout: the later one as the goal of the earlier one.
 
-    Whatever the rollouts were after, and however they ended, the actions up to a stable state were legal on the way
-    to that state and led there.
+    Whatever a rollout was after, and however it ended, the actions between the two were legal and left the structure
+    stable (paper, section 5.3).
 
     Args:
-        rollouts: with all states kept.
-        count: samples wanted.
-        generator: source of randomness on the device of the rollouts.
-        failed_only: leave rollouts out that reached what they were after.
+        transitions: of whole rollouts, in the order in which they were taken.
+        count: pairs to draw.
+        solved: knows the held-out states, which become neither state nor goal.
+        generator: source of randomness.
 
     Returns:
-        States and targets, both `uint8`, shape (samples, parts), and the action that was taken, `int64`, shape
-        (samples,). No samples if no rollout took an action that left it stable.
+        States and goals, `uint8`, shape (pairs, parts), and the first action between them, shape (pairs,). Fewer pairs
+        than asked for where two draws coincide or are held out; none without transitions.
     """
-    stable = rollouts.length - rollouts.unstable.long()
-    usable = (stable > 0) & ~(rollouts.success if failed_only else torch.zeros_like(rollouts.success))
-    rows = usable.nonzero()[:, 0]
-    if len(rows) == 0:
-        none = rollouts.states.new_empty((0, rollouts.states.shape[2]))
-        return none, none, rollouts.length.new_empty(0)
-    device = rows.device
-    # A long rollout has more to tell: draw pairs of steps, not rollouts, evenly.
-    steps = stable[rows].double()
-    row = rows[torch.multinomial(steps * (steps + 1) / 2, count, replacement=True, generator=generator)]
-    last = stable[row]
-    one, two = (torch.rand(count, generator=generator, device=device, dtype=torch.float64) for _ in range(2))
-    first = (one * (last + 1)).long()
-    second = (two * last).long()
-    second = second + (second >= first).long()  # any other step
-    begin, end = torch.minimum(first, second), torch.maximum(first, second)
-    return rollouts.states[begin, row], rollouts.states[end, row], rollouts.actions[begin, row].long()
-
-
-class OneState:
-    """A policy that is not told the target, as the baseline for targets.
-
-    What the target keeps, it keeps only because the rules forbid to touch it (`TensorRules.moves` with goals).
-    """
-
-    def __init__(self, policy: Policy) -> None:
-        """Wrap a policy of one state."""
-        self._policy = policy
-
-    def __call__(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """As `Policy`; takes no notice of the targets."""
-        return self._policy(states)
+    if len(transitions) == 0:
+        return transitions.states, transitions.states, transitions.actions
+    order = torch.argsort(transitions.rollout, stable=True)
+    rollout = transitions.rollout[order]
+    length = torch.bincount(rollout, minlength=len(transitions.success))
+    begin = torch.cumsum(length, 0) - length
+    first = torch.randint(len(order), (count,), generator=generator, device=order.device)
+    mine = rollout[first]
+    share = torch.rand(count, generator=generator, device=order.device, dtype=torch.float64)
+    second = begin[mine] + (share * length[mine]).long()
+    apart = (first != second).nonzero()[:, 0]
+    early = order[torch.minimum(first, second)[apart]]
+    late = order[torch.maximum(first, second)[apart]]
+    states, goals = transitions.states[early], transitions.states[late]
+    rows = (~solved.is_forbidden(states) & ~solved.is_forbidden(goals)).nonzero()[:, 0]
+    return states[rows], goals[rows], transitions.actions[early[rows]]

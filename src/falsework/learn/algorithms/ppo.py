@@ -1,363 +1,344 @@
-"""Proximal policy optimisation (Schulman et al. 2017), as the paper trains its policies (section 5.2)."""
+"""Proximal policy optimisation (Schulman et al. 2017) on batches of whole rollouts.
+
+By default it fine-tunes a policy that imitation has prepared: rollouts from mixed start states, no discount, a value
+head that estimates the probability of success, and imitation of what is known beside it. `config.ppo.PAPER` has the
+settings of the paper (section 5.2).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import torch
 
+from falsework.learn.algorithms.advantages import normalized
 from falsework.learn.algorithms.hindsight import relabel
-from falsework.learn.algorithms.nan_guard import NanGuard
-from falsework.learn.algorithms.optimizer_state import load_saved, saved_tensors
-from falsework.learn.algorithms.rollout_storage import Storage
-from falsework.learn.config.ppo import PpoSettings
+from falsework.learn.algorithms.imitation import imitation_loss
+from falsework.learn.algorithms.policy_optimizer import PolicyOptimizer
+from falsework.learn.algorithms.ppo_loss import Loss, ppo_loss
+from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions
+from falsework.learn.algorithms.start_states import StartBatch, StartSampler
+from falsework.learn.config.ppo import PpoPhase
+from falsework.learn.data.random_walks import TaskSource
+from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import Rollouts, play
-from falsework.learn.networks.policy import masked_log_probabilities
-from falsework.utils.collectives import average_gradients, summed
+from falsework.learn.networks.autocast import Network
+from falsework.learn.networks.policy import Policy
+from falsework.utils.collectives import summed
 from falsework.utils.distributed import Shards
 
-if TYPE_CHECKING:
-    from falsework.learn.algorithms.curriculum import Curriculum
+_IMITATED = 0.25
+"""States imitated per step, as a share of the batch."""
+_FINAL_LEARNING_RATE = 0.1
+"""Learning rate at the end of a phase without milestones, as a share of the initial one."""
+_FEWEST_ROLLOUTS = 16
+"""Rollouts per collection, at least."""
+_MOST_SOLVED = 20_000_000
+"""States known to be solvable beyond which no more are stored."""
 
-_ADAM_EPSILON = 1e-5
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """How the rollouts of one update ended, for the curriculum."""
-
-    success: torch.Tensor
-    """`bool`, shape (rollouts,)."""
-    surrogate: torch.Tensor
-    """Mean size of the surrogate loss over the actions of each rollout and all epochs, shape (rollouts,)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """State-action pairs of one step of the optimizer; the padding at the end has weight 0."""
-
-    states: torch.Tensor
-    mask: torch.Tensor
-    actions: torch.Tensor
-    log_probability: torch.Tensor
-    advantage: torch.Tensor
-    returns: torch.Tensor
-    weight: torch.Tensor
-    entropy: torch.Tensor
-    """Weight of the entropy."""
-    rollout: torch.Tensor
-    targets: torch.Tensor | None
-
-    def tensors(self) -> dict[str, torch.Tensor]:
-        """By name."""
-        return {name: value for name, value in vars(self).items() if value is not None}
-
-
-@dataclass(frozen=True, eq=False)
-class Loss:
-    """The loss of a batch and what it is made of."""
-
-    total: torch.Tensor
-    surrogate: torch.Tensor
-    """Of each pair, shape (batch,)."""
-    statistics: torch.Tensor
-    """Surrogate loss, value error, entropy, divergence, share of clipped ratios; means, shape (5,)."""
-
-
-def ppo_loss(logits: torch.Tensor, value: torch.Tensor, batch: Batch, clip: float, value_weight: float) -> Loss:
-    """Clipped surrogate loss, squared error of the value, and entropy.
-
-    Args:
-        logits: shape (batch, 2 parts).
-        value: shape (batch,).
-        batch: what was done, and what came of it.
-        clip: how far the ratio of probabilities may go from 1.
-        value_weight: weight of the error of the value.
-    """
-    log_probability = masked_log_probabilities(logits, batch.mask)
-    taken = log_probability.gather(1, batch.actions[:, None])[:, 0]
-    logarithm = taken - batch.log_probability
-    ratio = logarithm.exp()
-    surrogate = -torch.min(ratio * batch.advantage, ratio.clamp(1 - clip, 1 + clip) * batch.advantage)
-    error = (value - batch.returns).square()
-    # An illegal action has probability zero and adds nothing; its logarithm is minus infinity and would make NaN.
-    finite = log_probability.masked_fill(~batch.mask, 0.0)
-    entropy = -(finite.exp() * batch.mask * finite).sum(dim=1)
-    count = batch.weight.count_nonzero().clamp(min=1)
-    per_pair = surrogate + value_weight * error - batch.entropy * entropy
-    with torch.no_grad():
-        counted = batch.weight > 0
-        clipped = ((ratio - 1).abs() > clip).float()
-        # http://joschu.net/blog/kl-approx.html: never negative, and of small variance.
-        divergence = (ratio - 1) - logarithm
-        columns = torch.stack([surrogate, error, entropy, divergence, clipped])
-        statistics = torch.where(counted, columns, 0.0).sum(dim=1) / count
-    return Loss((per_pair * batch.weight).sum() / count, surrogate.detach(), statistics)
+Demonstrations = tuple[torch.Tensor, torch.Tensor | None, torch.Tensor | None]
+"""States, their targets, and valid actions; None without targets, and where actions are looked up."""
 
 
 class PPO:
-    """Makes a policy better by what its own rollouts came to."""
+    """Improves a policy by the outcomes of its own rollouts; a `Learner`.
+
+    No loss is taken at held-out states: not by gradients of rollouts, not by imitation, not by hindsight.
+    """
 
     def __init__(
         self,
-        policy: torch.nn.Module,
         environment: Environment,
-        settings: PpoSettings = PpoSettings(),
-        generator: torch.Generator | None = None,
+        policy: Policy,
+        starts: StartSampler,
+        settings: PpoPhase,
         *,
+        solved: SolvedStates | None = None,
+        tasks: TaskSource | None = None,
+        begin: float = 0.0,
+        seed: int = 0,
+        precision: str = "float32",
+        compiled: bool = False,
         shards: Shards = Shards(),
         folder: Path | str | None = None,
     ) -> None:
         """Begin with the weights that the policy has.
 
         Args:
-            policy: called as `policy(states, targets)`; trained in place.
             environment: rules and verdicts.
-            settings: of the method.
-            generator: source of randomness on the device of the environment, another one in every process; seed 0 of
-                the environment plus the rank if not given.
-            shards: processes that each play rollouts of their own and average their gradients.
-            folder: where a batch goes whose loss is not finite.
+            policy: trained in place.
+            starts: chooses start states.
+            settings: resolved, see `PpoPhase.resolved`.
+            solved: states known to be solvable, which grow by successes, and held-out states; none if None.
+            tasks: draws states with targets and valid actions, to imitate.
+            begin: progress of the whole training at which this phase begins.
+            seed: of starts, rollouts and batches.
+            precision: of the network.
+            compiled: compile the network for its updates.
+            shards: processes that play rollouts of their own and average their gradients.
+            folder: for the batch of a step that is not finite.
         """
         self.policy = policy
-        self.environment = environment
-        self.settings = settings
-        self.shards = shards
-        self.generator = environment.generator(shards.rank) if generator is None else generator
         self.updates = 0
-        """Updates so far."""
-        self.rate = 1.0
-        """What the learning rate is multiplied with besides its milestones, for schedules that know the time."""
-        self.outcome: Outcome | None = None
-        """Of the last update."""
-        self._weights = [weight for weight in policy.parameters() if weight.requires_grad]
-        self._optimizer: Any = torch.optim.Adam(
-            self._weights, lr=settings.learning_rate, betas=settings.betas, eps=_ADAM_EPSILON, fused=True
+        """Collections learned from."""
+        self._environment, self._sampler, self._settings, self._shards = environment, starts, settings, shards
+        self._solved = SolvedStates(environment.rules) if solved is None else solved
+        self._tasks, self._begin, self._seed = tasks, begin, seed
+        self._network = Network(policy, precision, compiled=compiled)
+        self._playing = Network(policy, precision)
+        self._optimizer = PolicyOptimizer(
+            policy,
+            learning_rate=settings.learning_rate,
+            weight_decay=settings.weight_decay,
+            betas=settings.betas,
+            epsilon=settings.epsilon,
+            shards=shards,
+            folder=folder,
         )
-        self._guard = NanGuard(folder, rank=shards.rank)
-        self._storage: Storage | None = None
+        self._generator = environment.generator(seed * 1009 + 700 + shards.rank)
+        self._share = max(settings.batch // shards.size, 1)
+        """Transitions per step of this process."""
 
     @property
-    def learning_rate(self) -> float:
-        """Step of Adam in the next update."""
-        passed = sum(milestone <= self.updates for milestone in self.settings.milestones)
-        return self.settings.learning_rate * self.rate * 0.1**passed
+    def steps(self) -> int:
+        """Steps of the optimizer taken."""
+        return self._optimizer.steps
 
-    def learn(self, curriculum: Curriculum, rollouts: int) -> dict[str, float]:
-        """One update with rollouts from start states that a curriculum draws, which then hears how they ended.
+    def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
+        """As `Learner`; where there are several epochs, an update that begins is finished."""
+        left, numbers = steps, {}
+        while left > 0:
+            before = self.steps
+            rollouts = max(self._settings.rollouts // self._shards.size, 1)
+            if self._settings.epochs == 1:
+                # Not more than the steps to come can learn from, such as those of a slow network in its last minute.
+                useful = round(left * self._share / self._sampler.mean_steps)
+                rollouts = max(min(rollouts, useful), _FEWEST_ROLLOUTS)
+            done = 1.0 - left / steps
+            place = progress[0] + (progress[1] - progress[0]) * done
+            batch = self._sampler.sample(rollouts, self._generator)
+            numbers = self.update(batch, most=left, progress=place)
+            left -= max(self.steps - before, 1)
+        return {**numbers, "updates": float(self.updates), "solved": float(len(self._solved))}
 
-        Args:
-            curriculum: start states, and how much to explore from each.
-            rollouts: how many, in this process.
-
-        Returns:
-            As `update`, and how far the curriculum is.
-        """
-        draw = curriculum.draw(rollouts)
-        report = self.update(draw.starts, draw.targets, entropy=draw.entropy, weight=draw.weight)
-        assert self.outcome is not None
-        curriculum.learn(draw, self.outcome.success, self.outcome.surrogate)
-        return {**report, **curriculum.report()}
-
-    def update(
-        self,
-        starts: torch.Tensor,
-        targets: torch.Tensor | None = None,
-        *,
-        entropy: torch.Tensor | None = None,
-        weight: torch.Tensor | None = None,
-    ) -> dict[str, float]:
+    def update(self, batch: StartBatch, *, most: int | None = None, progress: float = 0.0) -> dict[str, float]:
         """Play a rollout from each start, actions drawn, and learn from all of them.
 
         Args:
-            starts: stable states, shape (rollouts, parts).
-            targets: shape (rollouts, parts), or None.
-            entropy: weight of the entropy for each rollout, shape (rollouts,); that of the settings if not given.
-            weight: of each rollout in the loss, above zero, shape (rollouts,); 1 if not given.
+            batch: starts.
+            most: steps of the optimizer, at most, if there is one epoch; None for any number.
+            progress: of the whole training, for the learning rate.
 
         Returns:
-            Means over all processes: `success` of the drawn rollouts, `surrogate_loss`, `value_loss`, `entropy`,
-            `divergence`, `clipped`, and `steps` taken in the environment, `learning_rate`.
+            Means over all processes: `rollout_success`, `loss`, `surrogate_loss`, `value_loss`, `entropy`,
+            `divergence`, `clipped`, `learning_rate`, number of `transitions`, and what the sampler reports.
 
         Raises:
-            TrainingError: a loss that is not finite.
+            TrainingError: a step was not finite.
         """
-        storage = self._play(starts, targets)
-        place, rollout = storage.pairs()
-        pairs, device = len(place), starts.device
-        if pairs == 0:  # another process may have something to learn: take part in its averages with nothing
-            place = rollout = torch.zeros(1, dtype=torch.int64, device=device)
-        advantage, returns = (values.reshape(-1) for values in self._returns(storage))
-        advantage, returns = (values[place] if pairs else values.new_zeros(1) for values in (advantage, returns))
-        if entropy is None:
-            entropy = torch.full((len(starts),), self.settings.curriculum.entropy, device=device)
-        weight = torch.ones(len(starts), device=device) if weight is None else weight
-        for group in self._optimizer.param_groups:
-            group["lr"] = self.learning_rate
-        sums = torch.zeros(5, device=device)
-        surrogate = torch.zeros(len(starts), device=device)
-        steps = epochs = 0
-        hindsight = self._hindsight(storage)
-        self.policy.train()
-        for epoch in range(self.settings.epochs):
-            divergence = torch.zeros((), device=device)
-            begun = steps
-            for rows, counts in self._minibatches(pairs):
-                batch = self._batch(storage, place[rows], rollout[rows], advantage[rows], returns[rows], entropy)
-                batch = _weighted(batch, weight[batch.rollout] * counts)
-                loss = self._step(batch, hindsight, f"update {self.updates + 1} epoch {epoch + 1} step {steps + 1}")
-                surrogate.index_add_(0, batch.rollout, loss.surrogate.abs() * counts)
-                sums += loss.statistics
-                divergence += loss.statistics[3]
-                steps += 1
-            epochs += 1
-            limit = self.settings.target_divergence
-            if (
-                limit
-                and summed([float(divergence)], self.shards, device)[0] > limit * (steps - begun) * self.shards.size
-            ):
-                break  # all processes see the same sum
-        self._guard.check()
+        settings, device = self._settings, batch.states.device
         self.policy.eval()
-        taken = storage.taken[: storage.steps].sum(dim=0)
-        self.outcome = Outcome(storage.success.clone(), surrogate / (epochs * taken).clamp(min=1))
-        self.updates += 1
-        return self._report(storage, sums / max(steps, 1), pairs)
-
-    def tensors(self) -> dict[str, torch.Tensor]:
-        """Weights and optimizer, which are the same in all processes, to save; for `load`."""
-        saved = saved_tensors(self.policy, self._optimizer)
-        return {**saved, "updates": torch.tensor([self.updates])}
-
-    def own_tensors(self) -> dict[str, torch.Tensor]:
-        """The source of randomness, which every process has for itself."""
-        return {"generator": self.generator.get_state()}
-
-    def load(self, tensors: dict[str, torch.Tensor], own: dict[str, torch.Tensor] | None = None) -> None:
-        """Go back to what `tensors` and `own_tensors` gave; without the latter, randomness goes on where it is."""
-        load_saved(tensors, self.policy, self._optimizer)
-        self.updates = int(tensors["updates"][0])
-        if own is not None:
-            self.generator.set_state(own["generator"].cpu())
-
-    def _play(self, starts: torch.Tensor, targets: torch.Tensor | None) -> Storage:
-        """Rollouts with drawn actions."""
-        rules = self.environment.rules
-        most = 2 * int((~rules.task.boundary).sum())
-        storage = self._storage
-        if storage is None or not storage.fits(most, len(starts), targets=targets is not None):
-            storage = Storage(most, len(starts), rules.part_count, starts.device, targets=targets is not None)
-            self._storage = storage
-        storage.clear(rules.reached(starts, targets), targets)
-        self.policy.eval()
-        for move in play(self.environment, self.policy, starts, targets, greedy=False, generator=self.generator):
-            log_probability = masked_log_probabilities(move.logits, move.mask)
-            storage.write(move, log_probability.gather(1, move.actions[:, None])[:, 0])
-        return storage
-
-    def _returns(self, storage: Storage) -> tuple[torch.Tensor, torch.Tensor]:
-        """Advantages, with mean 0 and deviation 1 over all processes, and returns; shape (steps, rollouts)."""
-        advantage, returns = storage.returns(self.settings.discount, self.settings.trace)
-        taken = storage.taken[: storage.steps]
-        parts = torch.stack([taken.sum(), advantage.sum(), advantage.square().sum()])
-        count, total, squares = summed(parts.tolist(), self.shards, parts.device)
-        mean = total / max(count, 1)
-        deviation = max(squares / max(count, 1) - mean * mean, 0.0) ** 0.5
-        return (advantage - mean) / (deviation + 1e-7), returns
-
-    def _minibatches(self, pairs: int) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-        """Rows of all pairs in random order, in pieces of one size, as many in every process.
-
-        Yields:
-            Rows, and 1 for each that counts, 0 for what fills the last piece up.
-        """
-        device = self.generator.device
-        size = max(self.settings.batch // self.shards.size, 1)
-        most = pairs
-        if self.shards.size > 1:
-            most = int(self.shards.gather(torch.tensor([pairs], device=device)).max())
-        order = torch.randperm(pairs, generator=self.generator, device=device)
-        number = -(-most // size)
-        size = -(-most // max(number, 1))
-        filled = torch.zeros(number * size, dtype=torch.int64, device=device)
-        filled[:pairs] = order
-        counts = (torch.arange(number * size, device=device) < pairs).float()
-        if number:
-            yield from zip(filled.split(size), counts.split(size), strict=True)
-
-    def _batch(
-        self,
-        storage: Storage,
-        place: torch.Tensor,
-        rollout: torch.Tensor,
-        advantage: torch.Tensor,
-        returns: torch.Tensor,
-        entropy: torch.Tensor,
-    ) -> Batch:
-        return Batch(
-            states=storage.states.flatten(0, 1)[place],
-            mask=storage.mask.flatten(0, 1)[place],
-            actions=storage.actions.flatten()[place],
-            log_probability=storage.log_probability.flatten()[place],
-            advantage=advantage,
-            returns=returns,
-            weight=torch.ones_like(advantage),
-            entropy=entropy[rollout],
-            rollout=rollout,
-            targets=None if storage.targets is None else storage.targets[rollout],
+        transitions = collect_transitions(
+            self._environment,
+            self._playing,
+            batch.states,
+            batch.targets,
+            self._generator,
+            discount=settings.discount,
+            gae_lambda=settings.gae_lambda,
+            probabilities=settings.value_loss == "bce",
         )
+        if settings.imitation and batch.targets is None and len(self._solved) < _MOST_SOLVED:
+            self._solved.add(transitions.states[transitions.success[transitions.rollout]])
+        learnable = transitions.take((~self._solved.is_forbidden(transitions.states)).nonzero()[:, 0])
+        learnable = replace(
+            learnable, advantage=normalized(learnable.advantage, self._shards, centered=settings.centered)
+        )
+        count = len(learnable)
+        if count == 0:  # takes part with no weight: other processes average their gradients with this one
+            learnable = _padding(batch, self._environment.part_count)
+        rollouts = len(batch.states)
+        entropy = torch.full((rollouts,), settings.entropy, device=device) if batch.entropy is None else batch.entropy
+        weight = torch.ones(rollouts, device=device) if batch.weight is None else batch.weight
+        rate = self.learning_rate(progress)
+        sums, surrogate = torch.zeros(6, device=device), torch.zeros(rollouts, device=device)
+        epochs = begun = 0
+        taken = self.steps
+        self.policy.train()
+        for _ in range(settings.epochs):
+            pieces = self._minibatches(count, most)
+            imitated = self._demonstrations(transitions, len(pieces))
+            divergence = torch.zeros((), device=device)
+            for (rows, counts), shown in zip(pieces, imitated, strict=True):
+                piece = learnable.take(rows)
+                weights = weight[piece.rollout] * counts
+                loss, total = self._loss(piece, weights, entropy[piece.rollout], shown)
+                self._optimizer.step(total, _named(piece), learning_rate=rate, average=settings.average)
+                surrogate.index_add_(0, piece.rollout, loss.surrogate.abs() * counts)
+                sums += torch.cat([total.detach()[None], loss.statistics])
+                divergence += loss.statistics[3]
+            epochs += 1
+            limit = settings.target_divergence * (self.steps - taken - begun) * self._shards.size
+            begun = self.steps - taken
+            if limit and summed([float(divergence)], self._shards, device)[0] > limit:
+                break  # all processes see the same sum
+        self._optimizer.check()
+        self.policy.eval()
+        self.updates += 1
+        seen = torch.bincount(learnable.rollout[:count], minlength=rollouts)
+        self._sampler.record(batch, transitions, surrogate / (epochs * seen).clamp(min=1), self._generator)
+        numbers = self._report(transitions, sums / max(self.steps - taken, 1))
+        return {**numbers, "learning_rate": rate, **self._sampler.report()}
 
-    def _hindsight(self, storage: Storage) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None:
-        """States, targets and actions of failed rollouts, as many as there are pairs in a step."""
-        if storage.targets is None or not self.settings.hindsight or not storage.steps:
-            return None
-        used = slice(0, storage.steps)
-        # The last state of a rollout was not written down, and all others stand.
-        passed = (storage.taken[used].sum(dim=0) - 1).clamp(min=0)
-        stands = torch.zeros_like(storage.success)
-        rollouts = Rollouts(storage.states[used], storage.actions[used], passed, storage.success, stands)
-        samples = relabel(rollouts, max(self.settings.batch // self.shards.size, 1), self.generator)
-        return samples if len(samples[0]) else None
+    def learning_rate(self, progress: float) -> float:
+        """Learning rate of the next update."""
+        settings = self._settings
+        if settings.milestones:
+            return settings.learning_rate * 0.1 ** sum(milestone <= self.updates for milestone in settings.milestones)
+        through = min(max((progress - self._begin) / max(1.0 - self._begin, 1e-9), 0.0), 1.0)
+        return settings.learning_rate * (1.0 - (1.0 - _FINAL_LEARNING_RATE) * through)
 
-    def _imitate(self, samples: tuple[torch.Tensor, torch.Tensor, torch.Tensor], count: int) -> torch.Tensor:
-        """Mean of the negative logarithm of the probability of the actions of some samples."""
-        rows = torch.randint(len(samples[0]), (count,), generator=self.generator, device=samples[0].device)
-        states, targets, actions = (column[rows] for column in samples)
-        logits, _ = self.policy(states, targets)
-        log_probability = masked_log_probabilities(logits, self.environment.rules.moves(states, targets))
-        return -log_probability.gather(1, actions[:, None]).mean()
+    def export_policy(self, policy: Policy) -> Policy:
+        """As `Learner`."""
+        self._optimizer.export_policy(policy)
+        return policy.eval()
 
-    def _step(self, batch: Batch, hindsight: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None, name: str) -> Loss:
-        settings = self.settings
-        logits, value = self.policy(batch.states, batch.targets)
-        loss = ppo_loss(logits.float(), value.float(), batch, settings.clip, settings.value)
+    def load_policy(self, policy: Policy) -> None:
+        """As `Learner`."""
+        self._optimizer.load_policy(policy)
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """As `Learner`."""
+        saved = {f"starts.{name}": tensor for name, tensor in self._sampler.state_dict().items()}
+        return {**self._optimizer.state_dict(), **saved, "updates": torch.tensor([self.updates])}
+
+    def local_state_dict(self) -> dict[str, torch.Tensor]:
+        """As `Learner`."""
+        saved = {f"starts.{name}": tensor for name, tensor in self._sampler.local_state_dict().items()}
+        return {**saved, "generator": self._generator.get_state()}
+
+    def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
+        """As `Learner`."""
+        self._optimizer.load_state_dict(tensors)
+        self.updates = int(tensors["updates"][0])
+        own = None if local is None else _below("starts.", local)
+        self._sampler.load_state_dict(_below("starts.", tensors), own)
+        if local is not None:
+            self._generator.set_state(local["generator"].cpu())
+        else:  # other processes than before draw other numbers
+            self._generator.manual_seed((self._seed * 1009 + self._shards.rank) * 100_003 + self.steps)
+
+    def _minibatches(self, count: int, most: int | None = None) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        """Draw rows of all transitions in random order, in pieces of one size, as many in every process.
+
+        In a single pass pieces have the full size, since a compiled network wants one size, and what is left over is
+        dropped; else what fills the last piece up counts 0.
+
+        Args:
+            count: transitions of this process.
+            most: pieces of a single pass, at most.
+        """
+        device, size = self._generator.device, self._share
+        counts = [count]
+        if self._shards.size > 1:
+            counts = self._shards.gather(torch.tensor([count], device=device)).tolist()
+        if self._settings.epochs == 1:
+            number = max(sum(counts) // self._settings.batch if len(counts) > 1 else count // size, 1)
+            number = number if most is None else min(number, most)
+            size = min(size, max(-(-max(counts) // number), 1))
+        else:
+            number = -(-max(counts) // size)
+            size = -(-max(counts) // max(number, 1))
+        order = torch.randperm(count, generator=self._generator, device=device)[: number * size]
+        rows = torch.zeros(number * size, dtype=torch.int64, device=device)
+        rows[: len(order)] = order
+        used = (torch.arange(number * size, device=device) < len(order)).float()
+        return list(zip(rows.split(size), used.split(size), strict=True)) if number else []
+
+    def _demonstrations(self, transitions: Transitions, steps: int) -> list[list[tuple[float, Demonstrations]]]:
+        """Draw what is imitated in each of some steps, with its weight in the loss."""
+        settings, generator = self._settings, self._generator
+        shown: list[list[tuple[float, Demonstrations]]] = [[] for _ in range(steps)]
+        count = max(round(self._share * _IMITATED), 1)
+        if steps and settings.imitation and self._tasks is not None:
+            drawn = (column.split(count) for column in self._tasks.draw(steps * count, generator))
+            for one, columns in zip(shown, zip(*drawn, strict=True), strict=True):
+                one.append((settings.imitation, columns))
+        elif settings.imitation and transitions.targets is None and len(self._solved):
+            device = transitions.states.device
+            for one in shown:
+                rows = torch.randint(len(self._solved), (count,), generator=generator, device=device)
+                one.append((settings.imitation, (self._solved.states[rows], None, None)))
+        if steps and settings.hindsight and transitions.targets is not None:
+            failed = transitions.take((~transitions.success[transitions.rollout]).nonzero()[:, 0])
+            states, goals, actions = relabel(failed, steps * count, self._solved, generator)
+            valid = torch.zeros((len(states), transitions.mask.shape[1]), dtype=torch.bool, device=states.device)
+            valid.scatter_(1, actions[:, None], True)
+            for one, columns in zip(
+                shown, zip(*(all.tensor_split(steps) for all in (states, goals, valid)), strict=True), strict=True
+            ):
+                one.append((settings.hindsight, columns))
+        return shown
+
+    def _loss(
+        self,
+        batch: Transitions,
+        weight: torch.Tensor,
+        entropy_weight: torch.Tensor,
+        shown: list[tuple[float, Demonstrations]],
+    ) -> tuple[Loss, torch.Tensor]:
+        """Compute the loss of PPO, and the total with what is imitated, in one call of the network."""
+        states = torch.cat([batch.states, *(one[0] for _, one in shown)])
+        targets = batch.targets
+        if targets is not None:
+            targets = torch.cat([targets, *(one[1] for _, one in shown if one[1] is not None)])
+        logits, value = self._network(states, targets)
+        sizes = [len(batch), *(len(one[0]) for _, one in shown)]
+        own, *others = logits.split(sizes)
+        loss = ppo_loss(
+            own,
+            value[: len(batch)],
+            batch,
+            weight=weight,
+            entropy_weight=entropy_weight,
+            probabilities=self._settings.value_loss == "bce",
+        )
         total = loss.total
-        if hindsight is not None:
-            total = total + settings.hindsight * self._imitate(hindsight, -(-len(batch.states) // 4))
-        self._optimizer.zero_grad(set_to_none=True)
-        total.backward()
-        average_gradients(self._weights, self.shards)
-        norm = torch.nn.utils.clip_grad_norm_(self._weights, settings.gradient_norm, foreach=True)
-        self._optimizer.found_inf = (~norm.isfinite()).float()  # a step that is not finite is left out
-        self._optimizer.step()
-        self._guard.watch(norm + total.detach(), batch.tensors(), name)
-        return loss
+        for (share, (known, goals, valid)), answer in zip(shown, others, strict=True):
+            mask = self._environment.rules.moves(known, goals)
+            valid = self._solved.valid_actions(known, mask) if valid is None else valid
+            total = total + share * imitation_loss(answer, mask, valid)
+        return loss, total
 
-    def _report(self, storage: Storage, means: torch.Tensor, pairs: int) -> dict[str, float]:
-        sums = [*means.tolist(), float(storage.success.sum()), float(len(storage.success)), float(pairs)]
-        *means_summed, success, rollouts, steps = summed(sums, self.shards, means.device)
-        names = ("surrogate_loss", "value_loss", "entropy", "divergence", "clipped")
-        return {
-            "success": success / rollouts,
-            **{name: value / self.shards.size for name, value in zip(names, means_summed, strict=True)},
-            "steps": steps,
-            "learning_rate": self.learning_rate,
-        }
+    def _report(self, transitions: Transitions, means: torch.Tensor) -> dict[str, float]:
+        sums = [*means.tolist(), float(transitions.success.sum()), float(len(transitions.success))]
+        *totals, success, rollouts, moves = summed([*sums, float(len(transitions))], self._shards, means.device)
+        names = ("loss", "surrogate_loss", "value_loss", "entropy", "divergence", "clipped")
+        averages = {name: total / self._shards.size for name, total in zip(names, totals, strict=True)}
+        return {"rollout_success": success / max(rollouts, 1.0), "transitions": moves, **averages}
 
 
-def _weighted(batch: Batch, weight: torch.Tensor) -> Batch:
-    return Batch(**{**vars(batch), "weight": weight})
+def _named(batch: Transitions) -> dict[str, torch.Tensor]:
+    return {name: column for name, column in vars(batch).items() if column is not None}
+
+
+def _below(prefix: str, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    return {name[len(prefix) :]: tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+
+
+def _padding(batch: StartBatch, parts: int) -> Transitions:
+    """Make one transition without a meaning."""
+    device = batch.states.device
+    zero = torch.zeros(1, device=device)
+    return Transitions(
+        batch.states[:1],
+        None if batch.targets is None else batch.targets[:1],
+        zero.long(),
+        torch.zeros((1, 2 * parts), dtype=torch.bool, device=device),
+        zero,
+        zero,
+        zero,
+        zero.long(),
+        torch.zeros(len(batch.states), dtype=torch.bool, device=device),
+    )

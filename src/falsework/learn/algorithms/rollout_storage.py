@@ -1,97 +1,98 @@
-"""What a batch of rollouts did, as tensors over steps and rollouts that are made once and used again."""
+"""Transitions of a batch of rollouts, with their advantages and returns."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
+
 import torch
 
-from falsework.learn.env.rollout import Move
+from falsework.learn.algorithms.advantages import generalized_advantages
+from falsework.learn.env.environment import Environment
+from falsework.learn.env.rollout import Move, Policy, play
+from falsework.learn.networks.policy import masked_log_probabilities
 
 
-class Storage:
-    """Rollouts as columns of shape (steps, rollouts, ...); a rollout that ended leaves its column unused."""
+@dataclass(frozen=True, eq=False)
+class Transitions:
+    """Actions of a batch of rollouts, one per row, in the order in which they were taken."""
 
-    def __init__(self, steps: int, rollouts: int, parts: int, device: torch.device, *, targets: bool = False) -> None:
-        """Make room.
+    states: torch.Tensor
+    """`uint8`, shape (actions, parts)."""
+    targets: torch.Tensor | None
+    """Shape (actions, parts)."""
+    actions: torch.Tensor
+    """Shape (actions,)."""
+    mask: torch.Tensor
+    """Legal actions, shape (actions, 2 parts)."""
+    log_probability: torch.Tensor
+    """Of the action when it was drawn, shape (actions,)."""
+    advantage: torch.Tensor
+    """Shape (actions,)."""
+    returns: torch.Tensor
+    """What the value ought to have been, shape (actions,)."""
+    rollout: torch.Tensor
+    """Rollout that the row belongs to, shape (actions,)."""
+    success: torch.Tensor
+    """Of every rollout, `bool`, shape (rollouts,)."""
 
-        Args:
-            steps: most actions of a rollout.
-            rollouts: how many.
-            parts: number of parts.
-            device: where.
-            targets: keep the target of every rollout too.
-        """
-        shape = (steps, rollouts)
-        self.states = torch.zeros((*shape, parts), dtype=torch.uint8, device=device)
-        self.mask = torch.zeros((*shape, 2 * parts), dtype=torch.bool, device=device)
-        self.actions = torch.zeros(shape, dtype=torch.int64, device=device)
-        self.log_probability = torch.zeros(shape, device=device)
-        """Of the action, when it was drawn."""
-        self.value = torch.zeros(shape, device=device)
-        self.reward = torch.zeros(shape, device=device)
-        self.done = torch.zeros(shape, dtype=torch.bool, device=device)
-        self.taken = torch.zeros(shape, dtype=torch.bool, device=device)
-        """Where there was an action at all."""
-        self.targets = torch.zeros((rollouts, parts), dtype=torch.uint8, device=device) if targets else None
-        self.success = torch.zeros(rollouts, dtype=torch.bool, device=device)
-        self.steps = 0
-        """Actions of the longest rollout so far."""
+    def __len__(self) -> int:
+        return len(self.states)
 
-    def fits(self, steps: int, rollouts: int, *, targets: bool) -> bool:
-        """Whether rollouts of this size can be written into this storage."""
-        room, columns = self.taken.shape
-        return steps <= room and rollouts == columns and targets == (self.targets is not None)
+    def take(self, rows: torch.Tensor) -> Transitions:
+        """Select some of the actions."""
+        columns = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "success"}
+        taken = {name: None if column is None else column[rows] for name, column in columns.items()}
+        return Transitions(**taken, success=self.success)  # type: ignore[arg-type]
 
-    def clear(self, success: torch.Tensor, targets: torch.Tensor | None) -> None:
-        """Forget all rollouts; `success` says which of the new ones are at their target before the first action."""
-        self.taken.zero_()
-        self.steps = 0
-        self.success.copy_(success)
-        if self.targets is not None and targets is not None:
-            self.targets.copy_(targets)
 
-    def write(self, move: Move, log_probability: torch.Tensor) -> None:
-        """Add the next action of every rollout that goes on."""
-        step, rows = self.steps, move.rows
-        for column, values in (
-            (self.states, move.states),
-            (self.mask, move.mask),
-            (self.actions, move.actions),
-            (self.log_probability, log_probability),
-            (self.value, move.value),
-            (self.reward, move.step.reward),
-            (self.done, move.step.done),
-        ):
-            column[step].index_copy_(0, rows, values)
-        self.taken[step].index_fill_(0, rows, True)
-        self.success.index_copy_(0, rows, move.step.success)
-        self.steps += 1
+def collect_transitions(
+    environment: Environment,
+    policy: Policy,
+    starts: torch.Tensor,
+    targets: torch.Tensor | None,
+    generator: torch.Generator,
+    *,
+    discount: float,
+    gae_lambda: float,
+    probabilities: bool,
+) -> Transitions:
+    """Play a rollout from each start, actions drawn.
 
-    def returns(self, discount: float, trace: float) -> tuple[torch.Tensor, torch.Tensor]:
-        """Advantages and what the values ought to have been (generalised advantage estimation, Schulman et al. 2016).
-
-        All rollouts end by themselves, so nothing beyond their last reward has to be guessed.
-
-        Args:
-            discount: what a reward a step later is worth.
-            trace: decay of later surprises.
-
-        Returns:
-            Both of shape (steps, rollouts), zero where no action was taken.
-        """
-        used = slice(0, self.steps)
-        going = (self.taken & ~self.done)[used].float()
-        value, reward = self.value[used], self.reward[used]
-        advantage = torch.zeros_like(value)
-        later_advantage = later_value = torch.zeros(value.shape[1], device=value.device)
-        for step in range(self.steps - 1, -1, -1):
-            surprise = reward[step] + discount * going[step] * later_value - value[step]
-            later_advantage = surprise + discount * trace * going[step] * later_advantage
-            later_value = value[step]
-            advantage[step] = later_advantage
-        taken = self.taken[used]
-        return advantage * taken, (advantage + value) * taken
-
-    def pairs(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Where there was an action: indices into the flattened (steps, rollouts), and the rollout of each."""
-        place = self.taken[: self.steps].reshape(-1).nonzero()[:, 0]
-        return place, place % self.taken.shape[1]
+    Args:
+        environment: rules and verdicts.
+        policy: logits and values.
+        starts: stable states, shape (rollouts, parts).
+        targets: shape (rollouts, parts), or None.
+        generator: source of randomness, on the device of the environment.
+        discount: worth of a reward one step later.
+        gae_lambda: of the advantages.
+        probabilities: returns are probabilities of success between 0 and 1; else sums of the rewards 1 and -1.
+    """
+    success = environment.rules.reached(starts, targets)
+    moves: list[Move] = []
+    logs = []
+    for move in play(environment, policy, starts, targets, greedy=False, generator=generator):
+        logs.append(masked_log_probabilities(move.logits, move.mask).gather(1, move.actions[:, None])[:, 0])
+        success.index_copy_(0, move.rows, move.step.success)
+        moves.append(move)
+    if not moves:
+        none = torch.empty(0, device=starts.device)
+        mask = torch.empty((0, 2 * environment.part_count), dtype=torch.bool, device=starts.device)
+        aims = None if targets is None else targets[:0]
+        return Transitions(starts[:0], aims, none.long(), mask, none, none, none, none.long(), success)
+    rows = [move.rows for move in moves]
+    values = [0.5 + 0.5 * move.value if probabilities else move.value for move in moves]
+    rewards = [move.step.success.float() if probabilities else move.step.reward for move in moves]
+    advantage = torch.cat(generalized_advantages(rows, values, rewards, len(starts), discount, gae_lambda))
+    returns = advantage + torch.cat(values)
+    return Transitions(
+        torch.cat([move.states for move in moves]),
+        None if targets is None else torch.cat([move.targets for move in moves if move.targets is not None]),
+        torch.cat([move.actions for move in moves]),
+        torch.cat([move.mask for move in moves]),
+        torch.cat(logs),
+        advantage,
+        returns.clamp(0.0, 1.0) if probabilities else returns,
+        torch.cat(rows),
+        success,
+    )

@@ -1,89 +1,153 @@
-"""Choices of reinforcement learning and its curriculum; read without torch."""
+"""Settings of proximal policy optimisation and its curriculum; read without torch."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 from falsework.errors import InputError
+
+Starts = Literal["mixed", "curriculum", "complete"]
+ValueLoss = Literal["bce", "mse"]
 
 
 @dataclass(frozen=True)
 class CurriculumSettings:
-    """From which states rollouts start, and how much they explore (paper, section 5.2)."""
+    """Start states of rollouts, and the exploration from each (paper, section 5.2)."""
 
     growing: bool = True
-    """Begin with states close to the target and go back to the complete structure as the policy gets better; without,
+    """Begin with states close to the target and move back to the complete structure as the policy improves; without,
     all states are drawn from the beginning."""
     pass_mark: float = 0.6
-    """Share of the rollouts from the far end of what is drawn that must succeed before states farther away follow."""
+    """Share of the rollouts from the farthest states that must succeed before states farther away follow."""
     stages: int = 10
-    """Stretches in which the way back to the complete structure is taken, if `growing`."""
+    """Stages in which the distance to the complete structure is covered, if `growing`."""
     rank_power: float = 0.8
     """States are drawn with probability `rank ** -rank_power`, the one of highest surrogate loss first; 0 draws evenly.
     States never drawn go before all others."""
     correction: float = 0.1
-    """Power with which samples are weighted against being drawn too often; grows to 1."""
-    corrected_after: int = 500
-    """Updates until it is 1."""
+    """Initial exponent of the importance weights of prioritised replay; grows to 1."""
     entropy: float = 0.005
     """Weight of the entropy of the policy in the loss."""
     entropy_rise: float = 0.001
-    """What is added to that for a state each time its rollout fails, until one succeeds."""
+    """Added to that for a state each time its rollout fails, until one succeeds."""
     entropy_most: float = 0.01
-    """Where that ends."""
+    """Upper bound of that weight."""
 
     def __post_init__(self) -> None:
         if not 0 < self.pass_mark <= 1:
             raise InputError(f"pass_mark is {self.pass_mark:g}; give a share above 0 and up to 1")
-        if self.stages < 1 or self.corrected_after < 1:
-            raise InputError("stages and corrected_after are counts; give at least 1")
+        if self.stages < 1:
+            raise InputError(f"stages is {self.stages}; give at least 1")
         for name in ("rank_power", "correction", "entropy", "entropy_rise", "entropy_most"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} is {getattr(self, name):g}; give 0 or more")
 
 
 @dataclass(frozen=True)
-class PpoSettings:
-    """Proximal policy optimisation (Schulman et al. 2017) with the paper's values where it gives one."""
+class PpoPhase:
+    """Proximal policy optimisation (Schulman et al. 2017); a size of 0 depends on the device.
 
-    batch: int = 2048
-    """State-action pairs in a step of the optimizer, over all processes."""
-    epochs: int = 5
-    """Times that each pair is learned from."""
-    learning_rate: float = 2e-3
-    """Step of Adam at the beginning."""
-    milestones: tuple[int, ...] = (1000, 3000)
-    """Updates after which the learning rate falls to a tenth."""
-    betas: tuple[float, float] = (0.95, 0.999)
-    """Moving averages of Adam."""
-    discount: float = 0.95
-    """What a reward a step later is worth."""
-    trace: float = 0.95
-    """Decay of advantages over steps, the lambda of generalised advantage estimation; 1 compares with what really
-    followed."""
-    clip: float = 0.2
-    """How far the ratio of new to old probability may go from 1 before nothing more is gained."""
-    value: float = 0.5
-    """Weight of the squared error of the value."""
-    gradient_norm: float = 1.0
-    """Longest gradient; longer ones are cut to this."""
+    The defaults fine-tune a policy after imitation; `PAPER` and `COMPLETE` train from scratch.
+    """
+
+    algorithm: Literal["ppo"] = "ppo"
+    starts: Starts = "mixed"
+    """Start states of rollouts. `mixed`: states that searches found, recent failures, and hindsight goals or any state
+    known to be solvable; `curriculum`: the curriculum of the paper; `complete`: the complete structure alone."""
+    rollouts: int = 0
+    """Rollouts per collection, over all processes; 0: of `mixed` 16,384 on a GPU and 512 on a CPU, and on a GPU three
+    times as many with goals, whose rollouts are shorter: a collection takes as long as its longest; of others 1,024 and
+    64."""
+    batch: int = 0
+    """Transitions per step of the optimizer, over all processes; 0: 8,192 on a GPU, 512 on a CPU."""
+    epochs: int = 1
+    """Passes over a collection. One pass takes full batches only and ends with the block; several take every transition
+    and always finish."""
+    learning_rate: float = 0.0
+    """Initial learning rate; 0: 3e-4 on a GPU, 5e-4 on a CPU."""
+    milestones: tuple[int, ...] = ()
+    """Updates after which the learning rate falls to a tenth; none: it falls linearly to a tenth over the phase."""
+    betas: tuple[float, float] = (0.9, 0.999)
+    """Decay of the moments of AdamW."""
+    epsilon: float = 1e-8
+    """Added to the root of the second moment of AdamW."""
+    weight_decay: float = 0.01
+    """Of AdamW."""
+    average: float = 0.995
+    """Decay of the moving average of the weights that is evaluated and saved; 0: the weights themselves."""
+    discount: float = 1.0
+    """Worth of a reward one step later. By default success late is as good as success early."""
+    gae_lambda: float = 0.95
+    """Decay of generalised advantages over steps; 1 compares with the final outcome."""
+    centered: bool = False
+    """Subtract the mean from the advantages of a collection, as well as dividing by their deviation."""
+    value_loss: ValueLoss = "bce"
+    """`bce`: the value head estimates the probability of success, by cross entropy; `mse`: the discounted sum of
+    rewards of 1 and -1, by squared error."""
+    entropy: float = 0.003
+    """Weight of the entropy of the policy; a curriculum has its own."""
+    imitation: float = 0.1
+    """Weight of imitating states known to be solvable, or paths to goals, which preserves what imitation learned."""
     hindsight: float = 0.0
-    """With targets: weight of imitating failed rollouts, seen as successes at states that they passed. Pays where few
-    pairs of start and target are known (0.03), and costs where thousands are (docs/decisions/0023)."""
+    """With goals: weight of imitating failed rollouts as successes at states that they passed. Pays where few pairs of
+    start and goal are known (0.03), and costs where thousands are (docs/decisions/0023)."""
     target_divergence: float = 0.0
-    """Kullback-Leibler divergence from the old policy after which an update ends early; 0 for never."""
+    """Kullback-Leibler divergence from the old policy after which an update ends early; 0: never."""
     curriculum: CurriculumSettings = CurriculumSettings()
-    """Start states and exploration."""
+    """Of `starts="curriculum"` and `"complete"`."""
 
     def __post_init__(self) -> None:
-        if self.batch < 1 or self.epochs < 1:
-            raise InputError("batch and epochs are counts; give at least 1")
-        if not self.learning_rate > 0:
-            raise InputError(f"learning_rate is {self.learning_rate:g}; give a number above zero")
-        for name in ("discount", "trace"):
+        for name, choices in (("starts", get_args(Starts)), ("value_loss", get_args(ValueLoss))):
+            if getattr(self, name) not in choices:
+                raise InputError(f"unknown {name} {getattr(self, name)!r}; choose {', '.join(choices)}")
+        if min(self.rollouts, self.batch) < 0 or not self.learning_rate >= 0:
+            raise InputError("sizes and learning rate of PPO are not negative; 0 stands for the default")
+        if self.epochs < 1:
+            raise InputError(f"epochs is {self.epochs}; give at least 1")
+        for name in ("discount", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} is {getattr(self, name):g}; give a number between 0 and 1")
-        if not self.hindsight >= 0 or not self.target_divergence >= 0:
-            raise InputError("hindsight and target_divergence are 0 or more")
-        if not self.clip > 0 or not self.gradient_norm > 0:
-            raise InputError("clip and gradient_norm are above zero")
+        if not 0 <= self.average < 1:
+            raise InputError(f"average is {self.average:g}; give 0 or more, and less than 1")
+        for name in ("weight_decay", "entropy", "imitation", "hindsight", "target_divergence"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"{name} is {getattr(self, name):g}; give 0 or more")
+
+    def resolved(self, device: str, *, two_states: bool = False) -> PpoPhase:
+        """Replace every 0 by the default for a kind of device, `cpu` or `cuda`."""
+        gpu = device == "cuda"
+        rollouts = (49_152 if two_states else 16_384) if gpu else 512
+        if self.starts != "mixed":
+            rollouts = 1024 if gpu else 64
+        return replace(
+            self,
+            rollouts=self.rollouts or rollouts,
+            batch=self.batch or (8_192 if gpu else 512),
+            learning_rate=self.learning_rate or (3e-4 if gpu else 5e-4),
+        )
+
+
+PAPER = PpoPhase(
+    starts="curriculum",
+    batch=2048,
+    epochs=5,
+    learning_rate=2e-3,
+    milestones=(1000, 3000),
+    betas=(0.95, 0.999),
+    epsilon=1e-5,
+    weight_decay=0.0,
+    average=0.0,
+    discount=0.95,
+    centered=True,
+    value_loss="mse",
+    imitation=0.0,
+)
+"""Reinforcement learning from scratch with the curriculum of the paper (section 5.2), as changed in decision 23."""
+
+COMPLETE = replace(
+    PAPER,
+    starts="complete",
+    curriculum=CurriculumSettings(growing=False, rank_power=0.0, entropy_rise=0.0),
+)
+"""The same without a curriculum: every rollout starts from the complete structure. A baseline."""

@@ -1,4 +1,4 @@
-"""Every choice that training leaves open, in one tree of frozen dataclasses; read without torch."""
+"""Settings of a training run, one tree of frozen dataclasses; read without torch."""
 
 from __future__ import annotations
 
@@ -8,97 +8,34 @@ from types import UnionType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from falsework.errors import InputError
+from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.policy_gradient import RefineSettings
-from falsework.learn.config.ppo import PpoSettings
+from falsework.learn.config.ppo import COMPLETE, PAPER, PpoPhase
 
-Method = Literal["search", "refine", "imitation", "ppo", "imitation+ppo", "ppo-complete"]
+Phase = ImitationPhase | PpoPhase
+Method = Literal["default", "imitation", "paper", "complete"]
 Data = Literal["wide", "width64"]
 Criterion = Literal["contact", "equilibrium"]
 """As `falsework.stability.verdict.Criterion`, which would load more than the command line needs to show its help."""
 
-METHODS: tuple[str, ...] = get_args(Method)
+METHODS: dict[Method, tuple[Phase, ...]] = {
+    # More imitation overfits the states of the searches, which makes the fine-tuning slower and worse (decision 20).
+    "default": (ImitationPhase(until=0.5, steps=1000), PpoPhase()),
+    "imitation": (ImitationPhase(),),
+    "paper": (PAPER,),
+    "complete": (COMPLETE,),
+}
+"""Presets of `TrainSettings.phases` by the name that `falsework train --method` takes."""
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class ImitationSettings:
-    """How a policy is made to take actions that are known to be valid."""
-
-    batch: int = 0
-    """States a step, over all processes; 0: 1,024 on a GPU, 128 on a processor."""
-    learning_rate: float = 0.0
-    """Largest step of AdamW; 0: 1e-3 on a GPU, 2e-3 on a processor."""
-    least_learning_rate: float = 0.01
-    """What the learning rate falls to, as a share of the largest."""
-    weight_decay: float = 0.01
-    """Of AdamW."""
-    warm_up: int = 100
-    """Steps in which the learning rate rises."""
-    decay: float = 0.5
-    """Share of the training at the end of which the learning rate falls along half a cosine."""
-    clip: float = 1.0
-    """Largest norm of the gradient."""
-    average: float = 0.998
-    """Decay of the moving average of the weights that is evaluated and saved."""
-    value: float = 0.1
-    """Weight of the error of the value head."""
-    unstable: float = 0.1
-    """Weight of the probability given to actions after which something fell in a rollout."""
-    mistakes: int = 0
-    """States a step at which such actions are unlearned; 0: a quarter of the batch."""
-    memory: int = 200_000
-    """Mistakes and outcomes of rollouts that are remembered."""
-
-
-@dataclass(frozen=True)
-class ImproveRounds:
-    """When and from where rollouts of the policy itself look for what is still to be learned."""
-
-    first: float = 0.15
-    """Share of the training that is imitation alone, before the first round."""
-    every: int = 5
-    """Blocks of imitation from one round to the next."""
-    starts: int = 0
-    """Start states a round, over all processes; 0: 4,096 on a GPU, 256 on a processor."""
-    last: float = 0.95
-    """Share of the training after which there are no more rounds, so that the last finds are still learned."""
-
-
-@dataclass(frozen=True)
-class PpoPhase:
-    """Reinforcement learning with the curriculum of the paper (section 5.2)."""
-
-    rollouts: int = 0
-    """Rollouts an update, over all processes; 0: 1,024 on a GPU, 64 on a processor."""
-    imitation: float = 0.4
-    """Share of the training that is imitation, where that goes before; searches do not count."""
-    settings: PpoSettings = field(default_factory=PpoSettings)
-    """Of the method."""
-
-
-@dataclass(frozen=True)
-class RefinePhase:
-    """Policy gradients from many rollouts that start where searches found states."""
-
-    imitation: float = 0.5
-    """Share of the training that is imitation before, at most; searches do not count."""
-    imitation_steps: int = 1000
-    """Steps of it, at most; 0: any number. What is learned by heart makes the refinement slower and worse."""
-    settings: RefineSettings = field(default_factory=RefineSettings)
-    """Of the method."""
 
 
 @dataclass(frozen=True)
 class TrainSettings:
     """A whole training run."""
 
-    method: Method = "refine"
-    """`search`: imitation of wide searches, then rounds of rollouts whose failures are searched; `refine`: imitation,
-    then policy gradients from many rollouts; `imitation`: of the data alone; `ppo`: reinforcement learning with a
-    curriculum; `imitation+ppo`: one, then the other; `ppo-complete`: reinforcement learning that always starts from the
-    complete structure, as a baseline."""
+    phases: tuple[Phase, ...] = METHODS["default"]
+    """Ways to learn, one after the other; each goes on with the weights of the one before. `METHODS` has presets."""
     robots: int = 2
     """Parts held at a time."""
     policy: PolicySettings = field(default_factory=PolicySettings)
@@ -121,14 +58,6 @@ class TrainSettings:
     """Steps of the optimizer in place of a time: the run then depends on the seed alone; 0: go by `minutes`."""
     seed: int = 0
     """Of weights, batches and rollouts."""
-    imitation: ImitationSettings = ImitationSettings()
-    """Supervised learning."""
-    improve: ImproveRounds = ImproveRounds()
-    """Learning from verified search."""
-    ppo: PpoPhase = PpoPhase()
-    """Reinforcement learning."""
-    refine: RefinePhase = RefinePhase()
-    """Policy gradients."""
     block: int = 0
     """Steps between two looks at the clock; 0: 200 on a GPU, 20 on a processor."""
     evaluate_every: int = 5
@@ -137,8 +66,6 @@ class TrainSettings:
     """Test states of the curve, at most, and as many training states; a fixed sample."""
     checkpoint_every: float = 30.0
     """Seconds between two checkpoints, as near as blocks allow."""
-    patience: int = 3
-    """Rounds in a row in which every rollout succeeded, after which there is nothing left to learn; 0: never stop."""
     threads: int = 0
     """Threads of torch on a processor; 0: half of its cores, since threads that wait for each other lose more to other
     work on the machine than they win."""
@@ -148,8 +75,8 @@ class TrainSettings:
     """Compile the network with torch; `auto` does on a GPU where there are minutes enough to pay for it."""
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise InputError(f"unknown method {self.method!r}; choose {', '.join(METHODS)}")
+        if not self.phases or any(not isinstance(one, ImitationPhase) for one in self.phases[:-1]):
+            raise InputError("phases of training are imitation, PPO, or imitation followed by PPO; give at least one")
         if self.data not in get_args(Data):
             raise InputError(f"unknown data {self.data!r}; choose {' or '.join(get_args(Data))}")
         if self.criterion not in get_args(Criterion):
@@ -158,8 +85,9 @@ class TrainSettings:
             raise InputError("minutes and steps are not negative; leave them out for the defaults")
         if self.seed < 0 or self.data_seed < 0:
             raise InputError("seeds are not negative")
-        if self.policy.two_states and self.method in ("search", "ppo-complete"):
-            raise InputError(f"method {self.method} knows no targets; choose refine, imitation, ppo or imitation+ppo")
+        last = self.phases[-1]
+        if self.policy.two_states and isinstance(last, PpoPhase) and last.starts == "complete":
+            raise InputError("PPO from the complete structure knows no targets; choose mixed starts or the curriculum")
         if self.robots < 1:
             raise InputError(f"{self.robots} robots cannot hold anything; give at least 1")
 
@@ -171,25 +99,18 @@ class TrainSettings:
             device: kind of device, `cpu` or `cuda`.
         """
         gpu = device == "cuda"
-        imitation = self.imitation
         minutes = self.minutes or default_minutes(parts, device)
         two = self.policy.two_states
         widths = default_target_widths(parts, device, minutes) if two else default_widths(parts, device)
-        batch = imitation.batch or (1024 if gpu else 128)
         return replace(
             self,
             policy=_policy(self.policy, gpu).resolved(),
             minutes=minutes,
             widths=self.widths or widths,
-            imitation=replace(
-                imitation,
-                batch=batch,
-                learning_rate=imitation.learning_rate or (1e-3 if gpu else 2e-3),
-                mistakes=imitation.mistakes or max(batch // 4, 1),
+            phases=tuple(
+                one.resolved(device) if isinstance(one, ImitationPhase) else one.resolved(device, two_states=two)
+                for one in self.phases
             ),
-            improve=replace(self.improve, starts=self.improve.starts or (4096 if gpu else 256)),
-            ppo=replace(self.ppo, rollouts=self.ppo.rollouts or (1024 if gpu else 64)),
-            refine=replace(self.refine, settings=self.refine.settings.resolved(device, two_states=two)),
             block=self.block or (200 if gpu else 20),
             precision=("bfloat16" if gpu else "float32") if self.precision == "auto" else self.precision,
         )
@@ -231,13 +152,13 @@ def default_target_widths(parts: int, device: str, minutes: float) -> tuple[int,
     return (128,) * min(max(round(6 * minutes * (37 / parts) ** 3), 12), 120)
 
 
-def as_json(settings: Any) -> dict[str, Any]:
-    """Settings as plain JSON values."""
+def to_dict(settings: Any) -> dict[str, Any]:
+    """Return settings as plain JSON values."""
     return asdict(settings)
 
 
-def from_json(kind: type[T], values: Mapping[str, Any]) -> T:
-    """Settings from what `as_json` gave.
+def from_dict(kind: type[T], values: Mapping[str, Any]) -> T:
+    """Read settings that `to_dict` gave.
 
     Raises:
         InputError: a name that is no setting, or a value of another type.
@@ -255,7 +176,9 @@ def from_json(kind: type[T], values: Mapping[str, Any]) -> T:
 def _read(hint: Any, value: Any, name: str) -> Any:
     origin = get_origin(hint)
     if is_dataclass(hint):
-        return from_json(hint, value)  # type: ignore[arg-type]
+        return from_dict(hint, value)  # type: ignore[arg-type]
+    if hint == tuple[Phase, ...]:
+        return tuple(_read_phase(one, name) for one in (value if isinstance(value, (list, tuple)) else [value]))
     if origin is Literal:
         good = value in get_args(hint)
     elif origin is tuple:
@@ -268,3 +191,10 @@ def _read(hint: Any, value: Any, name: str) -> Any:
     if not good:
         raise InputError(f"{name} is {value!r}, which it cannot be")
     return value
+
+
+def _read_phase(value: Any, name: str) -> Phase:
+    algorithm = value.get("algorithm") if isinstance(value, Mapping) else None
+    if algorithm not in ("imitation", "ppo"):
+        raise InputError(f"{name} has a phase of the algorithm {algorithm!r}; choose imitation or ppo")
+    return from_dict(ImitationPhase if algorithm == "imitation" else PpoPhase, value)

@@ -1,4 +1,4 @@
-"""Environment wrapper that records failed actions and rollout outcomes for replay."""
+"""Environment that records which held-out states rollouts visit."""
 
 from __future__ import annotations
 
@@ -8,51 +8,32 @@ from typing import Any
 
 import torch
 
-from falsework.learn.data.replay_buffer import Memory
 from falsework.learn.data.solvable_states import SolvedStates
-from falsework.learn.env.environment import Environment, Rollouts, Step
+from falsework.learn.env.environment import Environment, Step
 
 
-class WatchedEnvironment(Environment):
-    """Notes which test states rollouts come across, and which actions bring something down.
+class RecordingEnvironment(Environment):
+    """Environment of training: counts held-out states that rollouts visit.
 
     Its rollouts are there to learn from, so states that are open after the solver on a GPU are given up.
     """
 
-    def __init__(self, *arguments: Any, memory: int = 200_000, **options: Any) -> None:
-        """As `Environment`; `memory` mistakes are remembered."""
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        """As `Environment`."""
         super().__init__(*arguments, **options)
         self.solved: SolvedStates | None = None
-        """Where test states that are met are noted."""
-        state, number = self.rules.complete()[0], torch.zeros((), dtype=torch.int64, device=self.device)
-        self.mistakes = Memory(memory, {"states": state, "actions": number})
-        """States of rollouts, and actions after which stability was not proven. Test states are not among them."""
-        self.outcomes = Memory(memory, {"states": state, "value": number.float()})
-        """States of rollouts that were drawn, not greedy, and how these ended: 1 or -1. No test states either."""
-        self.remember = False
-        """Keep mistakes and outcomes, which costs a wait for the device at every step."""
-        self._watching = True
+        """Where visits to held-out states are recorded."""
         self.exact = False
 
     @contextmanager
-    def unwatched(self) -> Iterator[None]:
-        """Take no notes for the length of a `with` block, and leave no state open, as for an evaluation."""
-        before = self._watching, self.exact
-        self._watching, self.exact = False, True
+    def paused_recording(self) -> Iterator[None]:
+        """Record nothing for the length of a `with` block, and leave no state open, as for an evaluation."""
+        before = self.solved, self.exact
+        self.solved, self.exact = None, True
         try:
             yield
         finally:
-            self._watching, self.exact = before
-
-    def note(self, rollouts: Rollouts, *, told: bool, drawn: bool, whole: bool) -> None:
-        """As `Environment.note`: remember how rollouts without targets ended that were drawn."""
-        if self.solved is None or not (self._watching and self.remember and drawn and whole) or told:
-            return
-        value = (2.0 * rollouts.success.float() - 1.0).expand(len(rollouts.states), -1)
-        passed = rollouts.passed()
-        states, value = rollouts.states[passed], value[passed]
-        learnable = (~self.solved.is_forbidden(states)).nonzero()[:, 0]
-        self.outcomes.add(states=states[learnable], value=value[learnable])
+            self.solved, self.exact = before
 
     def step(
         self,
@@ -64,9 +45,6 @@ class WatchedEnvironment(Environment):
     ) -> Step:
         """As `Environment.step`."""
         step = super().step(states, actions, targets, check=check)
-        if self._watching and self.solved is not None:
+        if self.solved is not None:
             self.solved.meet(step.states)
-        if self._watching and self.remember and self.solved is not None and targets is None:
-            wrong = (step.unstable & ~self.solved.is_forbidden(states)).nonzero()[:, 0]
-            self.mistakes.add(states=states[wrong], actions=actions[wrong].long())
         return step

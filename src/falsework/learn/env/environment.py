@@ -223,16 +223,6 @@ class Environment:
         self.counters.steps += len(states)
         return Step(after, reward, success | failed, success, ~stable, mask)
 
-    def note(self, rollouts: Rollouts, *, told: bool, drawn: bool, whole: bool) -> None:
-        """Called with all rollouts of `roll_out`, for environments that learn from them; this one does nothing.
-
-        Args:
-            rollouts: as they ended.
-            told: they had targets.
-            drawn: actions were drawn, not the most probable ones.
-            whole: all states are kept.
-        """
-
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
         """Add the seconds of some work to a counter."""

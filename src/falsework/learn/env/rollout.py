@@ -181,12 +181,10 @@ def roll_out(
     if keep == "ends":
         states = [starts, last]
     empty = torch.empty((0, count), dtype=torch.int16, device=device)
-    rollouts = Rollouts(
+    return Rollouts(
         torch.stack(states) if count else torch.empty((len(states), 0, parts), dtype=torch.uint8, device=device),
         torch.stack(actions) if actions else empty,
         length,
         success,
         unstable,
     )
-    environment.note(rollouts, told=targets is not None, drawn=not greedy, whole=keep == "all")
-    return rollouts

@@ -1,4 +1,4 @@
-"""How far a training run is: by steps, which depends on the seed alone, or by the clock."""
+"""Budget of a training run: in steps, which depends on the seed alone, or in minutes."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from falsework.utils.collectives import decided, summed
 from falsework.utils.distributed import Shards
 
 _LONGEST = 0.05
-"""Share of a run that one stretch of it may take."""
-_CAUTION = 10
-"""Times shorter than others the first stretch is, when nobody knows what a step takes."""
+"""Share of a run that one block may take."""
+_FIRST_BLOCK = 10
+"""Times shorter than others the first block is, because the step time is not known yet."""
 
 
-class Pace:
+class TrainingBudget:
     """Progress between 0 and 1, alike in all processes; survives interruptions."""
 
     def __init__(
@@ -37,7 +37,7 @@ class Pace:
         self.before = 0.0
         """Seconds spent in earlier pieces of this run."""
         self.stopped = False
-        """Somebody asked to stop."""
+        """A signal has asked this process to stop."""
         self._budget, self._steps = 60.0 * minutes, steps
         self._shards, self._device = shards, device
         self._begun = time.perf_counter()
@@ -49,17 +49,17 @@ class Pace:
         return self.before + time.perf_counter() - self._begun
 
     def progress(self, steps: int) -> float:
-        """What share of the run is done after so many steps."""
+        """Return the share of the run that is done after so many steps."""
         if self._steps:
             return min(steps / self._steps, 1.0)
         return self.share(self.seconds)
 
     def share(self, seconds: float) -> float:
-        """What share of the run some seconds are; none if steps are counted."""
+        """Return the share of the run that some seconds are; 0 if steps are counted."""
         return 0.0 if self._steps else min(decided(seconds, self._shards, self._device) / self._budget, 1.0)
 
-    def stretch(self, steps: int, block: int) -> tuple[int, tuple[float, float]]:
-        """The next steps: how many, and the progress before and after them, the latter as the last ones went.
+    def next_block(self, steps: int, block: int) -> tuple[int, tuple[float, float]]:
+        """Return the number of the next steps, and the progress before and after them as predicted from the last ones.
 
         By the clock there are fewer than `block` where these would take long, so that the end is not overrun by much.
         """
@@ -69,20 +69,20 @@ class Pace:
             return block, (now, (steps + block) / self._steps)
         if self._took:
             self._slope = max(now - self._last, 0.0) / self._took
-        longest = min(_LONGEST, max(1.0 - now, 0.0)) / self._slope if self._slope else block / _CAUTION
+        longest = min(_LONGEST, max(1.0 - now, 0.0)) / self._slope if self._slope else block / _FIRST_BLOCK
         took = max(min(block, int(longest)), 1)
         self._last, self._took = now, took
         return took, (now, min(now + self._slope * took, 1.0))
 
-    def asked_to_stop(self) -> bool:
-        """Whether to stop here, in all processes if in any."""
+    def stop_requested(self) -> bool:
+        """Return whether to stop here, in all processes if in any."""
         return summed([float(self.stopped)], self._shards, self._device)[0] > 0
 
-    def state(self) -> dict[str, float]:
-        """What there is to save, for `load`."""
+    def state_dict(self) -> dict[str, float]:
+        """Return what a checkpoint needs."""
         return {"seconds": self.seconds, "slope": self._slope}
 
-    def load(self, state: dict[str, float]) -> None:
+    def load_state_dict(self, state: dict[str, float]) -> None:
         """Go on after an interruption."""
         self.before = float(state["seconds"])
         self._begun = time.perf_counter()

@@ -14,15 +14,15 @@ import torch
 
 from falsework.assembly.model import Assembly
 from falsework.errors import FalseworkError, InputError
-from falsework.learn.config.train import TrainSettings, from_json
+from falsework.learn.config.train import TrainSettings, from_dict
 from falsework.learn.networks import policy as policies
 from falsework.learn.networks.factory import make_policy
 from falsework.learn.networks.policy import Policy
 from falsework.utils.archive import write_whole
 from falsework.utils.json_text import parse_json
 
-FORMAT = "falsework.run/1"
-CHECKPOINT_FORMAT = "falsework.checkpoint/1"
+FORMAT = "falsework.run/2"
+CHECKPOINT_FORMAT = "falsework.checkpoint/2"
 
 FILE = "run.json"
 WEIGHTS = "weights.safetensors"
@@ -115,15 +115,12 @@ def read_run(folder: Path) -> dict[str, Any]:
 
 
 def settings_of(metadata: Mapping[str, Any]) -> TrainSettings:
-    """Settings of a run; one from before there was a choice of criterion was trained under `equilibrium`.
+    """Read the settings of a run.
 
     Raises:
         InputError: they are none.
     """
-    settings = metadata["settings"]
-    if isinstance(settings, Mapping):
-        settings = {"criterion": "equilibrium", **settings}
-    return from_json(TrainSettings, settings)
+    return from_dict(TrainSettings, metadata["settings"])
 
 
 def load_structure_of(folder: Path, metadata: Mapping[str, Any]) -> Assembly:

@@ -1,4 +1,4 @@
-"""How good a policy is: the share of states from which its most probable actions lead to the end, all of it proven."""
+"""Evaluation of policies: share of states from which the most probable actions succeed, every state proven stable."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from falsework.utils.tensors import put
 Sets = Mapping[str, tuple[States, States | None]]
 """States, and targets if there are any, by the name of the set, such as `train` and `test`."""
 Report = Callable[[int, int, str], None]
-"""Told what is done, what there is to do, and words."""
+"""Progress callback `(done, total, message)`."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,24 @@ class Success:
         """Between 0 and 1; 1 without states, since none failed."""
         return self.succeeded / self.states if self.states else 1.0
 
-    def as_json(self) -> dict[str, Any]:
-        """States and success."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return the number of states and the share of success."""
         return {"states": self.states, "success": round(self.share, 6)}
+
+
+class GoalBlindPolicy:
+    """Policy without goals as a baseline for goals.
+
+    What the target keeps, it keeps only because the rules forbid to touch it (`Rules.mask` with targets).
+    """
+
+    def __init__(self, policy: Policy) -> None:
+        """Wrap a policy of one state."""
+        self._policy = policy
+
+    def __call__(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
+        """As `Policy`; ignores the targets."""
+        return self._policy(states)
 
 
 def sample(states: NDArray[Any], count: int, seed: int = 0) -> NDArray[Any]:
@@ -124,7 +139,7 @@ def evaluate(
         For each set `states` and `success`; with search for `test` also `search`: the `share` of states with a proven
         plan, who decided how many, and seconds.
     """
-    from falsework.learn.algorithms.expert_iteration import solve_all
+    from falsework.learn.algorithms.policy_search import solve_all
 
     results: dict[str, Any] = {}
     for number, (name, (states, targets)) in enumerate(sets.items()):
@@ -134,10 +149,10 @@ def evaluate(
         chosen = put(states[rows], environment.device)
         aims = None if targets is None else put(targets[rows], environment.device)
         success, _ = greedy_success(environment, policy, chosen, aims, shards=shards)
-        results[name] = success.as_json()
+        results[name] = success.to_dict()
         if settings.search and name == "test":
             if report is not None:
                 report(number, len(sets), f"search from {name} states")
             generator = environment.generator(settings.seed)
-            results[name]["search"] = solve_all(environment, policy, chosen, aims, generator=generator).record()
+            results[name]["search"] = solve_all(environment, policy, chosen, aims, generator=generator).to_dict()
     return results

@@ -1,4 +1,4 @@
-"""One training run in one process: blocks of learning, a curve, checkpoints."""
+"""Training run in one process: blocks of steps, phases, a curve, checkpoints."""
 
 from __future__ import annotations
 
@@ -14,29 +14,27 @@ import torch
 from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.learn.algorithms.policy_gradient import Refinement
-from falsework.learn.config.train import TrainSettings, as_json
+from falsework.learn.config.imitation import ImitationPhase
+from falsework.learn.config.train import TrainSettings, to_dict
 from falsework.learn.data.dataset import Dataset
-from falsework.learn.data.recording_environment import WatchedEnvironment
+from falsework.learn.data.recording_environment import RecordingEnvironment
 from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.networks import policy as policies
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.factory import describe, make_policy
-from falsework.learn.training.budget import Pace
+from falsework.learn.training.budget import TrainingBudget
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, save_run, write_run
 from falsework.learn.training.evaluate import Sets, Success, greedy_success, throughput
 from falsework.learn.training.learners import (
     Learner,
-    PpoLearner,
-    SearchLearner,
-    merged,
-    names,
-    own_of,
+    LearnerContext,
+    below,
+    gather_local,
+    local_of,
     share_solved,
-    without_curriculum,
 )
 from falsework.learn.training.logger import Journal
-from falsework.learn.training.training_data import find_material
+from falsework.learn.training.training_data import collect_training_data
 from falsework.search.device.oracle import oracle_on
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
@@ -45,17 +43,17 @@ from falsework.utils.distributed import Shards
 from falsework.utils.tensors import put
 
 Report = Callable[[float, str], None]
-"""Told how far the run is, between 0 and 1, and words."""
+"""Progress callback `(share done, message)`."""
 
 _SEARCHED_BY = 0.25
-"""Share of a training's time after which no further search for tasks with targets begins."""
+"""Share of the training time after which no further search for tasks with targets begins."""
 _COMPILE_FROM = 4.0
 """Minutes of training from which compiling the network pays."""
 
 
 @dataclass(frozen=True)
 class TrainResult:
-    """What training came to."""
+    """Result of a training run."""
 
     folder: Path | None
     steps: int
@@ -72,7 +70,7 @@ class TrainResult:
     solved: int
     """States that were learned from."""
     met_share: float
-    """Share of the states held out for test and validation that rollouts came across while training."""
+    """Share of the held-out states, symmetric images included, that rollouts visited while training."""
     interrupted: bool
     processes: int
     device: str
@@ -86,15 +84,15 @@ class TrainResult:
     first: bool = True
     """This process is the one that reports."""
 
-    def as_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
         return {
             "steps": self.steps,
             "seconds": round(self.seconds, 2),
             "data_seconds": round(self.data_seconds, 2),
-            "train": self.train.as_json(),
-            "validation": self.validation.as_json(),
-            "test": self.test.as_json(),
+            "train": self.train.to_dict(),
+            "validation": self.validation.to_dict(),
+            "test": self.test.to_dict(),
             "solved": self.solved,
             "test_states_met": round(self.met_share, 6),
             "interrupted": self.interrupted,
@@ -105,7 +103,7 @@ class TrainResult:
 
 
 class Trainer:
-    """One run in one process."""
+    """Training run in one process."""
 
     def __init__(
         self,
@@ -122,22 +120,21 @@ class Trainer:
         self.notes: list[str] = []
         self.steps = 0
         self._phase = 0
-        self._phase_begun = 0.0
+        self._phase_begun, self._phase_steps = 0.0, 0
         self.data_seconds = 0.0
-        self.pace = Pace(minutes=settings.minutes, steps=settings.steps, shards=shards, device=device)
+        self.budget = TrainingBudget(minutes=settings.minutes, steps=settings.steps, shards=shards, device=device)
         self._structure = describe_structure(assembly, source)
         self._results: dict[str, Any] = {}
         self._checkpoint = None if folder is None else CheckpointFile(folder)
         self._curve: list[dict[str, float]] = []
         self._saved = time.perf_counter()
         self._oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
-        self._environment = WatchedEnvironment(
+        self._environment = RecordingEnvironment(
             assembly,
             settings.robots,
             oracle=self._oracle,
             device=device,
             clearance=settings.removable_only_if_clear,
-            memory=settings.imitation.memory,
         )
         self._solved = SolvedStates(self._environment.rules)
         self._policy = make_policy(assembly, settings.policy, device, settings.seed)
@@ -147,14 +144,14 @@ class Trainer:
 
     def run(self, begun: float, *, resume: bool, logs: Sequence[str], dataset: Dataset | None) -> TrainResult:
         """Data, blocks, result."""
-        self.pace.before = time.perf_counter() - begun
+        self.budget.before = time.perf_counter() - begun
         saved = None
         if resume and self._checkpoint is not None and self._checkpoint.exists():
             saved = self._checkpoint.load()
         if self.shards.first and self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_run(self.folder, self._metadata())
-        self._material = find_material(
+        self._data = collect_training_data(
             self.assembly,
             self.settings,
             oracle_on(self._oracle, self.device),
@@ -165,28 +162,30 @@ class Trainer:
             dataset=dataset,
             report=lambda text: self.report(0.0, text),
             note=self.notes.append,
-            enough=lambda: self.pace.progress(self.steps) >= _SEARCHED_BY,
+            enough=lambda: self.budget.progress(self.steps) >= _SEARCHED_BY,
         )
-        self.data_seconds = self._material.seconds
-        self._solved.forbid(self._material.held_out)
+        self.data_seconds = self._data.seconds
+        self._solved.forbid(self._data.held_out)
         self._environment.solved = self._solved
         if saved is None:
-            self._solved.add(self._material.starts)
+            self._solved.add(self._data.starts)
         else:
-            self._phase, self._phase_begun = saved[1]["phase"], saved[1].get("phase_begun", 0.0)
+            self._phase, self._phase_begun, self._phase_steps = (
+                saved[1][name] for name in ("phase", "phase_begun", "phase_steps")
+            )
             self.data_seconds = saved[1]["data_seconds"]
+        if saved is None and not len(self._solved):
+            raise InputError(f"no state of {self.assembly.name} is left to learn from; use wider searches")
         learner = self._learner()
         if saved is not None:
             self._load(learner, *saved)
-        if not len(self._solved):
-            raise InputError(f"no state of {self.assembly.name} is left to learn from; use wider searches")
         journal = None
         if self.shards.first and self.folder is not None:
             at = self.steps if saved is not None else None
             journal = Journal(self.folder, logs, configuration=self._metadata()["settings"], resumed_at=at)
             self.notes += journal.notes
         try:
-            with self.pace.interruptible():
+            with self.budget.interruptible():
                 return self._blocks(learner, journal)
         finally:
             if journal is not None:
@@ -194,18 +193,17 @@ class Trainer:
 
     def _blocks(self, learner: Learner, journal: Journal | None) -> TrainResult:
         settings, evaluated = self.settings, -1
-        success = {name: Success(0, 0) for name in self._material.curve | self._material.test}
+        success = {name: Success(0, 0) for name in self._data.curve | self._data.test}
         numbers: dict[str, float] = {}
         blocks = interrupted = 0
         here = time.perf_counter()
-        while self.pace.progress(self.steps) < 1.0 and not learner.exhausted:
-            if self.pace.asked_to_stop():
+        while self.budget.progress(self.steps) < 1.0:
+            if self.budget.stop_requested():
                 interrupted = 1
                 break
-            steps, progress = self.pace.stretch(self.steps, settings.block)
+            steps, progress = self.budget.next_block(self.steps, settings.block)
             if self._phase_is_over(progress[0]):
-                self._phase_begun = progress[0]
-                learner = self._next_phase(learner)
+                learner = self._next_phase(learner, progress[0])
             known = len(self._solved)
             numbers = learner.block(steps, progress)
             share_solved(self._solved, known, self.shards)
@@ -213,98 +211,59 @@ class Trainer:
             blocks += 1
             whole = self.steps // settings.block
             if whole > (self.steps - steps) // settings.block and whole % settings.evaluate_every == 0:
-                success, evaluated = self._evaluate(learner, self._material.curve), self.steps
+                success, evaluated = self._evaluate(learner, self._data.curve), self.steps
                 self._log(journal, numbers, success)
-            self.report(self.pace.progress(self.steps), self._words(numbers, success["validation"]))
+            self.report(self.budget.progress(self.steps), self._message(numbers, success["validation"]))
             since = decided(time.perf_counter() - self._saved, self.shards, self.device)
             if since >= settings.checkpoint_every:
                 self._save(learner)
         if evaluated != self.steps:
-            success = self._evaluate(learner, self._material.curve)
+            success = self._evaluate(learner, self._data.curve)
             self._log(journal, numbers, success)
-        success |= self._evaluate(learner, self._material.test)
+        success |= self._evaluate(learner, self._data.test)
         result = self._result(success, bool(interrupted), time.perf_counter() - here)
-        self._results = result.as_json()
+        self._results = result.to_dict()
         self._save(learner)
-        learner.best(self._best)
+        learner.export_policy(self._best)
         if self.shards.first and self.folder is not None:
             save_run(self.folder, self._best, self._metadata())
         return replace(result, notes=tuple(self.notes))
 
-    def _ways(self) -> tuple[str, ...]:
-        """Ways to learn, one after the other."""
-        method = self.settings.method
-        return ("imitation", method.removeprefix("imitation+")) if self._imitation() else (method,)
-
-    def _imitation(self) -> tuple[float, int] | None:
-        """Largest share and number of steps of imitation before another way, if there is one; 0 steps: any number."""
-        settings = self.settings
-        if settings.method == "refine":
-            return settings.refine.imitation, settings.refine.imitation_steps
-        return (settings.ppo.imitation, 0) if settings.method == "imitation+ppo" else None
-
     def _phase_is_over(self, progress: float) -> bool:
-        """Whether another way to learn is next."""
-        before = self._imitation()
-        if before is None or self._phase:
+        """Whether the next phase begins."""
+        phase = self.settings.phases[self._phase]
+        if phase is self.settings.phases[-1] or not isinstance(phase, ImitationPhase):
             return False
-        searched = self.pace.share(self.data_seconds)
-        return progress >= searched + before[0] * (1.0 - searched) or 0 < before[1] <= self.steps
+        searched = self.budget.share(self.data_seconds)
+        steps = self.steps - self._phase_steps
+        return progress >= searched + phase.until * (1.0 - searched) or 0 < phase.steps <= steps
 
     def _learner(self) -> Learner:
-        """What learns in the present phase."""
-        settings, shards, material = self.settings, self.shards, self._material
-        way = self._ways()[self._phase]
-        # Compiling takes longer than the little imitation that goes before another way.
-        pays = self.device.type == "cuda" and settings.minutes >= _COMPILE_FROM and way == self._ways()[-1]
-        compiled = settings.compile == "on" or (settings.compile == "auto" and pays)
-        if way in ("search", "imitation"):
-            return SearchLearner(
-                self._environment,
-                self._policy,
-                self._solved,
-                settings,
-                rounds=way == "search",
-                compiled=compiled,
-                shards=shards,
-                tasks=material.tasks,
-                folder=self.folder,
-            )
-        if way == "refine":
-            return Refinement(
-                self._environment,
-                self._policy,
-                self._solved,
-                material.starts,
-                settings.refine.settings,
-                targets=material.targets,
-                tasks=material.tasks,
-                begin=self._phase_begun,
-                seed=settings.seed,
-                precision=settings.precision,
-                compiled=compiled,
-                shards=shards,
-            )
-        starts, targets = material.starts, material.targets
-        if way == "ppo-complete":
-            starts, targets = self._environment.rules.complete(), None
-            settings = replace(settings, ppo=replace(settings.ppo, settings=without_curriculum(settings.ppo.settings)))
-        return PpoLearner(
-            self._environment, self._policy, starts, settings, targets=targets, shards=shards, folder=self.folder
+        """Make the learner of the present phase."""
+        settings, phase = self.settings, self.settings.phases[self._phase]
+        # Compiling takes longer than the little imitation before PPO, and has to be repeated for every size of batch.
+        last = self._phase == len(settings.phases) - 1
+        pays = self.device.type == "cuda" and settings.minutes >= _COMPILE_FROM and last
+        one_size = isinstance(phase, ImitationPhase) or phase.epochs == 1
+        compiled = settings.compile == "on" or (settings.compile == "auto" and pays and one_size)
+        context = LearnerContext(
+            self._environment, self._policy, self._solved, self._data, settings, self.shards, self.folder
         )
+        return context.make(phase, begin=self._phase_begun, compiled=compiled)
 
-    def _next_phase(self, learner: Learner) -> Learner:
-        """Go on another way with the weights that the last one arrived at."""
-        learner.best(self._best)
+    def _next_phase(self, learner: Learner, progress: float) -> Learner:
+        """Begin the next phase with the weights that the last one arrived at."""
+        learner.export_policy(self._best)
         self._phase += 1
+        self._phase_begun, self._phase_steps = progress, self.steps
         following = self._learner()
-        following.adopt(self._best)
+        following.load_policy(self._best)
         return following
 
     def _evaluate(self, learner: Learner, sets: Sets) -> dict[str, Success]:
-        learner.best(self._best)
+        learner.export_policy(self._best)
         success = {}
-        with self._environment.unwatched():
+        with self._environment.paused_recording():
             for name, (states, targets) in sets.items():
                 aims = None if targets is None else put(targets, self.device)
                 success[name], _ = greedy_success(
@@ -314,13 +273,13 @@ class Trainer:
 
     def _log(self, journal: Journal | None, numbers: dict[str, float], success: dict[str, Success]) -> None:
         line = {f"success/{name}": one.share for name, one in success.items()}
-        line |= {"seconds": round(self.pace.seconds, 3), "test_states_met": self._solved.met_share}
+        line |= {"seconds": round(self.budget.seconds, 3), "test_states_met": self._solved.met_share}
         line |= {f"train/{name}": value for name, value in numbers.items()}
         self._curve.append({"step": self.steps, **line})
         if journal is not None:
             journal.write(self.steps, line)
 
-    def _words(self, numbers: dict[str, float], held_out: Success) -> str:
+    def _message(self, numbers: dict[str, float], held_out: Success) -> str:
         loss = f"loss {numbers['loss']:.3f}" if "loss" in numbers else ""
         tested = f"validation {100 * held_out.share:.1f} %" if held_out.states else ""
         return ", ".join(text for text in (f"step {self.steps}", loss, f"{len(self._solved)} states", tested) if text)
@@ -329,39 +288,40 @@ class Trainer:
         """Write a checkpoint, in all processes together; a disk that is full is worth a note, not the run."""
         if self._checkpoint is None:
             return
-        own = merged(learner.own_tensors(), self.shards, self.device)
+        local = gather_local(learner.local_state_dict(), self.shards, self.device)
         self._saved = time.perf_counter()
         if not self.shards.first:
             return
-        tensors = {f"learner.{name}": tensor for name, tensor in learner.tensors().items()}
+        tensors = {f"learner.{name}": tensor for name, tensor in learner.state_dict().items()}
         tensors |= {f"solved.{name}": tensor for name, tensor in self._solved.tensors().items()}
         state = {
             "steps": self.steps,
             "phase": self._phase,
             "phase_begun": self._phase_begun,
-            "pace": self.pace.state(),
+            "phase_steps": self._phase_steps,
+            "budget": self.budget.state_dict(),
             "data_seconds": self.data_seconds,
         }
-        problem = self._checkpoint.save({**tensors, **own}, state)
+        problem = self._checkpoint.save({**tensors, **local}, state)
         if problem:
             self.notes.append(f"no checkpoint at step {self.steps}: {problem}")
-            self.report(self.pace.progress(self.steps), self.notes[-1])
+            self.report(self.budget.progress(self.steps), self.notes[-1])
 
     def _load(self, learner: Learner, tensors: dict[str, torch.Tensor], state: dict[str, Any]) -> None:
         self.steps = state["steps"]
-        self.pace.load(state["pace"])
-        self._solved.load(names(tensors, "solved."))
-        own = own_of(tensors, self.shards)
-        if own is None:
+        self.budget.load_state_dict(state["budget"])
+        self._solved.load(below("solved.", tensors))
+        local = local_of(tensors, self.shards)
+        if local is None:
             self.notes.append("the number of processes has changed, so the run goes on with other random numbers")
-        learner.load(names(tensors, "learner."), own)
+        learner.load_state_dict(below("learner.", tensors), local)
 
     def _result(self, success: dict[str, Success], interrupted: bool, seconds: float) -> TrainResult:
         gpu = self.device.type == "cuda"
         return TrainResult(
             self.folder,
             self.steps,
-            self.pace.seconds,
+            self.budget.seconds,
             self.data_seconds,
             success["train"],
             success["validation"],
@@ -380,7 +340,7 @@ class Trainer:
     def _metadata(self) -> dict[str, Any]:
         return {
             "structure": self._structure,
-            "settings": as_json(self.settings),
+            "settings": to_dict(self.settings),
             "policy": describe(self._policy),
             "results": self._results,
             "versions": {"falsework": __version__, "torch": torch.__version__, "python": platform.python_version()},

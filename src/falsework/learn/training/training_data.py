@@ -1,4 +1,4 @@
-"""What one training run learns from and is tested on, on one device: states, or states with targets."""
+"""Training and held-out data of one run: states, or states with targets."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from falsework.utils.tensors import put
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
+class TrainingData:
     """Data of a run as tensors."""
 
     starts: torch.Tensor
-    """States to start from, shape (count, parts)."""
+    """States to start from, none of them held out, shape (count, parts)."""
     targets: torch.Tensor | None
     """Target of each, shape (count, parts)."""
     tasks: TaskSource | None
@@ -48,7 +48,7 @@ class Material:
     """What it took to get them."""
 
 
-def find_material(
+def collect_training_data(
     assembly: Assembly,
     settings: TrainSettings,
     oracle: TensorOracle,
@@ -61,7 +61,7 @@ def find_material(
     report: Callable[[str], None] | None = None,
     note: Callable[[str], None] | None = None,
     enough: Callable[[], bool] | None = None,
-) -> Material:
+) -> TrainingData:
     """Search for states, or read those that an earlier piece of the run found.
 
     Args:
@@ -99,7 +99,7 @@ def find_material(
             tasks = TurnedTasks(tasks, images, device=device, forbidden=held_out)
         generator = torch.Generator(device).manual_seed(settings.data_seed)
         states, targets, _ = tasks.draw(settings.pairs, generator)
-        return Material(
+        return TrainingData(
             states,
             targets,
             tasks,
@@ -129,13 +129,14 @@ def find_material(
     if fresh and shards.first:
         _keep(path, data.save, note)
     held_out = symmetric_images(np.concatenate([data.test, data.validation]), images)
-    starts = np.concatenate([data.train, data.more])
-    return Material(
-        put(starts[StateIndex(held_out).find(starts) < 0], device),
+    held = StateIndex(held_out)
+    train, more = (states[held.find(states) < 0] for states in (data.train, data.more))
+    return TrainingData(
+        put(np.concatenate([train, more]), device),
         None,
         None,
         put(held_out, device),
-        {"train": (sample(data.train, count), None), "validation": (sample(data.validation, count), None)},
+        {"train": (sample(train, count), None), "validation": (sample(data.validation, count), None)},
         {"test": (sample(data.test, count), None)},
         time.perf_counter() - begun,
     )

@@ -1,4 +1,4 @@
-"""Improvement: what is added is solvable, test states are left alone, and failures are searched from."""
+"""Searches guided by a policy, and the stages of `solve_all`, against all states of a small arch."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ import torch
 from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import InputError
-from falsework.learn.algorithms.expert_iteration import improve, solve_all
 from falsework.learn.algorithms.policy_beam import search_from
+from falsework.learn.algorithms.policy_search import solve_all
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.data.solvable_states import SolvedStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import roll_out
 from falsework.learn.networks.factory import make_policy
@@ -89,33 +88,6 @@ def test_searches_reach_targets(environment: Environment, graph: StateGraph, pol
     assert (solved.decided_by != Decider.NOBODY).tolist() == truth
 
 
-def test_what_is_learned_is_true(environment: Environment, solvable: torch.Tensor, policy: Any) -> None:
-    """All that a round adds is solvable, test states are never stored, and the numbers add up."""
-    solved = SolvedStates(environment.rules, solvable[::4])
-    solved.forbid(solvable[1::4])
-    before = len(solved)
-    found = improve(environment, policy, solved, solved.states, generator=environment.generator(0))
-    assert rows(solved.states) <= rows(solvable)
-    assert not rows(solved.states) & rows(solvable[1::4])
-    assert found.new_states == len(solved) - before > 0
-    assert found.starts == before
-    assert found.succeeded + found.searched <= found.starts
-    assert found.successes <= found.rollouts
-    assert found.found <= found.searched
-    assert found.met == solved.met > 0
-    assert found.as_dict()["rollouts"] == found.rollouts
-
-
-def test_starts_that_fail_are_played_more(environment: Environment, solvable: torch.Tensor, policy: Any) -> None:
-    """Two rollouts for a start that succeeds, two and `samples` for one that does not."""
-    solved = SolvedStates(environment.rules, solvable)
-    first = roll_out(environment, policy, solvable)
-    good = solvable[first.success][:5]
-    assert improve(environment, policy, solved, good).rollouts == 10
-    bad = solvable[~first.success]
-    assert improve(environment, policy, solved, bad, samples=6).rollouts > 2 * len(bad)
-
-
 def test_searches_find_what_rollouts_do_not(environment: Environment, solvable: torch.Tensor) -> None:
     """A policy that always errs succeeds nowhere, yet a search that it guides finds the ways."""
 
@@ -126,27 +98,20 @@ def test_searches_find_what_rollouts_do_not(environment: Environment, solvable: 
             logits[:, 0] = 40.0  # ... which it soon is
             return logits, torch.zeros(len(states))
 
-    solved = SolvedStates(environment.rules)
     complete = environment.rules.complete()
-    found = improve(environment, Wrong(), solved, complete, width=16)
-    assert (found.succeeded, found.searched, found.found) == (0, 1, 1)
-    assert rows(complete) <= rows(solved.states) <= rows(solvable)
-
-
-def test_same_seed_same_round(environment: Environment, solvable: torch.Tensor, policy: Any) -> None:
-    rounds = []
-    for _ in range(2):
-        solved = SolvedStates(environment.rules, solvable[::3])
-        improve(environment, policy, solved, solved.states, generator=environment.generator(5))
-        rounds.append(solved.states)
-    assert torch.equal(*rounds)
+    assert not roll_out(environment, Wrong(), complete).success.any()
+    found = search_from(environment, Wrong(), complete, width=16)
+    assert found.found.all()
+    assert rows(complete) <= rows(found.states) <= rows(solvable)
+    (decider,) = solve_all(environment, Wrong(), complete, samples=0).decided_by
+    assert decider == Decider.GUIDED
 
 
 def test_everything_is_solved(environment: Environment, graph: StateGraph, solvable: torch.Tensor, policy: Any) -> None:
     """Every solvable state gets a plan from somebody, and no other state does."""
     solved = solve_all(environment, policy, solvable)
     assert solved.share == 1.0
-    record = solved.record()
+    record = solved.to_dict()
     assert record["share"] == 1.0
     assert sum(record["decided_by"].values()) == record["states"] == len(solvable)
     hopeless = environment.rules.put(graph.states[~graph.solvable])
@@ -154,7 +119,7 @@ def test_everything_is_solved(environment: Environment, graph: StateGraph, solva
         assert solve_all(environment, policy, hopeless).share == 0.0
     alone = solve_all(environment, policy, solvable, samples=0, widths=(), plain_limit=len(solvable))
     assert alone.share == 1.0
-    assert alone.record()["decided_by"]["search"] > 0
+    assert alone.to_dict()["decided_by"]["search"] > 0
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
@@ -169,21 +134,10 @@ def test_on_a_gpu(graph: StateGraph) -> None:
     np.testing.assert_array_equal(
         search_from(environment, policy, states, width=64).found.cpu().numpy(), graph.solvable
     )
-    solved = SolvedStates(environment.rules, states[good][::2])
-    improve(environment, policy, solved, solved.states, generator=environment.generator(0))
-    assert rows(solved.states.cpu()) <= rows(states[good].cpu())
     assert solve_all(environment, policy, states[good]).share == 1.0
     answer = Replanner(ARCH, policy).replan(environment.rules.complete()[0].cpu().numpy(), confidences=True)
     assert answer.plan is not None
     assert validate_plan(answer.plan, ARCH).good
-
-
-def test_bad_numbers(environment: Environment, solvable: torch.Tensor, policy: Any) -> None:
-    solved = SolvedStates(environment.rules, solvable)
-    with pytest.raises(InputError, match="at least 1 sample"):
-        improve(environment, policy, solved, solvable, samples=0)
-    with pytest.raises(InputError, match="width of 1"):
-        improve(environment, policy, solved, solvable, width=0)
 
 
 def test_the_graph_has_traps(graph: StateGraph) -> None:

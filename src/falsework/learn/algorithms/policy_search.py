@@ -1,0 +1,125 @@
+"""Proven plans from many states at once: the policy first, then searches where it fails."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+import torch
+
+from falsework.learn.algorithms.policy_beam import search_from
+from falsework.learn.env.environment import Environment
+from falsework.learn.env.rollout import Policy, roll_out
+from falsework.replanning.result import Decider
+from falsework.search.planner import Planner
+from falsework.search.problem.guide import SupportGuide
+from falsework.search.problem.task import Task
+from falsework.search.settings import PlannerSettings
+
+_ROWS = 1 << 14
+"""Rollouts whose states are in memory together."""
+_PLAIN_WIDTH = 64
+"""Widest beam of the search without a policy, in states."""
+
+
+@dataclass(frozen=True, eq=False)
+class SolveReport:
+    """States from which a proven plan was found, and the stage that found it."""
+
+    decided_by: np.ndarray
+    """Name of a `Decider` for each start, `Decider.NOBODY` where no plan was found. Shape (starts,)."""
+    seconds: float
+    verdicts: int
+    stages: dict[str, float] = field(default_factory=dict)
+    """Seconds by stage."""
+
+    @property
+    def share(self) -> float:
+        """Of the starts with a proven plan, between 0 and 1."""
+        return float((self.decided_by != Decider.NOBODY).mean()) if len(self.decided_by) else 1.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        count = {decider.value: int((self.decided_by == decider).sum()) for decider in Decider}
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "decided_by"}
+        return {"states": len(self.decided_by), "share": self.share, "decided_by": count, **own}
+
+
+def solve_all(
+    environment: Environment,
+    policy: Policy,
+    starts: torch.Tensor,
+    targets: torch.Tensor | None = None,
+    *,
+    samples: int = 16,
+    widths: tuple[int, ...] = (8, 64),
+    plain_limit: int = 64,
+    generator: torch.Generator | None = None,
+) -> SolveReport:
+    """Find a proven plan from every state: the policy first, then searches for what it leaves.
+
+    All stages work on all states that are left at once, except the last, which searches without the policy.
+
+    Args:
+        environment: rules and verdicts.
+        policy: plays and guides.
+        starts: stable, `uint8` on the device, shape (starts, parts).
+        targets: shape (starts, parts), or None.
+        samples: rollouts drawn from each state from which the most probable actions fail.
+        widths: of the beams that the policy guides, in turn.
+        plain_limit: states that are searched from without the policy, at most.
+        generator: of drawn actions.
+    """
+    begun, asked = time.perf_counter(), environment.counters.states_asked
+    decided = np.full(len(starts), Decider.NOBODY, dtype=object)
+    stages: dict[str, float] = {}
+
+    def settle(rows: torch.Tensor, good: torch.Tensor, by: Decider, since: float) -> torch.Tensor:
+        decided[rows[good].cpu().numpy()] = by
+        stages[by.value] = stages.get(by.value, 0.0) + time.perf_counter() - since
+        return rows[~good]
+
+    def aims(rows: torch.Tensor) -> torch.Tensor | None:
+        return None if targets is None else targets[rows]
+
+    left, since = torch.arange(len(starts), device=starts.device), time.perf_counter()
+    left = settle(left, roll_out(environment, policy, starts, targets, keep="ends").success, Decider.GREEDY, since)
+    if len(left) and samples:
+        since, rows = time.perf_counter(), left.repeat_interleave(samples)
+        options: dict[str, Any] = {"greedy": False, "generator": generator, "keep": "ends"}
+        good = [
+            roll_out(environment, policy, starts[piece], aims(piece), **options).success for piece in rows.split(_ROWS)
+        ]
+        left = settle(left, torch.cat(good).view(len(left), samples).any(dim=1), Decider.SAMPLED, since)
+    for width in widths:
+        if len(left) == 0:
+            break
+        since = time.perf_counter()
+        good = [
+            search_from(environment, policy, starts[piece], aims(piece), width=width).found
+            for piece in left.split(max(_ROWS // width, 1))
+        ]
+        left = settle(left, torch.cat(good), Decider.GUIDED, since)
+    if len(left) and plain_limit:
+        since, rows = time.perf_counter(), left[:plain_limit]
+        good = [_plain(environment, starts[row], None if targets is None else targets[row]) for row in rows]
+        settle(rows, torch.tensor(good, device=starts.device), Decider.SEARCH, since)
+    verdicts = environment.counters.states_asked - asked
+    return SolveReport(decided, time.perf_counter() - begun, verdicts, stages)
+
+
+def _plain(environment: Environment, start: torch.Tensor, target: torch.Tensor | None) -> bool:
+    """Whether a search without a policy finds a plan."""
+    rules = environment.rules
+    task = Task.create(
+        rules.task.boundary,
+        rules.task.robots,
+        start=start.cpu().numpy(),
+        target=None if target is None else target.cpu().numpy(),
+        fixed=rules.task.fixed,
+        clearance=rules.task.clearance,
+    )
+    planner = Planner(task, environment.oracle, PlannerSettings(_PLAIN_WIDTH), guide=SupportGuide(environment.assembly))
+    return planner.run().found

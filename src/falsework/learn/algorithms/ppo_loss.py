@@ -1,0 +1,73 @@
+"""Loss of proximal policy optimisation (Schulman et al. 2017): clipped surrogate, value error, entropy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from falsework.learn.algorithms.rollout_storage import Transitions
+from falsework.learn.networks.policy import masked_log_probabilities
+
+_CLIP_RATIO = 0.2
+"""Distance of the ratio of new to old probability from 1 beyond which nothing more is gained."""
+_VALUE_WEIGHT = 0.5
+"""Weight of the error of the value head."""
+_PROBABILITY_RANGE = 0.4999
+"""Half the range of estimated success probabilities: never 0 nor 1, whose logarithm would be infinite."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loss:
+    """Loss of a batch and its terms."""
+
+    total: torch.Tensor
+    surrogate: torch.Tensor
+    """Of each transition, shape (batch,)."""
+    statistics: torch.Tensor
+    """Surrogate loss, value error, entropy, divergence, share of clipped ratios; means, shape (5,)."""
+
+
+def ppo_loss(
+    logits: torch.Tensor,
+    value: torch.Tensor,
+    batch: Transitions,
+    *,
+    weight: torch.Tensor,
+    entropy_weight: torch.Tensor,
+    probabilities: bool,
+) -> Loss:
+    """Compute the clipped surrogate loss, the error of the value, and the entropy.
+
+    Args:
+        logits: shape (batch, 2 parts).
+        value: shape (batch,).
+        batch: transitions.
+        weight: of each in the loss; 0 for padding. Shape (batch,).
+        entropy_weight: of each, shape (batch,).
+        probabilities: the value estimates the probability of success, by cross entropy; else returns, by squared error.
+    """
+    log_probability = masked_log_probabilities(logits, batch.mask)
+    taken = log_probability.gather(1, batch.actions[:, None])[:, 0]
+    logarithm = taken - batch.log_probability
+    ratio = logarithm.exp()
+    low, high = 1.0 - _CLIP_RATIO, 1.0 + _CLIP_RATIO
+    surrogate = -torch.min(ratio * batch.advantage, ratio.clamp(low, high) * batch.advantage)
+    if probabilities:
+        chance = 0.5 + _PROBABILITY_RANGE * value
+        # Written out: torch's own aborts at values that are no numbers, which the guard of the optimizer is to report.
+        error = -(batch.returns * chance.log() + (1 - batch.returns) * (1 - chance).log())
+    else:
+        error = (value - batch.returns).square()
+    # An illegal action has probability zero and adds nothing; its logarithm is minus infinity and would make NaN.
+    finite = log_probability.masked_fill(~batch.mask, 0.0)
+    entropy = -(finite.exp() * batch.mask * finite).sum(dim=1)
+    count = weight.count_nonzero().clamp(min=1)
+    each = surrogate + _VALUE_WEIGHT * error - entropy_weight * entropy
+    with torch.no_grad():
+        clipped = ((ratio - 1).abs() > _CLIP_RATIO).float()
+        # http://joschu.net/blog/kl-approx.html: never negative, and of small variance.
+        divergence = (ratio - 1) - logarithm
+        columns = torch.stack([surrogate, error, entropy, divergence, clipped])
+        statistics = torch.where(weight > 0, columns, 0.0).sum(dim=1) / count
+    return Loss((each * weight).sum() / count, surrogate.detach(), statistics)
