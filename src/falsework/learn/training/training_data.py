@@ -129,13 +129,14 @@ def collect_training_data(
     if fresh and shards.first:
         _keep(path, data.save, note)
     held_out = symmetric_images(data.test, permutations)
-    starts = np.concatenate([data.train, data.more])
+    held = StateIndex(held_out)
+    train, more = (states[held.find(states) < 0] for states in (data.train, data.more))
     return TrainingData(
-        put(starts[StateIndex(held_out).find(starts) < 0], device),
+        put(np.concatenate([train, more]), device),
         None,
         None,
         put(held_out, device),
-        {"train": (sample(data.train, count), None), "test": (sample(data.test, count), None)},
+        {"train": (sample(train, count), None), "test": (sample(data.test, count), None)},
         time.perf_counter() - begun,
     )
 
