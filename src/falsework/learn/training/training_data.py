@@ -14,7 +14,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings
-from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, load_dataset, task_for
+from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, load_dataset, save_dataset, task_for
 from falsework.learn.data.goal_dataset import Searched, TargetDataset, TargetDataSettings, target_dataset
 from falsework.learn.data.goal_pairs import Pairs
 from falsework.learn.data.random_walks import TaskSource, Ways
@@ -127,7 +127,7 @@ def collect_training_data(
             f"{settings.criterion}; choose one of them for both"
         )
     if fresh and shards.first:
-        _keep(path, data.save, note)
+        _keep(path, lambda where: save_dataset(data, where), note)
     held_out = symmetric_images(np.concatenate([data.test, data.validation]), images)
     held = StateIndex(held_out)
     train, more = (states[held.find(states) < 0] for states in (data.train, data.more))
