@@ -36,7 +36,6 @@ from falsework.learn.training.checkpoint import load_run  # noqa: E402
 from falsework.learn.training.logger import read_progress  # noqa: E402
 from falsework.learn.training.train import TrainResult, train  # noqa: E402
 from falsework.learn.training.trainer import Trainer  # noqa: E402
-from falsework.learn.training.training_data import symmetric_images  # noqa: E402
 from falsework.utils.archive import write_whole  # noqa: E402
 
 IMITATION = ImitationPhase(batch=16)
