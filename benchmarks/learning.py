@@ -14,7 +14,7 @@ A row is a structure, by the name of a real one (FALSEWORK_DATA, else the folder
 built-in one or by its path, and a number of robots. `table3`: greedy success on the training and the test set, all
 states of them, `random` beside it for uniformly random legal actions, `paper` where the paper has the row; `--data
 width64` learns from the paper's data alone, `--search` adds the share of test states with a proven plan. `table4`: two
-states, beside a policy that is not told the target, or one of the two (`--told`). `table5`: graph network, attention
+states, beside a goal-blind policy, or one of the two (`--goals`). `table5`: graph network, attention
 between parts and perceptrons with the same budget. `transfer`: a policy of the bottle asked about the dog. `methods`:
 curves of all presets of training. `minutes` is the budget for everything from the meshes on, `seconds` what it came to;
 evaluating all states comes on top. Rows are independent: run them as processes of their own, each with its
@@ -138,7 +138,7 @@ def evaluated(
     clearance = settings.removable_only_if_clear
     environment = Environment(assembly, settings.robots, oracle=oracle, device=device, clearance=clearance)
     network: Any = Network(result.policy, filled.precision)
-    if settings.policy.two_states or one_state:
+    if settings.policy.goal_conditioned or one_state:
         narrow = replace(filled, data="width64")
         pairs = find_pairs(assembly, narrow, oracle_on(oracle, device), device=device)
         sets: Any = {
@@ -185,7 +185,7 @@ def line(
         criterion=settings.criterion,
         phases=[phase.algorithm for phase in settings.phases],
         policy=result.policy.settings.kind,
-        two_states=settings.policy.two_states,
+        goal_conditioned=settings.policy.goal_conditioned,
         **found,
         **known,
         seconds=round(result.seconds, 1),
@@ -193,7 +193,7 @@ def line(
         training_seconds=round(result.seconds - result.data_seconds, 1),
         steps=result.steps,
         states_learned_from=result.solved,
-        test_states_met=round(result.met_share, 4),
+        held_out_visit_rate=round(result.held_out_visit_rate, 4),
         device=next(result.policy.parameters()).device,
         processes=result.processes,
         environment=result.throughput,
@@ -212,11 +212,11 @@ def table3(options: argparse.Namespace) -> None:
 
 
 def table4(options: argparse.Namespace) -> None:
-    """Greedy success from states to other states, told the target and not told."""
+    """Greedy success from states to other states, goal-conditioned and goal-blind."""
     for name, assembly, robots, seeds in rows_of(options):
         for seed in seeds[:1]:
-            for two in {"both": (True, False), "yes": (True,), "no": (False,)}[options.told]:
-                kind = recommended(assembly.part_count, two_states=two, kind=options.policy or None)
+            for two in {"both": (True, False), "yes": (True,), "no": (False,)}[options.goals]:
+                kind = recommended(assembly.part_count, goal_conditioned=two, kind=options.policy or None)
                 settings = settings_of(options, name, robots, seed, policy=kind)
                 label = f"{name}:{robots} {'two states' if two else 'one state'} seed {seed}"
                 result = run(options, name, assembly, settings, label)
@@ -229,7 +229,7 @@ def table5(options: argparse.Namespace) -> None:
     """Networks against each other with the same budget."""
     for name, assembly, robots, seeds in rows_of(options):
         for seed in seeds:
-            for kind in ("residual", "parts", "graph", "mlp"):
+            for kind in ("resmlp", "transformer", "gat", "mlp"):
                 settings = settings_of(options, name, robots, seed, policy=PolicySettings(kind))
                 result = run(options, name, assembly, settings, f"{name}:{robots} {kind} seed {seed}")
                 line("table5", name, settings, result, evaluated(options, result, settings, assembly))
@@ -242,7 +242,7 @@ def carry_over(options: argparse.Namespace) -> None:
     other = load_structure(find(goal.rpartition(":")[0]))
     assembly = load_structure(find(name))
     for seed in options.seeds or (0,):
-        kind = PolicySettings(options.policy or "parts")
+        kind = PolicySettings(options.policy or "transformer")
         settings = settings_of(options, name, int(robots), seed, policy=kind)
         result = run(options, name, assembly, settings, f"{name} seed {seed}")
         device = next(result.policy.parameters()).device
@@ -303,13 +303,13 @@ def main() -> None:
     parser.add_argument("--widths", nargs="*", type=int, default=[], help="of the wide searches")
     parser.add_argument("--method", choices=METHODS, default="default")
     parser.add_argument("--imitation-steps", type=int, help="of imitation before PPO; 0 for any number")
-    parser.add_argument("--policy", choices=("residual", "parts", "graph", "mlp"), default="")
+    parser.add_argument("--policy", choices=("resmlp", "transformer", "gat", "mlp"), default="")
     parser.add_argument("--layers", type=int, default=0, help="of the network; 0 for what is recommended")
     parser.add_argument("--channels", type=int, default=0, help="likewise")
     parser.add_argument("--heads", type=int, default=0, help="of attention, likewise")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--states", type=int, default=0, help="states evaluated of each set; 0 for all")
-    parser.add_argument("--told", choices=("both", "yes", "no"), default="both", help="which policies table4 trains")
+    parser.add_argument("--goals", choices=("both", "yes", "no"), default="both", help="which policies table4 trains")
     parser.add_argument("--search", action="store_true", help="search where the policy fails")
     parser.add_argument("--keep", default="", help="folder to keep the runs in; those that are there are gone on with")
     parser.add_argument("--curves", default="curves.jsonl", help="what methods printed, for plot")

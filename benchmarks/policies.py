@@ -45,7 +45,7 @@ class Options:
     """Benchmark."""
     structures: tuple[str, ...] = ()
     """Built-in names, paths, or names of real structures."""
-    kinds: tuple[Literal["mlp", "residual", "graph", "parts"], ...] = ("mlp", "residual", "graph", "parts")
+    kinds: tuple[Literal["mlp", "resmlp", "gat", "transformer"], ...] = ("mlp", "resmlp", "gat", "transformer")
     """Networks."""
     robots: int = 2
     """Parts that may be held at once."""

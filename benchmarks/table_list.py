@@ -248,14 +248,16 @@ TABLES = {
             ("seconds", "{seconds}"),
         ),
         benchmark="learning table4",
-        where=lambda record: record["two_states"] and record.get("evaluated") == "all unseen pairs" and on_gpu(record),
+        where=lambda record: (
+            record["goal_conditioned"] and record.get("evaluated") == "all unseen pairs" and on_gpu(record)
+        ),
     ),
     "pairs-not-told": Table(
         "learning",
         STRUCTURE,
         (("unseen pairs, %", "{test.success:%}"), ("training pairs, %", "{train.success:%}")),
         benchmark="learning table4",
-        where=lambda record: not record["two_states"],
+        where=lambda record: not record["goal_conditioned"],
     ),
     "networks": Table(
         "learning",

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from experiments.structure_generator import KINDS, Member, members, turned_copies
-from experiments.transfer import Budget, Workbench
+from experiments.structure_generator import KINDS, TrainingInstance, members, rotated_copies
+from experiments.transfer import Budget, Harness
 from torch import Tensor
 
 from falsework.assembly.model import Assembly
@@ -35,7 +35,7 @@ EVALUATED = 128
 class GeneralistSettings:
     """What a policy for many structures is trained on, and for how long."""
 
-    policy: PolicySettings = field(default_factory=lambda: PolicySettings("parts"))
+    policy: PolicySettings = field(default_factory=lambda: PolicySettings("transformer"))
     """A network whose weights fit any structure."""
     kinds: tuple[str, ...] = tuple(KINDS)
     """Recipes of structures, of `structure_generator.KINDS`."""
@@ -67,7 +67,7 @@ class GeneralistSettings:
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)}; give at least 1")
         if not self.policy.transfers:
-            raise InputError(f"a policy of kind {self.policy.kind} fits one structure only; choose parts or graph")
+            raise InputError(f"a policy of kind {self.policy.kind} fits one structure only; choose transformer or gat")
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ def train_generalist(
     Args:
         settings: what to train on, and for how long.
         device: where.
-        report: told in words what is going on.
+        report: called with progress messages.
 
     Raises:
         InputError: settings that nothing can be trained with.
@@ -135,7 +135,7 @@ def fine_tune(
         the training and test states of the paper's protocol.
     """
     settings = trained.settings
-    bench = Workbench(assembly, settings.robots, device)
+    bench = Harness(assembly, settings.robots, device)
     began = {
         "generalist": transfer(trained.weights, settings.policy, assembly, bench.device),
         "nothing": make_policy(assembly, settings.policy, bench.device, settings.seed),
@@ -149,14 +149,17 @@ def fine_tune(
 
 
 def _train(
-    settings: GeneralistSettings, family: list[Member], device: torch.device, report: Callable[[str], None] | None
+    settings: GeneralistSettings,
+    family: list[TrainingInstance],
+    device: torch.device,
+    report: Callable[[str], None] | None,
 ) -> tuple[Policy, int]:
     gpu = device.type == "cuda"
     batch = (settings.batch or (2048 if gpu else 128)) // settings.mix
     draw = np.random.default_rng(settings.seed)
     generator = torch.Generator(device).manual_seed(settings.seed)
     first = make_policy(family[0].assembly, settings.policy, device, settings.seed)
-    copies = [[share(first, one) for one in turned_copies(member.assembly, settings.turns, draw)] for member in family]
+    copies = [[share(first, one) for one in rotated_copies(member.assembly, settings.turns, draw)] for member in family]
     networks = [[Network(policy, "bfloat16" if gpu else "float32") for policy in turns] for turns in copies]
     weights = list(first.parameters())
     matrices = [weight for weight in weights if weight.dim() > 1]
@@ -199,7 +202,7 @@ def _train(
 
 
 @torch.no_grad()
-def _evaluate(policy: Policy, member: Member, *, seen: bool) -> dict[str, Any]:
+def _evaluate(policy: Policy, member: TrainingInstance, *, seen: bool) -> dict[str, Any]:
     moved = transfer(policy.state_dict(), policy.settings, member.assembly, member.environment.device)
     states = sample(member.solved.states.cpu().numpy(), EVALUATED)
     success, _ = greedy_success(member.environment, moved, torch.from_numpy(states).to(member.environment.device))

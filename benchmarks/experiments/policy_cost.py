@@ -12,7 +12,7 @@ from falsework.assembly.model import Assembly
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.networks.factory import describe, make_policy
 
-KINDS = (PolicySettings("mlp"), PolicySettings("residual"), PolicySettings("graph"), PolicySettings("parts"))
+KINDS = (PolicySettings("mlp"), PolicySettings("resmlp"), PolicySettings("gat"), PolicySettings("transformer"))
 
 
 def policy_cost(

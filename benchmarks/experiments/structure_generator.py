@@ -13,7 +13,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.learn.data.dataset import search_states, task_for
-from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
 from falsework.search.device.oracle import HostOracle
 from falsework.stability.oracle import Stability
@@ -71,13 +71,13 @@ KINDS: dict[str, Callable[[Draw], str]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Member:
+class TrainingInstance:
     """One structure of a family, with states that are known to be solvable."""
 
     name: str
     assembly: Assembly
     environment: Environment
-    solved: SolvedStates
+    solved: SolvableStates
 
 
 def specifications(kinds: tuple[str, ...], seed: int, avoid: frozenset[str] = frozenset()) -> Iterator[str]:
@@ -109,7 +109,7 @@ def members(
     width: int = 64,
     device: torch.device | str = "cpu",
     report: Callable[[str], None] | None = None,
-) -> list[Member]:
+) -> list[TrainingInstance]:
     """Make structures, and search them from the empty structure.
 
     Parameters that make no structure, and structures that these robots cannot build or that the search does not
@@ -123,13 +123,13 @@ def members(
         robots: parts that may be held at once.
         width: of the searches.
         device: where.
-        report: told about each structure.
+        report: called with progress messages.
 
     Raises:
         InputError: an unknown kind, or hardly any parameters make a structure that can be built.
     """
     where = choose_device(str(device))
-    found: list[Member] = []
+    found: list[TrainingInstance] = []
     for tried, name in enumerate(specifications(kinds, seed, avoid)):
         if len(found) == count:
             break
@@ -145,8 +145,8 @@ def members(
         if not complete:
             continue
         environment = Environment(assembly, robots, oracle=oracle, device=where)
-        solved = SolvedStates(environment.rules, torch.from_numpy(states))
-        found.append(Member(name, assembly, environment, solved))
+        solved = SolvableStates(environment.rules, torch.from_numpy(states))
+        found.append(TrainingInstance(name, assembly, environment, solved))
         if report is not None:
             report(f"{len(found)} of {count}: {name}, {len(solved)} states")
     return found
@@ -171,7 +171,7 @@ def turned(assembly: Assembly, angle: float) -> Assembly:
     )
 
 
-def turned_copies(assembly: Assembly, count: int, draw: np.random.Generator) -> Iterator[Assembly]:
+def rotated_copies(assembly: Assembly, count: int, draw: np.random.Generator) -> Iterator[Assembly]:
     """The structure as it is, and turned about the vertical by random angles, to learn that directions mean nothing.
 
     Args:

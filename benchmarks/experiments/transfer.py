@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from experiments.structure_generator import turned_copies
+from experiments.structure_generator import rotated_copies
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.symmetry import symmetries
@@ -17,7 +17,7 @@ from falsework.learn.algorithms.imitation import Imitation
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
-from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.factory import describe, make_policy, share, transfer
@@ -50,7 +50,7 @@ class Budget:
         return self.steps or self.seconds
 
 
-class Workbench:
+class Harness:
     """All that is needed to train and test policies of one structure by imitation."""
 
     def __init__(
@@ -78,9 +78,9 @@ class Workbench:
             dataset = build_dataset(assembly, task, data or DataSettings(), device=str(self.device))
         self.dataset = dataset
         self.rules = self.environment.rules
-        self.solved = SolvedStates(self.rules)
+        self.solved = SolvableStates(self.rules)
         held_out = np.concatenate([dataset.test, dataset.validation])
-        self.solved.forbid(torch.from_numpy(symmetric_images(held_out, symmetries(assembly))))
+        self.solved.hold_out(torch.from_numpy(symmetric_images(held_out, symmetries(assembly))))
         for states in (dataset.train, dataset.more):
             self.solved.add(torch.from_numpy(states))
 
@@ -106,7 +106,7 @@ class Workbench:
         student = make_policy(self.assembly, policy.settings, self.device)
         student.load_state_dict(policy.state_dict())
         begin = time.perf_counter()
-        copies = list(turned_copies(self.assembly, turns, np.random.default_rng(seed)))[1:]
+        copies = list(rotated_copies(self.assembly, turns, np.random.default_rng(seed)))[1:]
         work = Imitation(
             student,
             self.solved,
@@ -160,7 +160,7 @@ def compare_networks(
     Yields:
         For each network `kind`, `parameters`, `seconds`, `steps`, and greedy success on `train` and `test` states.
     """
-    bench = Workbench(assembly, robots, device)
+    bench = Harness(assembly, robots, device)
     for one in settings:
         policy = make_policy(assembly, one, bench.device, seed)
         begin = time.perf_counter()
@@ -210,13 +210,13 @@ def transfer_experiment(
     Raises:
         InputError: a network that knows parts by their number.
     """
-    home = Workbench(source, robots, device, data)
+    home = Harness(source, robots, device, data)
     policy = make_policy(source, settings, home.device, seed)
     transfer(policy.state_dict(), settings, source)  # refuses before the time is spent
     trained, _ = home.imitate(policy, budget, batch=batch, seed=seed, turns=turns)
     yield _row(source, source, 0, "weights", home.success(trained))
     for other in others:
-        away = Workbench(other, robots, device, data)
+        away = Harness(other, robots, device, data)
         moved = transfer(trained.state_dict(), settings, other, away.device)
         yield _row(source, other, 0, "weights", away.success(moved))
         yield _row(source, other, 0, "nothing", away.success(make_policy(other, settings, away.device, seed)))

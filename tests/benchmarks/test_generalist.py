@@ -7,8 +7,8 @@ import pytest
 import torch
 from experiments.generalist import GeneralistSettings, fine_tune, train_generalist
 from experiments.policy_cost import policy_cost
-from experiments.structure_generator import turned_copies
-from experiments.transfer import Budget, Workbench, compare_networks, transfer_experiment
+from experiments.structure_generator import rotated_copies
+from experiments.transfer import Budget, Harness, compare_networks, transfer_experiment
 
 from falsework.assembly import load_structure
 from falsework.errors import InputError
@@ -16,7 +16,7 @@ from falsework.learn.config.policy import PolicySettings
 from falsework.learn.networks.factory import make_policy, transfer
 from falsework.learn.training.evaluate import greedy_success
 
-SMALL = PolicySettings("parts", layers=2, channels=32, heads=4)
+SMALL = PolicySettings("transformer", layers=2, channels=32, heads=4)
 
 
 def tiny(**options: object) -> GeneralistSettings:
@@ -50,14 +50,17 @@ def test_the_same_seed_trains_the_same_policy() -> None:
 
 @pytest.mark.parametrize(
     ("options", "words"),
-    [({"policy": PolicySettings("mlp")}, "fits one structure only; choose parts or graph"), ({"mix": 0}, "mix is 0")],
+    [
+        ({"policy": PolicySettings("mlp")}, "fits one structure only; choose transformer or gat"),
+        ({"mix": 0}, "mix is 0"),
+    ],
 )
 def test_wrong_settings_are_refused(options: dict, words: str) -> None:
     with pytest.raises(InputError, match=words):
         tiny(**options)
 
 
-@pytest.mark.parametrize("kind", ["parts", "graph"])
+@pytest.mark.parametrize("kind", ["transformer", "gat"])
 def test_a_policy_moves_to_another_structure(kind: str) -> None:
     settings = PolicySettings(kind, layers=2, channels=16, heads=2)  # type: ignore[arg-type]
     source, other = load_structure("arch:blocks=5"), load_structure("arch:blocks=6,thickness=0.3")
@@ -78,7 +81,7 @@ def test_policies_that_know_parts_by_number_are_refused_at_once() -> None:
 def test_networks_are_compared_on_the_same_data_for_the_same_time() -> None:
     settings = [PolicySettings("mlp"), SMALL]
     rows = list(compare_networks(load_structure("arch:blocks=5"), settings, budget=Budget(steps=100)))
-    assert [row["kind"] for row in rows] == ["mlp", "parts"]
+    assert [row["kind"] for row in rows] == ["mlp", "transformer"]
     assert rows[0]["states"] == rows[1]["states"]
     assert all(row["success"]["train"] > 0.8 for row in rows)
 
@@ -95,7 +98,7 @@ def test_operations_of_attention_are_those_of_its_docstring() -> None:
     """`L (2 m c^2 (4 + 2 e) + 4 m^2 c)`, and little besides."""
     vault = load_structure("vault:parts=40")
     m, c = vault.part_count, 128
-    row = policy_cost(vault, [PolicySettings("parts")])[0]
+    row = policy_cost(vault, [PolicySettings("transformer")])[0]
     formula = 4 * (2 * m * c * c * (4 + 2 * 2) + 4 * m * m * c)
     assert formula < row["flops_forward"] < 1.15 * formula
 
@@ -103,10 +106,10 @@ def test_operations_of_attention_are_those_of_its_docstring() -> None:
 def test_turned_copies_train_the_policy_itself() -> None:
     """Steps on the copies move the one set of weights, and a turned structure is as well known as the one as it was."""
     arch = load_structure("arch:blocks=5")
-    bench = Workbench(arch)
-    settings = PolicySettings("parts", layers=2, channels=16, heads=2)
+    bench = Harness(arch)
+    settings = PolicySettings("transformer", layers=2, channels=16, heads=2)
     policy = make_policy(arch, settings, "cpu", 0)
-    copies = list(turned_copies(arch, 4, np.random.default_rng(0)))
+    copies = list(rotated_copies(arch, 4, np.random.default_rng(0)))
     assert copies[0] is arch
     assert len({copy.meshes[0].vertices.tobytes() for copy in copies}) == 4
     trained, steps = bench.imitate(policy, Budget(steps=60), turns=4)

@@ -53,7 +53,7 @@ def run(method: str, folder: Path, kept: dict[str, Trainer]) -> None:
         data="width64",
         evaluate_every=1,
         evaluation_states=32,
-        policy=PolicySettings("residual", channels=16, layers=1),
+        policy=PolicySettings("resmlp", channels=16, layers=1),
     )
     folder.mkdir(exist_ok=True)
     result = module.train(load_structure("arch:blocks=13"), settings, folder=folder / "run", device="cpu", logs=())

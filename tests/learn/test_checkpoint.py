@@ -22,7 +22,7 @@ from falsework.learn.networks.factory import describe, make_policy  # noqa: E402
 from falsework.learn.training import checkpoint as module  # noqa: E402
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, load_run, save_run  # noqa: E402
 
-SETTINGS = TrainSettings(policy=PolicySettings("residual", channels=8, layers=1), widths=(4, 8), robots=3)
+SETTINGS = TrainSettings(policy=PolicySettings("resmlp", channels=8, layers=1), widths=(4, 8), robots=3)
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ from falsework.stability import Stability  # noqa: E402
 
 WIDE = "arch:blocks=13"
 """Has more states than a search of width 64 finds from either end."""
-PARTS = PolicySettings("parts", channels=16, layers=1, heads=2)
+PARTS = PolicySettings("transformer", channels=16, layers=1, heads=2)
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +132,7 @@ def test_a_policy_of_one_state_is_masked_to_targets(tmp_path: Path, capsys: pyte
     assert main(["evaluate", str(folder), "--json", "--targets", "--states", "50", "--device", "cpu"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["targets"]
-    assert not record["two_states"]
+    assert not record["goal_conditioned"]
     assert 0 < record["test"]["success"] <= 1
 
 
@@ -141,7 +141,7 @@ def test_a_policy_of_two_states_learns_targets(method: Any, tmp_path: Path) -> N
     settings = TrainSettings(
         phases=tuple(replace(one, batch=64) if isinstance(one, ImitationPhase) else one for one in METHODS[method]),
         steps=120 if method == "imitation" else 20,
-        policy=PolicySettings("residual", two_states=True, channels=32, layers=1),
+        policy=PolicySettings("resmlp", goal_conditioned=True, channels=32, layers=1),
         pairs=500,
         widths=(8,),
         evaluation_states=64,
@@ -158,7 +158,7 @@ def test_a_resumed_run_with_targets_does_not_search_again(tmp_path: Path, monkey
     settings = TrainSettings(
         steps=20,
         block=10,
-        policy=PolicySettings("residual", two_states=True, channels=32, layers=1),
+        policy=PolicySettings("resmlp", goal_conditioned=True, channels=32, layers=1),
         pairs=100,
         widths=(8,),
         evaluation_states=32,

@@ -13,7 +13,7 @@ from falsework.learn.config.policy import PolicySettings
 from falsework.learn.networks import graph_attention as graph_network
 from falsework.learn.networks.factory import make_policy
 from falsework.learn.networks.force_torque_graph import ForceTorqueGraph
-from falsework.learn.networks.graph_attention import GraphPolicy, _Layer
+from falsework.learn.networks.graph_attention import GraphAttentionPolicy, _Layer
 
 Nodes = dict[str, dict[int, Tensor]]
 
@@ -84,14 +84,16 @@ def layer_by_edges(layer: _Layer, nodes: Nodes, edges: dict[tuple[str, str, str]
 
 
 def evaluate_by_edges(
-    policy: GraphPolicy, graph: ForceTorqueGraph, state: np.ndarray, target: np.ndarray | None
+    policy: GraphAttentionPolicy, graph: ForceTorqueGraph, state: np.ndarray, target: np.ndarray | None
 ) -> tuple[Tensor, Tensor]:
     """Logits and value of one state."""
     there = {kind: np.flatnonzero(mask[0]).tolist() for kind, mask in graph.present(state[None]).items()}
-    aim = np.where(graph.boundary, 2, 0) if target is None else target
+    goal = np.where(graph.boundary, 2, 0) if target is None else target
     nodes: Nodes = {"part": {}, "force": {}, "torque": {}}
     for part in there["part"]:
-        flags = [float(state[part] == 2), float(aim[part] > 0)] + [float(aim[part] == 2)] * policy.settings.two_states
+        flags = [float(state[part] == 2), float(goal[part] > 0)] + [
+            float(goal[part] == 2)
+        ] * policy.settings.goal_conditioned
         nodes["part"][part] = policy.part_in(torch.tensor([*flags, float(graph.mass[part])]))
     for force in there["force"]:
         nodes["force"][force] = policy.force_in(torch.tensor(graph.normals[force]))
@@ -109,14 +111,14 @@ def evaluate_by_edges(
     return logits.flatten(), torch.tanh(policy.value_head(elu(policy.value_hidden(mean))))[0]
 
 
-@pytest.mark.parametrize("two_states", [False, True])
+@pytest.mark.parametrize("goal_conditioned", [False, True])
 @pytest.mark.parametrize("name", ["polycube:pieces=6,size=3", "dome:rings=1,blocks=4", "arch:blocks=4"])
-def test_agrees_with_a_network_that_goes_from_edge_to_edge(name: str, two_states: bool) -> None:
+def test_agrees_with_a_network_that_goes_from_edge_to_edge(name: str, goal_conditioned: bool) -> None:
     assembly = load_structure(name)
     graph = ForceTorqueGraph.of(assembly)
-    settings = PolicySettings("graph", two_states=two_states, layers=2, channels=8, heads=2)
+    settings = PolicySettings("gat", goal_conditioned=goal_conditioned, layers=2, channels=8, heads=2)
     policy = make_policy(assembly, settings, seed=1)
-    assert isinstance(policy, GraphPolicy)
+    assert isinstance(policy, GraphAttentionPolicy)
     with torch.no_grad():
         for weight in policy.parameters():  # far from special values such as zero biases
             weight.add_(0.3 * torch.randn(weight.shape, generator=torch.Generator().manual_seed(weight.numel())))
@@ -125,9 +127,9 @@ def test_agrees_with_a_network_that_goes_from_edge_to_edge(name: str, two_states
         states[0] = 1
         states[1] = 0
         states[:, assembly.boundary] = targets[:, assembly.boundary] = 2
-        logits, value = policy(torch.from_numpy(states), torch.from_numpy(targets) if two_states else None)
+        logits, value = policy(torch.from_numpy(states), torch.from_numpy(targets) if goal_conditioned else None)
         for row, state in enumerate(states):
-            target = targets[row] if two_states else None
+            target = targets[row] if goal_conditioned else None
             wanted_logits, wanted_value = evaluate_by_edges(policy, graph, state, target)
             torch.testing.assert_close(logits[row], wanted_logits, atol=2e-5, rtol=1e-4)
             torch.testing.assert_close(value[row], wanted_value, atol=2e-5, rtol=1e-4)
@@ -136,8 +138,8 @@ def test_agrees_with_a_network_that_goes_from_edge_to_edge(name: str, two_states
 def test_parts_that_are_gone_have_no_influence() -> None:
     """Neither their features, nor those of their forces and torques, change anything."""
     assembly = load_structure("bottle")
-    policy = make_policy(assembly, PolicySettings("graph", layers=3))
-    assert isinstance(policy, GraphPolicy)
+    policy = make_policy(assembly, PolicySettings("gat", layers=3))
+    assert isinstance(policy, GraphAttentionPolicy)
     state = torch.ones((1, assembly.part_count), dtype=torch.uint8)
     state[:, policy.fixed] = 2
     gone = [2, 5]
@@ -158,7 +160,7 @@ def test_parts_that_are_gone_have_no_influence() -> None:
 
 def test_large_batches_without_gradient_go_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     assembly = load_structure("arch:blocks=4")
-    policy = make_policy(assembly, PolicySettings("graph", layers=2))
+    policy = make_policy(assembly, PolicySettings("gat", layers=2))
     states = torch.randint(
         0, 3, (50, assembly.part_count), dtype=torch.uint8, generator=torch.Generator().manual_seed(0)
     )
@@ -172,7 +174,7 @@ def test_large_batches_without_gradient_go_in_pieces(monkeypatch: pytest.MonkeyP
 
 def test_extreme_scores_do_not_break_the_softmax() -> None:
     assembly = load_structure("arch:blocks=4")
-    policy = make_policy(assembly, PolicySettings("graph", layers=2))
+    policy = make_policy(assembly, PolicySettings("gat", layers=2))
     with torch.no_grad():
         for name, weight in policy.named_parameters():
             if "sends" in name or "asks" in name:

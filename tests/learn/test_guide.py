@@ -27,7 +27,7 @@ TASK = task_of(ARCH)
 
 @pytest.fixture(scope="module", params=[False, True], ids=["one state", "two states"])
 def guide(request: pytest.FixtureRequest) -> PolicyGuide:
-    policy = make_policy(ARCH, PolicySettings(kind="mlp", two_states=request.param), seed=1)
+    policy = make_policy(ARCH, PolicySettings(kind="mlp", goal_conditioned=request.param), seed=1)
     with torch.no_grad():  # the heads begin almost even, which would make the tests idle
         policy.action_head.weight.mul_(200)  # type: ignore[operator, union-attr]
     return PolicyGuide(policy, task=TASK)

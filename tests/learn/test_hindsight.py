@@ -11,7 +11,7 @@ from falsework.assembly import Assembly  # noqa: E402
 from falsework.learn.algorithms.hindsight import relabel  # noqa: E402
 from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions  # noqa: E402
 from falsework.learn.data.goal_pairs import sample_pairs  # noqa: E402
-from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
+from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.training.evaluate import GoalBlindPolicy  # noqa: E402
@@ -40,7 +40,7 @@ def test_relabelled_rollouts_are_paths_to_visited_states(bottle: Assembly) -> No
     options = {"discount": 1.0, "gae_lambda": 0.9, "probabilities": True}
     played = collect_transitions(environment, policy, starts, None, environment.generator(0), **options)
     assert not played.success.all()
-    solved = SolvedStates(environment.rules)
+    solved = SolvableStates(environment.rules)
     states, goals, actions = relabel(played, 60, solved, environment.generator(1))
     assert 40 < len(states) <= 60
     replay(bottle, ExactSolver(bottle), states, goals, actions)
@@ -53,17 +53,17 @@ def test_relabelled_rollouts_are_paths_to_visited_states(bottle: Assembly) -> No
         assert done.success.item() == (place == len(rows) - 2)
         assert done.reward.item() == float(place == len(rows) - 2)
     # What is held out becomes neither state nor goal.
-    assert solved.is_forbidden(states).sum() == 0
-    solved.forbid(played.states.unique(dim=0)[::2])
+    assert solved.is_held_out(states).sum() == 0
+    solved.hold_out(played.states.unique(dim=0)[::2])
     states, goals, _ = relabel(played, 600, solved, environment.generator(1))
     assert len(states)
-    assert not (solved.is_forbidden(states) | solved.is_forbidden(goals)).any()
+    assert not (solved.is_held_out(states) | solved.is_held_out(goals)).any()
     assert len(relabel(played.take(rows[:0]), 10, solved, environment.generator(1))[0]) == 0
 
 
 def test_pairs_of_one_rollout_are_drawn_evenly(bottle: Assembly) -> None:
     """First a transition among all, then another of the same rollout: a rollout of three and one of two."""
-    solved = SolvedStates(Environment(bottle, 2, device="cpu").rules)
+    solved = SolvableStates(Environment(bottle, 2, device="cpu").rules)
     rollout = torch.tensor([0, 1, 0, 1, 0])
     number = torch.arange(5)
     states = torch.zeros((5, bottle.part_count), dtype=torch.uint8)

@@ -18,7 +18,7 @@ from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.data.dataset import DataSettings, build_dataset, task_for  # noqa: E402
 from falsework.learn.data.recording_environment import RecordingEnvironment  # noqa: E402
-from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
+from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.networks.autocast import Network  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
@@ -87,7 +87,7 @@ def test_an_action_that_is_not_legal_is_not_imitated() -> None:
 
 def test_it_learns_what_the_valid_actions_are(arch: Any, states: Any) -> None:
     environment = RecordingEnvironment(arch, 2, device="cpu")
-    solved = SolvedStates(environment.rules, torch.from_numpy(states))
+    solved = SolvableStates(environment.rules, torch.from_numpy(states))
     imitation = Imitation(make_policy(arch, SMALL), solved, settings())
     first = imitation.block(20, (0.0, 0.05))["loss"]
     imitation.block(400, (0.05, 1.0))
@@ -98,7 +98,7 @@ def test_it_learns_what_the_valid_actions_are(arch: Any, states: Any) -> None:
 
 def test_the_learning_rate_rises_stays_and_falls(arch: Any, states: Any) -> None:
     environment = RecordingEnvironment(arch, 2, device="cpu")
-    solved = SolvedStates(environment.rules, torch.from_numpy(states))
+    solved = SolvableStates(environment.rules, torch.from_numpy(states))
     imitation = Imitation(make_policy(arch, SMALL), solved, settings(warm_up=10, decay=0.5))
     assert imitation.schedule(0, 0.0) == pytest.approx(0.1)
     assert imitation.schedule(50, 0.3) == imitation.schedule(50, 0.5) == 1.0
@@ -107,12 +107,12 @@ def test_the_learning_rate_rises_stays_and_falls(arch: Any, states: Any) -> None
     assert falling[-1] == pytest.approx(0.01)
 
 
-@pytest.mark.parametrize("kind", ["mlp", "residual", "parts"])
+@pytest.mark.parametrize("kind", ["mlp", "resmlp", "transformer"])
 def test_a_step_that_is_not_finite_is_left_out_and_its_batch_kept(
     arch: Any, states: Any, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     environment = RecordingEnvironment(arch, 2, device="cpu")
-    solved = SolvedStates(environment.rules, torch.from_numpy(states))
+    solved = SolvableStates(environment.rules, torch.from_numpy(states))
     policy = make_policy(arch, PolicySettings(kind, layers=1, channels=8, heads=1))
     imitation = Imitation(policy, solved, settings(batch=16), folder=tmp_path)
     imitation.block(3, (0.0, 0.1))
@@ -138,7 +138,7 @@ def test_a_step_that_is_not_finite_is_left_out_and_its_batch_kept(
 
 def test_saved_and_loaded_it_goes_on_alike(arch: Any, states: Any) -> None:
     environment = RecordingEnvironment(arch, 2, device="cpu")
-    solved = SolvedStates(environment.rules, torch.from_numpy(states))
+    solved = SolvableStates(environment.rules, torch.from_numpy(states))
     whole = Imitation(make_policy(arch, SMALL), solved, settings())
     whole.block(10, (0.0, 0.5))
     other = Imitation(make_policy(arch, SMALL, seed=5), solved, settings(), seed=9)
@@ -153,21 +153,21 @@ def test_saved_and_loaded_it_goes_on_alike(arch: Any, states: Any) -> None:
 def test_a_batch_smaller_than_the_processes_is_refused(arch: Any) -> None:
     environment = RecordingEnvironment(arch, 2, device="cpu")
     with pytest.raises(InputError, match="cannot be shared by 4 processes"):
-        Imitation(make_policy(arch, SMALL), SolvedStates(environment.rules), settings(batch=3), shards=Shards(0, 4))
+        Imitation(make_policy(arch, SMALL), SolvableStates(environment.rules), settings(batch=3), shards=Shards(0, 4))
 
 
 def test_visits_to_held_out_states_are_recorded(arch: Any, states: Any) -> None:
     """By rollouts of training, not while recording is paused."""
     environment = RecordingEnvironment(arch, 2, device="cpu")
-    solved = SolvedStates(environment.rules, torch.from_numpy(states))
-    solved.forbid(torch.from_numpy(states[::3].copy()))
+    solved = SolvableStates(environment.rules, torch.from_numpy(states))
+    solved.hold_out(torch.from_numpy(states[::3].copy()))
     environment.solved = solved
     policy, starts = make_policy(arch, SMALL), solved.states
     with environment.paused_recording():
         assert environment.exact
         roll_out(environment, policy, starts, greedy=False, generator=environment.generator(0))
     assert not environment.exact
-    assert solved.met == 0
+    assert solved.visited == 0
     rollouts = roll_out(environment, policy, starts, greedy=False, generator=environment.generator(0))
     visited = rollouts.states[1:].flatten(0, 1)
-    assert solved.met == len(torch.unique(visited[solved.is_forbidden(visited)], dim=0)) > 0
+    assert solved.visited == len(torch.unique(visited[solved.is_held_out(visited)], dim=0)) > 0

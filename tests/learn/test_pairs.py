@@ -58,14 +58,14 @@ def test_valid_actions_are_legal_for_their_task(bottle: Assembly, bottle_graph: 
 
 def test_forbidden_states_are_in_no_pair(bottle_graph: StateGraph) -> None:
     rng = np.random.default_rng(2)
-    forbidden = bottle_graph.states[rng.permutation(len(bottle_graph))[: len(bottle_graph) // 2]]
-    pairs = PairSource(bottle_graph, forbidden=forbidden).draw(2000, rng)
-    index = StateIndex(np.unique(forbidden, axis=0))
+    held_out = bottle_graph.states[rng.permutation(len(bottle_graph))[: len(bottle_graph) // 2]]
+    pairs = PairSource(bottle_graph, held_out=held_out).draw(2000, rng)
+    index = StateIndex(np.unique(held_out, axis=0))
     assert len(pairs) == 2000
     assert (index.find(pairs.states) < 0).all()
     assert (index.find(pairs.targets) < 0).all()
     with pytest.raises(InputError, match="no way leads between two states of this graph"):
-        PairSource(bottle_graph, forbidden=bottle_graph.states)
+        PairSource(bottle_graph, held_out=bottle_graph.states)
 
 
 def test_same_seed_same_pairs(bottle_graph: StateGraph) -> None:

@@ -17,8 +17,8 @@ from falsework.learn.config.policy import PolicySettings, recommended
 from falsework.learn.networks.factory import describe, make_policy, share, transfer
 from falsework.learn.networks.policy import confidences, masked_log_probabilities
 
-KINDS = ("parts", "graph", "mlp", "residual")
-TRANSFER = ("parts", "graph")
+KINDS = ("transformer", "gat", "mlp", "resmlp")
+TRANSFER = ("transformer", "gat")
 SMALL = {"layers": 2, "channels": 16, "heads": 2}
 
 
@@ -61,12 +61,12 @@ def dome() -> Assembly:
     return load_structure("dome:rings=2,blocks=5")
 
 
-@pytest.mark.parametrize("two_states", [False, True])
+@pytest.mark.parametrize("goal_conditioned", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
-def test_shapes_and_types(kind: str, two_states: bool, arch: Assembly) -> None:
-    policy = make_policy(arch, settings_of(kind, two_states=two_states))
+def test_shapes_and_types(kind: str, goal_conditioned: bool, arch: Assembly) -> None:
+    policy = make_policy(arch, settings_of(kind, goal_conditioned=goal_conditioned))
     states = random_states(arch, 5)
-    logits, value = policy(states, states if two_states else None)
+    logits, value = policy(states, states if goal_conditioned else None)
     assert logits.shape == (5, 2 * arch.part_count)
     assert value.shape == (5,)
     assert logits.dtype == value.dtype == torch.float32
@@ -105,7 +105,7 @@ def test_making_a_policy_leaves_the_random_numbers_alone(kind: str, arch: Assemb
 def test_renumbering_parts_renumbers_the_actions(kind: str, dome: Assembly) -> None:
     order = np.random.default_rng(2).permutation(dome.part_count)
     other = changed(dome, order)
-    policy = make_policy(dome, settings_of(kind, two_states=True))
+    policy = make_policy(dome, settings_of(kind, goal_conditioned=True))
     twin = transfer(policy.state_dict(), policy.settings, other)
     states, targets = random_states(dome, 8), random_states(dome, 8, seed=1)
     logits, value = policy(states, targets)
@@ -183,7 +183,7 @@ def test_a_target_matters_to_a_policy_of_two_states_only(kind: str, arch: Assemb
     states = random_states(arch, 4)
     empty = torch.where(torch.tensor(arch.boundary.tolist()), 2, 0).to(torch.uint8).expand(4, -1)
     other = random_states(arch, 4, seed=5)
-    told = make_policy(arch, settings_of(kind, two_states=True))
+    told = make_policy(arch, settings_of(kind, goal_conditioned=True))
     untold = make_policy(arch, settings_of(kind))
     assert torch.equal(told(states)[0], told(states, empty)[0])
     assert not torch.allclose(told(states)[0], told(states, other)[0])
@@ -192,7 +192,7 @@ def test_a_target_matters_to_a_policy_of_two_states_only(kind: str, arch: Assemb
 
 def test_weights_know_nothing_of_their_structure(arch: Assembly, dome: Assembly) -> None:
     """Weights of one structure load into a policy of another, and shared weights are trained together."""
-    policy = make_policy(arch, settings_of("parts"))
+    policy = make_policy(arch, settings_of("transformer"))
     other = share(policy, dome)
     assert other.part_count == dome.part_count
     ours, theirs = dict(policy.named_parameters()), dict(other.named_parameters())
@@ -203,7 +203,7 @@ def test_weights_know_nothing_of_their_structure(arch: Assembly, dome: Assembly)
 
 
 @pytest.mark.parametrize(
-    ("kind", "identity", "words"), [("mlp", False, "by their number"), ("parts", True, "identity")]
+    ("kind", "identity", "words"), [("mlp", False, "by their number"), ("transformer", True, "identity")]
 )
 def test_policies_that_know_parts_by_number_do_not_transfer(
     kind: str, identity: bool, words: str, arch: Assembly, dome: Assembly
@@ -215,13 +215,13 @@ def test_policies_that_know_parts_by_number_do_not_transfer(
 
 
 def test_weights_of_other_settings_are_refused(arch: Assembly, dome: Assembly) -> None:
-    weights = make_policy(arch, settings_of("parts")).state_dict()
+    weights = make_policy(arch, settings_of("transformer")).state_dict()
     with pytest.raises(InputError, match="do not fit the settings"):
-        transfer(weights, settings_of("parts", channels=32), dome)
+        transfer(weights, settings_of("transformer", channels=32), dome)
 
 
 def test_states_of_another_structure_are_refused(arch: Assembly, dome: Assembly) -> None:
-    policy = make_policy(arch, settings_of("parts"))
+    policy = make_policy(arch, settings_of("transformer"))
     with pytest.raises(InputError, match=f"have {dome.part_count} parts; this policy is for {arch.part_count}"):
         policy(random_states(dome, 2))
 
@@ -236,9 +236,9 @@ def test_describe_counts_the_weights(arch: Assembly) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"kind": "rnn"}, "unknown policy kind 'rnn'; choose residual, parts, graph, mlp"),
+        ({"kind": "rnn"}, "unknown policy kind 'rnn'; choose resmlp, transformer, gat, mlp"),
         ({"layers": -1}, "layers is -1"),
-        ({"kind": "parts", "channels": 30}, "30 do not divide among 8 heads"),
+        ({"kind": "transformer", "channels": 30}, "30 do not divide among 8 heads"),
         ({"kind": "mlp", "identity": True}, "identity is for policies of kind parts"),
     ],
 )
@@ -248,7 +248,7 @@ def test_wrong_settings_are_refused(options: dict, words: str) -> None:
 
 
 def test_settings_survive_a_file() -> None:
-    settings = PolicySettings("graph", two_states=True, layers=3)
+    settings = PolicySettings("gat", goal_conditioned=True, layers=3)
     assert PolicySettings.from_dict(asdict(settings)) == settings
     assert settings.resolved().channels == 16
     with pytest.raises(InputError, match="'depth' is no setting of a policy"):
@@ -257,7 +257,7 @@ def test_settings_survive_a_file() -> None:
 
 def test_identity_learns_a_vector_a_part(arch: Assembly) -> None:
     plain, own = (
-        describe(make_policy(arch, settings_of("parts", identity=one)))["parameters"] for one in (False, True)
+        describe(make_policy(arch, settings_of("transformer", identity=one)))["parameters"] for one in (False, True)
     )
     assert own - plain == arch.part_count * SMALL["channels"]
 
@@ -279,7 +279,7 @@ def test_half_precision_changes_little(kind: str, arch: Assembly) -> None:
 @pytest.mark.parametrize("kind", TRANSFER)
 def test_a_compiler_sees_one_piece(kind: str, arch: Assembly) -> None:
     """Nothing in a network makes a compiler fall back to Python."""
-    policy = make_policy(arch, settings_of(kind, two_states=True, layers=1))
+    policy = make_policy(arch, settings_of(kind, goal_conditioned=True, layers=1))
     compiled = torch.compile(policy, backend="eager", fullgraph=True)
     states, targets = random_states(arch, 8), random_states(arch, 8, seed=1)
     for one, other in zip(compiled(states, targets), policy(states, targets), strict=True):
@@ -287,9 +287,9 @@ def test_a_compiler_sees_one_piece(kind: str, arch: Assembly) -> None:
 
 
 def test_the_recommended_network_depends_on_what_there_is_to_learn() -> None:
-    assert recommended(62) == PolicySettings("residual")
-    small = PolicySettings("parts", two_states=True, layers=3, channels=64, heads=4)
-    assert recommended(62, two_states=True) == recommended(62, two_states=True, kind="parts") == small
-    assert recommended(62, kind="parts") == PolicySettings("parts")
-    assert recommended(12, two_states=True) == PolicySettings("residual", two_states=True)
-    assert recommended(62, two_states=True, kind="mlp") == PolicySettings("mlp", two_states=True)
+    assert recommended(62) == PolicySettings("resmlp")
+    small = PolicySettings("transformer", goal_conditioned=True, layers=3, channels=64, heads=4)
+    assert recommended(62, goal_conditioned=True) == recommended(62, goal_conditioned=True, kind="transformer") == small
+    assert recommended(62, kind="transformer") == PolicySettings("transformer")
+    assert recommended(12, goal_conditioned=True) == PolicySettings("resmlp", goal_conditioned=True)
+    assert recommended(62, goal_conditioned=True, kind="mlp") == PolicySettings("mlp", goal_conditioned=True)

@@ -11,7 +11,7 @@ import torch
 from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import InputError
-from falsework.learn.algorithms.policy_beam import search_from
+from falsework.learn.algorithms.policy_beam import policy_beam_search
 from falsework.learn.algorithms.policy_search import solve_all
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.env.environment import Environment
@@ -55,7 +55,7 @@ def rows(states: torch.Tensor) -> set[bytes]:
 def test_searches_agree_with_all_states(environment: Environment, graph: StateGraph, policy: Any) -> None:
     """Wide enough, a search finds a way from exactly the states from which there is one; all on it are solvable."""
     states = environment.rules.put(graph.states)
-    result = search_from(environment, policy, states, width=64)
+    result = policy_beam_search(environment, policy, states, width=64)
     np.testing.assert_array_equal(result.found.numpy(), graph.solvable)
     assert rows(result.states) <= rows(states[torch.from_numpy(graph.solvable)])
     for number in range(0, len(states), 7):
@@ -82,7 +82,7 @@ def test_searches_reach_targets(environment: Environment, graph: StateGraph, pol
     assert any(truth)
     assert not all(truth)
     put = environment.rules.put
-    found = search_from(environment, policy, put(np.array(starts)), put(np.array(targets)), width=64).found
+    found = policy_beam_search(environment, policy, put(np.array(starts)), put(np.array(targets)), width=64).found
     assert found.tolist() == truth
     solved = solve_all(environment, policy, put(np.array(starts)), put(np.array(targets)))
     assert (solved.decided_by != Decider.NOBODY).tolist() == truth
@@ -100,7 +100,7 @@ def test_searches_find_what_rollouts_do_not(environment: Environment, solvable: 
 
     complete = environment.rules.complete()
     assert not roll_out(environment, Wrong(), complete).success.any()
-    found = search_from(environment, Wrong(), complete, width=16)
+    found = policy_beam_search(environment, Wrong(), complete, width=16)
     assert found.found.all()
     assert rows(complete) <= rows(found.states) <= rows(solvable)
     (decider,) = solve_all(environment, Wrong(), complete, samples=0).decided_by
@@ -128,11 +128,11 @@ def test_on_a_gpu(graph: StateGraph) -> None:
     from falsework.replanning.replanner import Replanner
 
     environment = Environment(ARCH, 2, device="cuda")
-    policy = make_policy(ARCH, PolicySettings(kind="parts"), "cuda", seed=3)
+    policy = make_policy(ARCH, PolicySettings(kind="transformer"), "cuda", seed=3)
     states = environment.rules.put(graph.states)
     good = torch.from_numpy(graph.solvable).to(states.device)
     np.testing.assert_array_equal(
-        search_from(environment, policy, states, width=64).found.cpu().numpy(), graph.solvable
+        policy_beam_search(environment, policy, states, width=64).found.cpu().numpy(), graph.solvable
     )
     assert solve_all(environment, policy, states[good]).share == 1.0
     answer = Replanner(ARCH, policy).replan(environment.rules.complete()[0].cpu().numpy(), confidences=True)

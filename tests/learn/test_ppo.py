@@ -27,8 +27,8 @@ from falsework.learn.algorithms.start_states import MixedStarts, StartBatch  # n
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.ppo import PAPER, CurriculumSettings, PpoPhase  # noqa: E402
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
-from falsework.learn.data.random_walks import TaskSource, Ways  # noqa: E402
-from falsework.learn.data.solvable_states import SolvedStates  # noqa: E402
+from falsework.learn.data.random_walks import GoalSampler, RandomWalkGoals  # noqa: E402
+from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
@@ -37,7 +37,7 @@ from falsework.search import StateGraph  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
 MLP = PolicySettings(kind="mlp", layers=2, channels=32)
-RESIDUAL = PolicySettings(kind="residual", layers=2, channels=32)
+RESIDUAL = PolicySettings(kind="resmlp", layers=2, channels=32)
 SMALL = PpoPhase(rollouts=64, batch=64, learning_rate=2e-3)
 
 
@@ -67,8 +67,8 @@ def learner(environment: Environment, settings: PpoPhase = PAPER, seed: int = 0,
 def fine_tuner(arch: Assembly, data: Dataset, *, settings: PpoPhase = SMALL, seed: int = 0, **options: Any) -> PPO:
     """From mixed start states, as by default, with the test states held out."""
     environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
-    solved = SolvedStates(environment.rules)
-    solved.forbid(torch.as_tensor(data.test))
+    solved = SolvableStates(environment.rules)
+    solved.hold_out(torch.as_tensor(data.test))
     solved.add(torch.as_tensor(data.train))
     starts = MixedStarts(torch.as_tensor(data.train), solved, environment.rules, settings.rollouts)
     return PPO(environment, make_policy(arch, RESIDUAL), starts, settings, solved=solved, seed=seed, **options)
@@ -80,11 +80,11 @@ def with_targets(
     targets: torch.Tensor,
     settings: PpoPhase = SMALL,
     *,
-    tasks: TaskSource | None = None,
-    solved: SolvedStates | None = None,
+    tasks: GoalSampler | None = None,
+    solved: SolvableStates | None = None,
 ) -> PPO:
-    solved = SolvedStates(environment.rules) if solved is None else solved
-    policy = make_policy(environment.assembly, replace(RESIDUAL, two_states=True))
+    solved = SolvableStates(environment.rules) if solved is None else solved
+    policy = make_policy(environment.assembly, replace(RESIDUAL, goal_conditioned=True))
     sampler = MixedStarts(starts, solved, environment.rules, settings.rollouts, targets=targets, tasks=tasks)
     return PPO(environment, policy, sampler, settings, solved=solved, tasks=tasks)
 
@@ -330,7 +330,7 @@ def test_a_target_one_action_away_is_learned(arch: Assembly) -> None:
 def test_tasks_are_drawn_anew_and_imitated(bottle: Assembly, bottle_graph: StateGraph) -> None:
     """With a source of tasks hardly any start comes twice, and what the source knows is learned beside."""
     environment = Environment(bottle, 2, oracle=Stability(bottle), device="cpu")
-    ways = Ways(bottle_graph, device=environment.device)
+    ways = RandomWalkGoals(bottle_graph, device=environment.device)
     states, targets, valid = ways.draw(300, environment.generator(7))
 
     def learned(imitation: float) -> float:
@@ -352,10 +352,10 @@ def test_no_loss_is_taken_at_held_out_states(arch: Assembly, data: Dataset) -> N
     ppo = fine_tuner(arch, data)
     seen = recorded(ppo)
     ppo.block(20, (0.0, 0.5))
-    assert ppo._solved.is_forbidden(collect(ppo._environment, ppo.policy, torch.as_tensor(data.train)).states).any()
+    assert ppo._solved.is_held_out(collect(ppo._environment, ppo.policy, torch.as_tensor(data.train)).states).any()
     assert seen
-    assert not ppo._solved.is_forbidden(torch.cat(seen)).any()
-    assert not ppo._solved.is_forbidden(ppo._solved.states).any()
+    assert not ppo._solved.is_held_out(torch.cat(seen)).any()
+    assert not ppo._solved.is_held_out(ppo._solved.states).any()
 
 
 def recorded(ppo: PPO) -> list[torch.Tensor]:
@@ -374,22 +374,22 @@ def recorded(ppo: PPO) -> list[torch.Tensor]:
 def test_hindsight_keeps_held_out_states_out(arch: Assembly) -> None:
     """As starts, as goals and as what is imitated, of rollouts that pass them again and again."""
     environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
-    solved = SolvedStates(environment.rules)
+    solved = SolvableStates(environment.rules)
     starts = environment.rules.complete(64)
     targets = environment.rules.goals(starts)
     settings = replace(SMALL, hindsight=0.1)
     ppo = with_targets(environment, starts, targets, settings, solved=solved)
     states = collect(environment, ppo.policy, starts, targets).states.unique(dim=0)
-    solved.forbid(states[~(states == starts[0]).all(dim=1)][::2])
+    solved.hold_out(states[~(states == starts[0]).all(dim=1)][::2])
     seen = recorded(ppo)
     for _ in range(8):
         ppo.block(1, (0.0, 0.1))
-    assert solved.is_forbidden(collect(environment, ppo.policy, starts, targets).states).any()
+    assert solved.is_held_out(collect(environment, ppo.policy, starts, targets).states).any()
     local = ppo.local_state_dict()
     assert len(local["starts.passed"]) > 20
     for name in ("starts.passed", "starts.passed_targets"):
-        assert not solved.is_forbidden(local[name]).any()
-    assert not solved.is_forbidden(torch.cat(seen)).any()
+        assert not solved.is_held_out(local[name]).any()
+    assert not solved.is_held_out(torch.cat(seen)).any()
 
 
 @pytest.mark.parametrize("default", [True, False])

@@ -49,8 +49,8 @@ def guided(alone: Replanner) -> Replanner:
 
 
 @pytest.fixture(scope="module")
-def two_states(alone: Replanner) -> Replanner:
-    return Replanner(ARCH, make("mlp", two_states=True), alone.oracle)
+def goal_conditioned(alone: Replanner) -> Replanner:
+    return Replanner(ARCH, make("mlp", goal_conditioned=True), alone.oracle)
 
 
 class Falling:
@@ -110,7 +110,7 @@ def truth(request: Request, oracle: Stability) -> bool:
 def test_every_answer_is_true(
     alone: Replanner,
     guided: Replanner,
-    two_states: Replanner,
+    goal_conditioned: Replanner,
     state: States,
     target: States | None,
     robots: int,
@@ -121,7 +121,7 @@ def test_every_answer_is_true(
     which: int,
 ) -> None:
     """Found exactly if a search through all states finds one; the plans hold for the exact solver."""
-    replanner = (alone, guided, two_states)[which]
+    replanner = (alone, guided, goal_conditioned)[which]
     request = Request(
         state,
         target=target,
@@ -304,8 +304,8 @@ def test_best_answer_at_the_deadline(alone: Replanner) -> None:
     assert answer.deadline_passed
 
 
-def test_confidences_are_probabilities(guided: Replanner, two_states: Replanner) -> None:
-    for replanner in (guided, two_states):
+def test_confidences_are_probabilities(guided: Replanner, goal_conditioned: Replanner) -> None:
+    for replanner in (guided, goal_conditioned):
         answer = replanner.replan(COMPLETE, confidences=True)
         (confidence,), plan = answer.confidences, answer.plans[0]
         task = Request(COMPLETE).task(ARCH)
@@ -372,7 +372,7 @@ def test_equilibrium_knows_no_history() -> None:
 @pytest.mark.parametrize("policy", [False, True])
 @pytest.mark.parametrize("alternatives", [1, 3])
 def test_a_plan_whose_replay_falls_is_not_delivered(policy: bool, alternatives: int, alone: Replanner) -> None:
-    """Whatever is proposed first is forbidden in its middle, twice; another plan is found."""
+    """Whatever is proposed first is held_out in its middle, twice; another plan is found."""
     bad: set[bytes] = set()
     oracle = falling(lambda state: state.tobytes() in bad)
     for _ in range(2):

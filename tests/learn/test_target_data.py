@@ -1,4 +1,4 @@
-"""Data of two-state policies: what is learned from and what is tested on have no state in common."""
+"""Data of goal-conditioned policies: what is learned from and what is tested on have no state in common."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn.data.dataset import task_for  # noqa: E402
-from falsework.learn.data.goal_dataset import Searched, TargetDataSettings, target_dataset  # noqa: E402
+from falsework.learn.data.goal_dataset import GoalDataSettings, SearchStates, build_goal_dataset  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.networks.uniform import UniformPolicy  # noqa: E402
 from falsework.search.device.oracle import oracle_on  # noqa: E402
-from falsework.search.device.parallel_beams import search_many  # noqa: E402
+from falsework.search.device.parallel_beams import parallel_beam_search  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
 from falsework.search.problem.task import Direction, Task  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
 
 def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
-    settings = TargetDataSettings(train_width=4, test_width=12, widths=(20,), pairs=500, test_pairs=100)
-    data = target_dataset(bottle, task_for(bottle), settings, device="cpu")
+    settings = GoalDataSettings(train_width=4, test_width=12, widths=(20,), pairs=500, test_pairs=100)
+    data = build_goal_dataset(bottle, task_for(bottle), settings, device="cpu")
     assert len(data.train) == 500
     assert 0 < len(data.test) <= 100
     seen = StateIndex(data.graph.states)
@@ -39,9 +39,9 @@ def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
     assert (kept.find(data.train.states) < 0).all()
     assert len(data.wide) > len(data.graph)
     assert (data.wide.index.find(data.graph.states) >= 0).all()
-    again = target_dataset(bottle, task_for(bottle), settings, device="cpu")
+    again = build_goal_dataset(bottle, task_for(bottle), settings, device="cpu")
     assert np.array_equal(again.test.targets, data.test.targets)
-    alone = target_dataset(bottle, task_for(bottle), replace(settings, widths=()), device="cpu")
+    alone = build_goal_dataset(bottle, task_for(bottle), replace(settings, widths=()), device="cpu")
     assert alone.wide is alone.graph
     assert np.array_equal(alone.test.states, data.test.states)
 
@@ -49,15 +49,15 @@ def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
 def test_searches_are_read_back(bottle: Assembly, tmp_path: Path) -> None:
     """The same data set comes of them; files that are something else are refused."""
     task = task_for(bottle)
-    settings = TargetDataSettings(train_width=4, test_width=12, widths=(8, 8), pairs=100, test_pairs=20)
+    settings = GoalDataSettings(train_width=4, test_width=12, widths=(8, 8), pairs=100, test_pairs=20)
     oracle = oracle_on(Stability(bottle), torch.device("cpu"))
     seen: list[str] = []
-    searched = Searched.find(task, settings, oracle, device=torch.device("cpu"), report=seen.append)
+    searched = SearchStates.find(task, settings, oracle, device=torch.device("cpu"), report=seen.append)
     assert seen[-1] == "searches 3 to 4 of 4, width 8"
     searched.save(tmp_path / "searched.npz", task)
-    again = Searched.load(tmp_path / "searched.npz", task)
+    again = SearchStates.load(tmp_path / "searched.npz", task)
     one, two, three = (
-        target_dataset(bottle, task, settings, device="cpu", searched=known) for known in (searched, again, None)
+        build_goal_dataset(bottle, task, settings, device="cpu", searched=known) for known in (searched, again, None)
     )
     for other in (two, three):
         assert np.array_equal(one.test.targets, other.test.targets)
@@ -65,24 +65,24 @@ def test_searches_are_read_back(bottle: Assembly, tmp_path: Path) -> None:
         assert np.array_equal(one.wide.states, other.wide.states)
     tetris = load_structure("stack:blocks=12")
     with pytest.raises(InputError, match="states of another structure"):
-        Searched.load(tmp_path / "searched.npz", task_for(tetris))
+        SearchStates.load(tmp_path / "searched.npz", task_for(tetris))
     with pytest.raises(InputError, match="stable under the criterion contact; remove it"):
-        Searched.load(tmp_path / "searched.npz", replace(task, holds_keep_stable=True))
+        SearchStates.load(tmp_path / "searched.npz", replace(task, holds_keep_stable=True))
     replace(searched, more=searched.more[:, 1:]).save(tmp_path / "searched.npz", task)
     with pytest.raises(InputError, match="is damaged"):
-        Searched.load(tmp_path / "searched.npz", task)
+        SearchStates.load(tmp_path / "searched.npz", task)
 
 
 def test_bad_input_is_one_clear_line() -> None:
     tiny = load_structure("stack:blocks=2")
     with pytest.raises(InputError, match="finds no pair of states of stack:blocks=2 that one of width 64 has not seen"):
-        target_dataset(tiny, task_for(tiny, 1), device="cpu")
+        build_goal_dataset(tiny, task_for(tiny, 1), device="cpu")
     with pytest.raises(InputError, match="a search of width 0 finds nothing"):
-        TargetDataSettings(train_width=0)
+        GoalDataSettings(train_width=0)
     with pytest.raises(InputError, match="pairs and test_pairs are counts"):
-        TargetDataSettings(pairs=0)
+        GoalDataSettings(pairs=0)
     with pytest.raises(InputError, match="a seed is not negative"):
-        TargetDataSettings(seed=-1)
+        GoalDataSettings(seed=-1)
 
 
 def test_after_a_search_that_died_out_one_begins_at_the_empty_structure(
@@ -95,37 +95,37 @@ def test_after_a_search_that_died_out_one_begins_at_the_empty_structure(
 
     def search(task: Task, oracle: Any, count: int, width: int, *, direction: Direction, **options: Any) -> Any:
         directions.append((direction, count, width))
-        found = search_many(task, oracle, count, width, direction=direction, **options)
+        found = parallel_beam_search(task, oracle, count, width, direction=direction, **options)
         return replace(found, found=np.arange(count) < next(through))
 
-    monkeypatch.setattr("falsework.learn.data.goal_dataset.search_many", search)
+    monkeypatch.setattr("falsework.learn.data.goal_dataset.parallel_beam_search", search)
     task, device = task_for(bottle), torch.device("cpu")
-    settings = TargetDataSettings(train_width=4, test_width=12, widths=(2,) * 12 + (3,), pairs=100, test_pairs=20)
-    Searched.find(task, settings, oracle_on(Stability(bottle), device), device=device)
+    settings = GoalDataSettings(train_width=4, test_width=12, widths=(2,) * 12 + (3,), pairs=100, test_pairs=20)
+    SearchStates.find(task, settings, oracle_on(Stability(bottle), device), device=device)
     assert directions == [(down, 4, 2), (up, 4, 2), (down, 4, 2), (down, 1, 3)]
 
 
 def test_no_search_begins_once_there_are_enough(bottle: Assembly) -> None:
     """What is learned from and tested on is always searched; of three further searches two are left out here."""
     task, device = task_for(bottle), torch.device("cpu")
-    settings = TargetDataSettings(train_width=4, test_width=12, widths=(8, 10, 12), pairs=100, test_pairs=20)
+    settings = GoalDataSettings(train_width=4, test_width=12, widths=(8, 10, 12), pairs=100, test_pairs=20)
     oracle = oracle_on(Stability(bottle), device)
     answers = iter([False, True])
-    found = Searched.find(task, settings, oracle, device=device, enough=lambda: next(answers))
-    fewer = Searched.find(task, replace(settings, widths=(8,)), oracle, device=device)
-    none = Searched.find(task, settings, oracle, device=device, enough=lambda: True)
+    found = SearchStates.find(task, settings, oracle, device=device, enough=lambda: next(answers))
+    fewer = SearchStates.find(task, replace(settings, widths=(8,)), oracle, device=device)
+    none = SearchStates.find(task, settings, oracle, device=device, enough=lambda: True)
     assert np.array_equal(found.more, fewer.more)
     assert np.array_equal(found.test, fewer.test)
     assert len(none.more) == 0
-    alone = target_dataset(bottle, task, settings, device="cpu", searched=none)
+    alone = build_goal_dataset(bottle, task, settings, device="cpu", searched=none)
     assert alone.wide is alone.graph
-    assert np.array_equal(alone.test.states, target_dataset(bottle, task, settings, device="cpu").test.states)
+    assert np.array_equal(alone.test.states, build_goal_dataset(bottle, task, settings, device="cpu").test.states)
 
 
 def test_random_legal_actions_solve_few_pairs_of_a_real_structure(shared_assembly: Any) -> None:
     """Less than one in ten in the test and the validation set, with other draws than those that chose the pairs."""
     assembly = load_structure(str(shared_assembly("bottle-12")))
-    data = target_dataset(assembly, task_for(assembly), TargetDataSettings(test_pairs=100), device="cpu")
+    data = build_goal_dataset(assembly, task_for(assembly), GoalDataSettings(test_pairs=100), device="cpu")
     environment = Environment(assembly, 2, device="cpu")
     assert len(data.test) == 100
     for pairs in (data.test, data.validation):

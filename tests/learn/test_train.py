@@ -54,7 +54,7 @@ SMALL = TrainSettings(
     widths=(8,),
     evaluate_every=2,
     evaluation_states=32,
-    policy=PolicySettings("residual", channels=16, layers=1),
+    policy=PolicySettings("resmlp", channels=16, layers=1),
 )
 
 
@@ -90,7 +90,7 @@ def interrupted(arch: Any, settings: TrainSettings, folder: Path, at: int, **opt
 def test_a_small_arch_is_learned_completely(tmp_path: Path) -> None:
     """All states of a wider search than the ones that were learned from."""
     arch = load_structure("arch:blocks=9")
-    policy = PolicySettings("parts", channels=32, layers=2, heads=4)
+    policy = PolicySettings("transformer", channels=32, layers=2, heads=4)
     settings = TrainSettings(phases=METHODS["imitation"], steps=120, policy=policy)
     begun = time.process_time()  # of one thread: other work on the machine does not count
     result = train(arch, settings, folder=tmp_path / "run", device="cpu")
@@ -132,7 +132,7 @@ def test_two_pieces_are_one_run(arch: Any, phases: tuple[Phase, ...], tmp_path: 
     assert not rest.interrupted
     assert rest.steps == whole.steps == 40
     assert rest.to_dict()["test"] == whole.to_dict()["test"]
-    assert rest.met_share == whole.met_share
+    assert rest.held_out_visit_rate == whole.held_out_visit_rate
     expected = weights(tmp_path / "whole")
     assert all(torch.equal(tensor, expected[name]) for name, tensor in weights(tmp_path / "pieces").items())
     assert [line for line in curve(tmp_path / "pieces") if line["step"] % 10 == 0] == curve(tmp_path / "whole")
@@ -202,13 +202,13 @@ def test_a_disk_that_fills_up_costs_checkpoints_only(
     assert all(torch.equal(tensor, again[name]) for name, tensor in weights(tmp_path / "run").items())
 
 
-@pytest.mark.parametrize("two_states", [False, True])
+@pytest.mark.parametrize("goal_conditioned", [False, True])
 @pytest.mark.parametrize("name", list(PHASES))
-def test_no_loss_is_taken_at_test_states(name: str, two_states: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_loss_is_taken_at_test_states(name: str, goal_conditioned: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """By no preset, at none of them and at none of their mirror images, as states or as targets."""
-    if two_states and name == "complete":
+    if goal_conditioned and name == "complete":
         return  # knows no targets
-    arch = load_structure("arch:blocks=13" if two_states else "arch:blocks=9")
+    arch = load_structure("arch:blocks=13" if goal_conditioned else "arch:blocks=9")
     permutations = symmetries(arch)
     assert len(permutations) == 2
     seen: list[Any] = []
@@ -227,9 +227,9 @@ def test_no_loss_is_taken_at_test_states(name: str, two_states: bool, monkeypatc
 
     monkeypatch.setattr(module, "Trainer", keep)
     monkeypatch.setattr(Network, "forward", watch)
-    policy = replace(SMALL.policy, two_states=two_states)
+    policy = replace(SMALL.policy, goal_conditioned=goal_conditioned)
     phases = tuple(replace(one, hindsight=0.1) if isinstance(one, PpoPhase) else one for one in PHASES[name])
-    settings = replace(SMALL, phases=phases if two_states else PHASES[name], policy=policy, pairs=300)
+    settings = replace(SMALL, phases=phases if goal_conditioned else PHASES[name], policy=policy, pairs=300)
     train(arch, settings, folder=None, device="cpu")
     trainer = kept["trainer"]
     solved, data = trainer._solved, trainer._data
@@ -238,14 +238,14 @@ def test_no_loss_is_taken_at_test_states(name: str, two_states: bool, monkeypatc
     )
     images = torch.cat([test[:, np.argsort(one)] for one in permutations])
     assert len(images.unique(dim=0)) > len(test.unique(dim=0)) > 0
-    assert solved.is_forbidden(images).all()
+    assert solved.is_held_out(images).all()
     met = torch.cat(seen)
     assert len(met) > 100
-    assert not solved.is_forbidden(met).any()
-    assert not solved.is_forbidden(solved.states).any()
-    assert not solved.is_forbidden(data.starts).any()
-    if name == "default" and not two_states:
-        assert 0 < solved.met_share < 1  # although rollouts come across them
+    assert not solved.is_held_out(met).any()
+    assert not solved.is_held_out(solved.states).any()
+    assert not solved.is_held_out(data.starts).any()
+    if name == "default" and not goal_conditioned:
+        assert 0 < solved.held_out_visit_rate < 1  # although rollouts come across them
 
 
 def test_a_step_that_is_not_finite_stops_the_default_training(
@@ -300,7 +300,7 @@ def test_the_run_can_be_used(arch: Any, tmp_path: Path) -> None:
     assert list((tmp_path / "run" / "tensorboard").iterdir())
     lines = read_progress(tmp_path / "run")
     assert [line["step"] for line in lines] == [10, 20, 30, 40]
-    assert {"success/validation", "success/train", "test_states_met", "train/loss"} <= set(lines[0])
+    assert {"success/validation", "success/train", "held_out_visit_rate", "train/loss"} <= set(lines[0])
     assert not any("success/test" in line for line in lines)
 
 
@@ -351,7 +351,7 @@ def test_a_run_of_an_older_format_is_refused(arch: Any, tmp_path: Path) -> None:
         {"steps": -1},
         {"seed": -1},
         {"robots": 0},
-        {"phases": (COMPLETE,), "policy": PolicySettings(two_states=True)},
+        {"phases": (COMPLETE,), "policy": PolicySettings(goal_conditioned=True)},
     ],
 )
 def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:

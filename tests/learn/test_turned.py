@@ -15,9 +15,9 @@ from falsework.assembly.symmetry import symmetries  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.train import TrainSettings  # noqa: E402
 from falsework.learn.data.dataset import task_for  # noqa: E402
-from falsework.learn.data.goal_dataset import TargetDataSettings, target_dataset  # noqa: E402
-from falsework.learn.data.random_walks import Ways  # noqa: E402
-from falsework.learn.data.symmetry_augmentation import TurnedTasks  # noqa: E402
+from falsework.learn.data.goal_dataset import GoalDataSettings, build_goal_dataset  # noqa: E402
+from falsework.learn.data.random_walks import RandomWalkGoals  # noqa: E402
+from falsework.learn.data.symmetry_augmentation import SymmetryAugmentation  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.training.training_data import collect_training_data  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
@@ -44,7 +44,9 @@ def drawn(tasks: Any, count: int, seed: int = 0) -> tuple[Any, Any, Any]:
 def test_images_of_tasks_are_tasks(dome: Assembly, graph: StateGraph) -> None:
     """Legal first actions towards targets that can be reached, through states that stand: most of them new ones."""
     environment = Environment(dome, 2, device="cpu")
-    states, targets, valid = drawn(TurnedTasks(Ways(graph, device=CPU), symmetries(dome), device=CPU), 300)
+    states, targets, valid = drawn(
+        SymmetryAugmentation(RandomWalkGoals(graph, device=CPU), symmetries(dome), device=CPU), 300
+    )
     assert (valid.sum(dim=1) == 1).all()
     assert (environment.rules.moves(states, targets) | ~valid).all()
     assert environment.rules.contains(states, targets).all()
@@ -57,8 +59,8 @@ def test_images_of_tasks_are_tasks(dome: Assembly, graph: StateGraph) -> None:
 
 def test_a_turned_task_is_turned_as_a_whole(dome: Assembly, graph: StateGraph) -> None:
     images = symmetries(dome)
-    whole = drawn(TurnedTasks(Ways(graph, device=CPU), images, device=CPU), 50)
-    plain = drawn(Ways(graph, device=CPU), 50)
+    whole = drawn(SymmetryAugmentation(RandomWalkGoals(graph, device=CPU), images, device=CPU), 50)
+    plain = drawn(RandomWalkGoals(graph, device=CPU), 50)
     for row in range(50):
         fits = []
         for image in images:
@@ -72,35 +74,37 @@ def test_no_task_begins_or_ends_with_a_forbidden_state(dome: Assembly, graph: St
     """What would be turned into one stays as it was, which the source vouches for."""
     images = symmetries(dome)
     first = graph.states[graph.level == 1]
-    forbidden = np.unique(np.concatenate([first[:, np.argsort(image)] for image in images[1:]]), axis=0)
-    kept = {tuple(state) for state in forbidden.tolist()} - {tuple(state) for state in graph.states.tolist()}
+    held_out = np.unique(np.concatenate([first[:, np.argsort(image)] for image in images[1:]]), axis=0)
+    kept = {tuple(state) for state in held_out.tolist()} - {tuple(state) for state in graph.states.tolist()}
     assert kept
     taboo = np.array(sorted(kept), dtype=np.uint8)
-    source = Ways(graph, device=CPU)
-    free = drawn(TurnedTasks(source, images, device=CPU), 2000)
-    careful = drawn(TurnedTasks(source, images, device=CPU, forbidden=taboo), 2000)
+    source = RandomWalkGoals(graph, device=CPU)
+    free = drawn(SymmetryAugmentation(source, images, device=CPU), 2000)
+    careful = drawn(SymmetryAugmentation(source, images, device=CPU, held_out=taboo), 2000)
     met = [{tuple(state) for state in np.concatenate([one, two]).tolist()} for one, two, _ in (free, careful)]
     assert met[0] & kept
     assert not met[1] & kept
 
 
 def test_same_seed_same_tasks(dome: Assembly, graph: StateGraph) -> None:
-    tasks = TurnedTasks(Ways(graph, device=CPU), symmetries(dome), device=CPU)
+    tasks = SymmetryAugmentation(RandomWalkGoals(graph, device=CPU), symmetries(dome), device=CPU)
     assert all(torch.equal(one, two) for one, two in zip(drawn(tasks, 40), drawn(tasks, 40), strict=True))
     assert not torch.equal(drawn(tasks, 40)[0], drawn(tasks, 40, seed=1)[0])
 
 
 def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly) -> None:
     """Starts of a run, and tasks drawn later, are states that its searches did not see, and never test states."""
-    settings = TrainSettings(policy=PolicySettings("parts", two_states=True), widths=(8, 8), pairs=3000, steps=10)
+    settings = TrainSettings(
+        policy=PolicySettings("transformer", goal_conditioned=True), widths=(8, 8), pairs=3000, steps=10
+    )
     data_of_run = collect_training_data(
         dome, settings.resolved(dome.part_count, "cpu"), HostOracle(Stability(dome)), device=CPU
     )
-    assert isinstance(data_of_run.tasks, TurnedTasks)
+    assert isinstance(data_of_run.tasks, SymmetryAugmentation)
     assert data_of_run.targets is not None
     test = {tuple(state) for state in data_of_run.held_out.tolist()}
-    searches = TargetDataSettings(widths=(8, 8), pairs=3000)
-    data = target_dataset(dome, task_for(dome), searches, device="cpu")
+    searches = GoalDataSettings(widths=(8, 8), pairs=3000)
+    data = build_goal_dataset(dome, task_for(dome), searches, device="cpu")
     drawn_later = drawn(data_of_run.tasks, 3000, seed=3)
     for states in (data_of_run.starts, data_of_run.targets, *drawn_later[:2]):
         assert not test & {tuple(state) for state in states.tolist()}

@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from falsework.assembly import Assembly  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn.data.goal_pairs import PairSource  # noqa: E402
-from falsework.learn.data.random_walks import Ways, _Reach  # noqa: E402
+from falsework.learn.data.random_walks import RandomWalkGoals, _Reach  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.search import Direction, StateGraph  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
@@ -21,14 +21,14 @@ from falsework.search.problem.hashing import StateIndex  # noqa: E402
 CPU = torch.device("cpu")
 
 
-def drawn(ways: Ways, count: int, seed: int = 0) -> tuple[Any, Any, Any]:
+def drawn(ways: RandomWalkGoals, count: int, seed: int = 0) -> tuple[Any, Any, Any]:
     return ways.draw(count, torch.Generator().manual_seed(seed))
 
 
 def test_the_action_leads_to_the_target_inside_the_graph(bottle_graph: StateGraph) -> None:
     """As the table of what leads where says that `PairSource` makes."""
     graph = bottle_graph
-    states, targets, valid = drawn(Ways(graph, device=CPU), 500)
+    states, targets, valid = drawn(RandomWalkGoals(graph, device=CPU), 500)
     assert (valid.sum(dim=1) == 1).all()
     source = PairSource(graph)
     ends = graph.index.find(targets.numpy())
@@ -40,7 +40,7 @@ def test_the_action_leads_to_the_target_inside_the_graph(bottle_graph: StateGrap
 
 def test_actions_are_legal_for_their_task(bottle: Assembly, bottle_graph: StateGraph) -> None:
     environment = Environment(bottle, 2, device="cpu")
-    states, targets, valid = drawn(Ways(bottle_graph, device=environment.device), 2000)
+    states, targets, valid = drawn(RandomWalkGoals(bottle_graph, device=environment.device), 2000)
     assert (environment.rules.moves(states, targets) | ~valid).all()
     assert environment.rules.contains(states, targets).all()
     assert (environment.rules.steps_left(states, targets) > 0).all()
@@ -48,7 +48,7 @@ def test_actions_are_legal_for_their_task(bottle: Assembly, bottle_graph: StateG
 
 def steps_of(graph: StateGraph, count: int) -> tuple[Any, Any, Any]:
     """Rows of starts and of targets, and steps from one to the other, of some ways."""
-    states, targets, _ = drawn(Ways(graph, device=CPU), count)
+    states, targets, _ = drawn(RandomWalkGoals(graph, device=CPU), count)
     starts, ends = graph.index.find(states.numpy()), graph.index.find(targets.numpy())
     return starts, ends, graph.level[ends] - graph.level[starts]
 
@@ -69,7 +69,7 @@ def test_ways_are_long_whichever_way_was_searched(
 
 def test_every_state_that_is_on_a_way_is_met(bottle_graph: StateGraph) -> None:
     graph = bottle_graph
-    ways = Ways(graph, device=CPU)
+    ways = RandomWalkGoals(graph, device=CPU)
     assert ways.ends == len(graph)
     starts, ends, steps = steps_of(graph, 100 * len(graph))
     assert (steps > 0).all()
@@ -98,18 +98,18 @@ def test_forbidden_states_are_neither_start_nor_target(bottle_graph: StateGraph)
     """Ways lead through them all the same, so that few ways are lost."""
     graph = bottle_graph
     rng = np.random.default_rng(2)
-    forbidden = graph.states[rng.permutation(len(graph))[: len(graph) // 2]]
-    states, targets, valid = drawn(Ways(graph, device=CPU, forbidden=forbidden), 2000)
+    held_out = graph.states[rng.permutation(len(graph))[: len(graph) // 2]]
+    states, targets, valid = drawn(RandomWalkGoals(graph, device=CPU, held_out=held_out), 2000)
     assert len(states) == len(targets) == len(valid) == 2000
-    index = StateIndex(forbidden)
+    index = StateIndex(held_out)
     assert (index.find(states.numpy()) < 0).all()
     assert (index.find(targets.numpy()) < 0).all()
     with pytest.raises(InputError, match="no way leads between two states of this graph"):
-        Ways(graph, device=CPU, forbidden=graph.states)
+        RandomWalkGoals(graph, device=CPU, held_out=graph.states)
 
 
 def test_same_seed_same_ways(bottle_graph: StateGraph) -> None:
-    ways = Ways(bottle_graph, device=CPU)
+    ways = RandomWalkGoals(bottle_graph, device=CPU)
     one, two, other = drawn(ways, 100), drawn(ways, 100), drawn(ways, 100, seed=1)
     assert all(torch.equal(a, b) for a, b in zip(one, two, strict=True))
     assert not torch.equal(one[0], other[0])

@@ -16,15 +16,15 @@ from falsework.stability import Stability
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[gpu]'")
 
-from falsework.search.device.parallel_beams import ManySearches, search_many  # noqa: E402
+from falsework.search.device.parallel_beams import ParallelBeamResult, parallel_beam_search  # noqa: E402
 
 BOTH = pytest.mark.parametrize("direction", list(Direction))
 BOTTLE = load_structure("bottle")
 STABLE = Stability(BOTTLE)
 
 
-def bottle_searches(count: int, width: int, **options: Any) -> ManySearches:
-    return search_many(Task.create(BOTTLE.boundary, 2), HostOracle(STABLE), count, width, **options)
+def bottle_searches(count: int, width: int, **options: Any) -> ParallelBeamResult:
+    return parallel_beam_search(Task.create(BOTTLE.boundary, 2), HostOracle(STABLE), count, width, **options)
 
 
 def graph_of(states: np.ndarray) -> StateGraph:
@@ -63,7 +63,7 @@ def test_nothing_is_left_out_where_there_is_room_for_all() -> None:
         stands = oracle.judge(after).verdict == 1
         fresh = [state for state in np.unique(after[stands], axis=0) if tuple(state) not in reached]
         reached |= {tuple(state) for state in fresh}
-    found = search_many(task, HostOracle(oracle), 1, 1000)
+    found = parallel_beam_search(task, HostOracle(oracle), 1, 1000)
     assert {tuple(state) for state in found.states.tolist()} == {tuple(map(int, state)) for state in reached}
 
 
@@ -95,7 +95,7 @@ def test_some_states_come_with_all_that_led_to_them(direction: Direction) -> Non
 def test_searches_that_die_hand_back_how_far_they_came() -> None:
     """With one robot no part of an arch can go."""
     arch = load_structure("arch")
-    found = search_many(Task.create(arch.boundary, 1), HostOracle(Stability(arch)), 3, 4)
+    found = parallel_beam_search(Task.create(arch.boundary, 1), HostOracle(Stability(arch)), 3, 4)
     assert not found.found.any()
     assert len(found.states)
 
@@ -103,7 +103,7 @@ def test_searches_that_die_hand_back_how_far_they_came() -> None:
 def test_parts_leave_only_where_there_is_a_way_out() -> None:
     task = Task.create(BOTTLE.boundary, 2, clearance=BOTTLE.clearance)
     for direction in Direction:
-        found = search_many(task, HostOracle(STABLE), 4, 8, direction=direction)
+        found = parallel_beam_search(task, HostOracle(STABLE), 4, 8, direction=direction)
         assert found.found.any()
         graph = StateGraph.build(task, found.states)
         assert (graph.reachable if direction is Direction.DISASSEMBLY else graph.solvable).all()
@@ -115,7 +115,7 @@ def test_states_left_open_are_not_kept() -> None:
             return torch.zeros(len(states), dtype=torch.int8)
 
     task = Task.create(BOTTLE.boundary, 2)
-    found = search_many(task, Unsure(), 2, 4)
+    found = parallel_beam_search(task, Unsure(), 2, 4)
     assert not found.found.any()
     assert ((found.states != 0).sum(axis=1) == BOTTLE.part_count).all()
 
@@ -132,7 +132,7 @@ def test_nothing_that_slides_is_kept(rules: Any, seed: int) -> None:
     """Where every move needs a verdict, a search with room for all finds what an enumeration does."""
     oracle = rules.pressing(seed, 6)
     task = Task.create(rules.ground(6), 2)
-    found = search_many(task, HostOracle(oracle), 2, 3**5)
+    found = parallel_beam_search(task, HostOracle(oracle), 2, 3**5)
     reached = rules.enumeration(task, oracle).reachable()
     assert {tuple(state) for state in found.states.tolist()} == reached
     assert found.found.all() == (rules.enumeration(task, oracle).count() > 0)

@@ -85,7 +85,7 @@ class Evaluate(Command):
             network: Any = Network(policy, settings.precision if device.type == "cuda" else "float32")
             if self.targets:
                 sets = self._pairs(trained, assembly, oracle_on(oracle, device), device)
-                network = network if settings.policy.two_states else GoalBlindPolicy(network)
+                network = network if settings.policy.goal_conditioned else GoalBlindPolicy(network)
             else:
                 data = self._data(trained, assembly, oracle_on(oracle, device), device)
                 sets = {name: (getattr(data, name), None) for name in ("train", "validation", "test")}
@@ -102,7 +102,7 @@ class Evaluate(Command):
             "criterion": criterion,
             "phases": [phase.algorithm for phase in settings.phases],
             "policy": settings.policy.kind,
-            "two_states": settings.policy.two_states,
+            "goal_conditioned": settings.policy.goal_conditioned,
             "targets": self.targets,
             **found,
             "seconds": round(time.perf_counter() - begun, 3),

@@ -52,11 +52,11 @@ class Train(Command):
     """Preset: imitation of searches and then PPO from many rollouts (`default`), `imitation` alone, PPO with the
     curriculum of the `paper` from scratch, or PPO from the `complete` structure alone, a baseline."""
     policy: Annotated[
-        Kind | None, arg(help_behavior_hint="(default: residual; parts for large structures with --two-states)")
+        Kind | None, arg(help_behavior_hint="(default: resmlp; transformer for large goal-conditioned structures)")
     ] = None
-    """Network: quick layers over the state (`residual`), attention between parts (`parts`), the paper's force-torque
-    graph (`graph`) or its baseline (`mlp`). Those of parts and graph carry over to other structures."""
-    two_states: bool = False
+    """Network: residual layers over the state (`resmlp`), attention between parts (`transformer`), the paper's graph
+    attention (`gat`) or its baseline (`mlp`). The weights of transformer and gat fit other structures."""
+    goal_conditioned: bool = False
     """Train a goal-conditioned policy."""
     removable_only_if_clear: bool = False
     """Remove a part only if it has a collision-free straight exit."""
@@ -87,7 +87,7 @@ class Train(Command):
         settings = TrainSettings(
             phases=METHODS[self.method],
             robots=self.robots,
-            policy=recommended(assembly.part_count, two_states=self.two_states, kind=self.policy),
+            policy=recommended(assembly.part_count, goal_conditioned=self.goal_conditioned, kind=self.policy),
             removable_only_if_clear=self.removable_only_if_clear,
             criterion=self.criterion,
             data=self.data,

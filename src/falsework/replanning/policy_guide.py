@@ -55,7 +55,7 @@ class PolicyGuide:
         self.policy.eval()
         weights = next(iter(policy.parameters()), None)
         self.device = torch.device("cpu") if weights is None else weights.device
-        self.two_states = bool(getattr(getattr(policy, "settings", None), "two_states", False))
+        self.goal_conditioned = bool(getattr(getattr(policy, "settings", None), "goal_conditioned", False))
         self.task = task
         self._seconds: dict[int, float] = {}
 
@@ -74,7 +74,7 @@ class PolicyGuide:
             states = np.repeat(state[None], count, axis=0)
             held = np.arange(count) % len(state)
             states[np.arange(count), held] = HELD
-            self._ask(states, states if self.two_states else None)
+            self._ask(states, states if self.goal_conditioned else None)
 
     def seconds_for(self, rows: int) -> float:
         """Estimate the network's time for a number of states from earlier calls, s; 0 if nothing is known."""
@@ -123,7 +123,7 @@ class PolicyGuide:
 
     def _logits(self, states: States, targets: States | None) -> NDArray[np.float64]:
         """Evaluate the network on distinct inputs. Shape (batch, 2 parts)."""
-        targets = targets if self.two_states else None
+        targets = targets if self.goal_conditioned else None
         questions = states if targets is None else np.concatenate([states, targets], axis=1)
         questions = np.ascontiguousarray(questions)
         keys = questions.view(np.dtype((np.void, questions.shape[1]))).ravel()

@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 
 from falsework.learn.algorithms.rollout_storage import Transitions
-from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.data.solvable_states import SolvableStates
 
 
 def relabel(
-    transitions: Transitions, count: int, solved: SolvedStates, generator: torch.Generator
+    transitions: Transitions, count: int, solved: SolvableStates, generator: torch.Generator
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Draw two states of one rollout: the later one as the goal of the earlier one.
 
@@ -40,5 +40,5 @@ def relabel(
     early = order[torch.minimum(first, second)[apart]]
     late = order[torch.maximum(first, second)[apart]]
     states, goals = transitions.states[early], transitions.states[late]
-    rows = (~solved.is_forbidden(states) & ~solved.is_forbidden(goals)).nonzero()[:, 0]
+    rows = (~solved.is_held_out(states) & ~solved.is_held_out(goals)).nonzero()[:, 0]
     return states[rows], goals[rows], transitions.actions[early[rows]]

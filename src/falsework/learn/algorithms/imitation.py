@@ -11,8 +11,8 @@ import torch
 from falsework.errors import InputError
 from falsework.learn.algorithms.policy_optimizer import PolicyOptimizer
 from falsework.learn.config.imitation import ImitationPhase
-from falsework.learn.data.random_walks import TaskSource
-from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.data.random_walks import GoalSampler
+from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.policy import Policy, masked_log_probabilities
 from falsework.utils.distributed import Shards
@@ -55,10 +55,10 @@ class Imitation:
     def __init__(
         self,
         policy: Policy,
-        solved: SolvedStates,
+        solved: SolvableStates,
         settings: ImitationPhase,
         *,
-        tasks: TaskSource | None = None,
+        tasks: GoalSampler | None = None,
         seed: int = 0,
         precision: str = "float32",
         compiled: bool = False,

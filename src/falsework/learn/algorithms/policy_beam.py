@@ -17,7 +17,7 @@ _SPARE = 2
 
 
 @dataclass(frozen=True, eq=False)
-class GroupSearch:
+class PolicyBeamResult:
     """What became of the searches."""
 
     found: torch.Tensor
@@ -28,14 +28,14 @@ class GroupSearch:
     """Start that each of them belongs to, shape (count,)."""
 
 
-def search_from(
+def policy_beam_search(
     environment: Environment,
     policy: Policy,
     starts: torch.Tensor,
     targets: torch.Tensor | None = None,
     *,
     width: int = 8,
-) -> GroupSearch:
+) -> PolicyBeamResult:
     """Search in the order of disassembly from each start, with a beam of its own.
 
     Candidates of a start are ordered by the logarithm of the probability that the policy goes their way, the best
@@ -60,9 +60,9 @@ def search_from(
 
     while len(going):
         level = levels[-1].take(going)
-        aims = None if targets is None else targets[level.owner]
-        mask = rules.moves(level.states, aims)
-        logits, _ = evaluate(policy, level.states, aims, environment.rows_at_once)
+        goals = None if targets is None else targets[level.owner]
+        mask = rules.moves(level.states, goals)
+        logits, _ = evaluate(policy, level.states, goals, environment.rows_at_once)
         score = level.value[:, None] + masked_log_probabilities(logits, mask)
         kept = next_level(rules, level, _candidates(rules, level, score, mask, width), stable, width, _SPARE)
         if len(kept.states) == 0:
@@ -74,7 +74,7 @@ def search_from(
         ends.append(there.nonzero()[:, 0])
         going = (~found[kept.owner]).nonzero()[:, 0]
     ways = with_ancestors(levels, ends)[::-1]
-    return GroupSearch(found, torch.cat([way.states for way in ways]), torch.cat([way.owner for way in ways]))
+    return PolicyBeamResult(found, torch.cat([way.states for way in ways]), torch.cat([way.owner for way in ways]))
 
 
 def _best_of_rows(score: torch.Tensor, mask: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from falsework.learn.algorithms.policy_beam import search_from
+from falsework.learn.algorithms.policy_beam import policy_beam_search
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import Policy, roll_out
 from falsework.replanning.result import Decider
@@ -81,7 +81,7 @@ def solve_all(
         stages[by.value] = stages.get(by.value, 0.0) + time.perf_counter() - since
         return rows[~good]
 
-    def aims(rows: torch.Tensor) -> torch.Tensor | None:
+    def goals(rows: torch.Tensor) -> torch.Tensor | None:
         return None if targets is None else targets[rows]
 
     left, since = torch.arange(len(starts), device=starts.device), time.perf_counter()
@@ -90,7 +90,7 @@ def solve_all(
         since, rows = time.perf_counter(), left.repeat_interleave(samples)
         options: dict[str, Any] = {"greedy": False, "generator": generator, "keep": "ends"}
         good = [
-            roll_out(environment, policy, starts[piece], aims(piece), **options).success for piece in rows.split(_ROWS)
+            roll_out(environment, policy, starts[piece], goals(piece), **options).success for piece in rows.split(_ROWS)
         ]
         left = settle(left, torch.cat(good).view(len(left), samples).any(dim=1), Decider.SAMPLED, since)
     for width in widths:
@@ -98,7 +98,7 @@ def solve_all(
             break
         since = time.perf_counter()
         good = [
-            search_from(environment, policy, starts[piece], aims(piece), width=width).found
+            policy_beam_search(environment, policy, starts[piece], goals(piece), width=width).found
             for piece in left.split(max(_ROWS // width, 1))
         ]
         left = settle(left, torch.cat(good), Decider.GUIDED, since)

@@ -20,8 +20,8 @@ from falsework.learn.algorithms.ppo_loss import Loss, ppo_loss
 from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions
 from falsework.learn.algorithms.start_states import StartBatch, StartSampler
 from falsework.learn.config.ppo import PpoPhase
-from falsework.learn.data.random_walks import TaskSource
-from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.data.random_walks import GoalSampler
+from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.policy import Policy
@@ -54,8 +54,8 @@ class PPO:
         starts: StartSampler,
         settings: PpoPhase,
         *,
-        solved: SolvedStates | None = None,
-        tasks: TaskSource | None = None,
+        solved: SolvableStates | None = None,
+        tasks: GoalSampler | None = None,
         begin: float = 0.0,
         seed: int = 0,
         precision: str = "float32",
@@ -83,7 +83,7 @@ class PPO:
         self.updates = 0
         """Collections learned from."""
         self._environment, self._sampler, self._settings, self._shards = environment, starts, settings, shards
-        self._solved = SolvedStates(environment.rules) if solved is None else solved
+        self._solved = SolvableStates(environment.rules) if solved is None else solved
         self._tasks, self._begin, self._seed = tasks, begin, seed
         self._network = Network(policy, precision, compiled=compiled)
         self._playing = Network(policy, precision)
@@ -151,7 +151,7 @@ class PPO:
         )
         if settings.imitation and batch.targets is None and len(self._solved) < _MOST_SOLVED:
             self._solved.add(transitions.states[transitions.success[transitions.rollout]])
-        learnable = transitions.take((~self._solved.is_forbidden(transitions.states)).nonzero()[:, 0])
+        learnable = transitions.take((~self._solved.is_held_out(transitions.states)).nonzero()[:, 0])
         learnable = replace(
             learnable, advantage=normalized(learnable.advantage, self._shards, centered=settings.centered)
         )

@@ -78,8 +78,8 @@ def collect_transitions(
     if not moves:
         none = torch.empty(0, device=starts.device)
         mask = torch.empty((0, 2 * environment.part_count), dtype=torch.bool, device=starts.device)
-        aims = None if targets is None else targets[:0]
-        return Transitions(starts[:0], aims, none.long(), mask, none, none, none, none.long(), success)
+        goals = None if targets is None else targets[:0]
+        return Transitions(starts[:0], goals, none.long(), mask, none, none, none, none.long(), success)
     rows = [move.rows for move in moves]
     values = [0.5 + 0.5 * move.value if probabilities else move.value for move in moves]
     rewards = [move.step.success.float() if probabilities else move.step.reward for move in moves]

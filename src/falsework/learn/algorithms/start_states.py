@@ -9,8 +9,8 @@ import torch
 
 from falsework.learn.algorithms.hindsight import relabel
 from falsework.learn.algorithms.rollout_storage import Transitions
-from falsework.learn.data.random_walks import TaskSource
-from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.data.random_walks import GoalSampler
+from falsework.learn.data.solvable_states import SolvableStates
 from falsework.search.device.rules import TensorRules
 
 _FROM_DATA = 0.5
@@ -87,12 +87,12 @@ class MixedStarts:
     def __init__(
         self,
         starts: torch.Tensor,
-        solved: SolvedStates,
+        solved: SolvableStates,
         rules: TensorRules,
         collection: int,
         *,
         targets: torch.Tensor | None = None,
-        tasks: TaskSource | None = None,
+        tasks: GoalSampler | None = None,
     ) -> None:
         """Begin without failures.
 

@@ -7,15 +7,15 @@ from typing import Any, Literal, get_args
 
 from falsework.errors import InputError
 
-Kind = Literal["residual", "parts", "graph", "mlp"]
+Kind = Literal["resmlp", "transformer", "gat", "mlp"]
 
 _DEFAULTS: dict[str, dict[str, int]] = {
-    "residual": {"layers": 4, "channels": 512, "heads": 1, "expansion": 2},
-    "parts": {"layers": 4, "channels": 128, "heads": 8, "expansion": 2},
-    "graph": {"layers": 8, "channels": 16, "heads": 2, "expansion": 1},
+    "resmlp": {"layers": 4, "channels": 512, "heads": 1, "expansion": 2},
+    "transformer": {"layers": 4, "channels": 128, "heads": 8, "expansion": 2},
+    "gat": {"layers": 8, "channels": 16, "heads": 2, "expansion": 1},
     "mlp": {"layers": 3, "channels": 64, "heads": 1, "expansion": 1},
 }
-"""What a size of 0 stands for. The sizes of `graph` and `mlp` are those of the paper (section 5.4)."""
+"""What a size of 0 stands for. The sizes of `gat` and `mlp` are those of the paper (section 5.4)."""
 
 
 _FEW = 20
@@ -26,11 +26,11 @@ _FEW = 20
 class PolicySettings:
     """A kind of network and its sizes; a size of 0 is the default of the kind."""
 
-    kind: Kind = "residual"
-    """`residual`: layers over the plain state, quick; `parts`: attention between parts; `graph`: the paper's
+    kind: Kind = "resmlp"
+    """`resmlp`: layers over the plain state, quick; `transformer`: attention between parts; `gat`: the paper's
     force-torque graph; `mlp`: the paper's baseline."""
-    two_states: bool = False
-    """Whether the policy is told a target state; without, it takes apart all there is."""
+    goal_conditioned: bool = False
+    """Whether the policy is conditioned on a goal state; without, it disassembles everything that is not fixed."""
     layers: int = 0
     """0: residual and parts 4, graph 8, mlp 3."""
     channels: int = 0
@@ -38,9 +38,9 @@ class PolicySettings:
     heads: int = 0
     """Heads of attention, which share the channels; 0: parts 8, graph 2."""
     expansion: int = 0
-    """Hidden channels of a feed-forward layer by channels, for `residual` and `parts`; 0: 2."""
+    """Hidden channels of a feed-forward layer by channels, for `resmlp` and `transformer`; 0: 2."""
     identity: bool = False
-    """Learn a vector for every part of this structure, for `parts`: no transfer to other structures."""
+    """Learn a vector for every part of this structure, for `transformer`: no transfer to other structures."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
@@ -50,11 +50,11 @@ class PolicySettings:
             if not isinstance(value, int) or value < 0:
                 raise InputError(f"policy {name} is {value!r}; give a positive number, or 0 for the default")
         sizes = self.resolved()
-        if self.kind in ("parts", "graph") and sizes.channels % sizes.heads:
+        if self.kind in ("transformer", "gat") and sizes.channels % sizes.heads:
             raise InputError(
                 f"policy channels {sizes.channels} do not divide among {sizes.heads} heads; choose a multiple"
             )
-        if self.identity and self.kind != "parts":
+        if self.identity and self.kind != "transformer":
             raise InputError(f"identity is for policies of kind parts, not {self.kind}; leave it out")
 
     def resolved(self) -> PolicySettings:
@@ -70,7 +70,7 @@ class PolicySettings:
     @property
     def transfers(self) -> bool:
         """Whether the weights fit any structure."""
-        return self.kind in ("parts", "graph") and not self.identity
+        return self.kind in ("transformer", "gat") and not self.identity
 
     @staticmethod
     def from_dict(values: dict[str, Any]) -> PolicySettings:
@@ -86,7 +86,7 @@ class PolicySettings:
         return PolicySettings(**values)
 
 
-def recommended(parts: int, *, two_states: bool = False, kind: Kind | None = None) -> PolicySettings:
+def recommended(parts: int, *, goal_conditioned: bool = False, kind: Kind | None = None) -> PolicySettings:
     """The network that comes furthest in a given time.
 
     With one end for all states that is the quickest one, since rollouts count. States with targets of their own are too
@@ -96,10 +96,10 @@ def recommended(parts: int, *, two_states: bool = False, kind: Kind | None = Non
 
     Args:
         parts: number of parts.
-        two_states: whether the policy is told a target.
+        goal_conditioned: whether the policy is conditioned on a goal.
         kind: of the network, if that is chosen already.
     """
-    usual: Kind = kind or ("parts" if two_states and parts > _FEW else "residual")
-    if usual == "parts" and two_states:
-        return PolicySettings(usual, two_states=True, layers=3, channels=64, heads=4)
-    return PolicySettings(usual, two_states=two_states)
+    usual: Kind = kind or ("transformer" if goal_conditioned and parts > _FEW else "resmlp")
+    if usual == "transformer" and goal_conditioned:
+        return PolicySettings(usual, goal_conditioned=True, layers=3, channels=64, heads=4)
+    return PolicySettings(usual, goal_conditioned=goal_conditioned)

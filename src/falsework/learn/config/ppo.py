@@ -114,10 +114,10 @@ class PpoPhase:
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} is {getattr(self, name):g}; give 0 or more")
 
-    def resolved(self, device: str, *, two_states: bool = False) -> PpoPhase:
+    def resolved(self, device: str, *, goal_conditioned: bool = False) -> PpoPhase:
         """Replace every 0 by the default for a kind of device, `cpu` or `cuda`."""
         gpu = device == "cuda"
-        rollouts = (49_152 if two_states else 16_384) if gpu else 512
+        rollouts = (49_152 if goal_conditioned else 16_384) if gpu else 512
         if self.starts != "mixed":
             rollouts = 1024 if gpu else 64
         return replace(

@@ -39,7 +39,7 @@ class TrainSettings:
     robots: int = 2
     """Parts held at a time."""
     policy: PolicySettings = field(default_factory=PolicySettings)
-    """Network; with `two_states`, it is told a target."""
+    """Network; with `goal_conditioned`, it is conditioned on a goal."""
     removable_only_if_clear: bool = False
     """Remove a part only if it has a straight way out."""
     criterion: Criterion = "contact"
@@ -86,7 +86,7 @@ class TrainSettings:
         if self.seed < 0 or self.data_seed < 0:
             raise InputError("seeds are not negative")
         last = self.phases[-1]
-        if self.policy.two_states and isinstance(last, PpoPhase) and last.starts == "complete":
+        if self.policy.goal_conditioned and isinstance(last, PpoPhase) and last.starts == "complete":
             raise InputError("PPO from the complete structure knows no targets; choose mixed starts or the curriculum")
         if self.robots < 1:
             raise InputError(f"{self.robots} robots cannot hold anything; give at least 1")
@@ -100,7 +100,7 @@ class TrainSettings:
         """
         gpu = device == "cuda"
         minutes = self.minutes or default_minutes(parts, device)
-        two = self.policy.two_states
+        two = self.policy.goal_conditioned
         widths = default_target_widths(parts, device, minutes) if two else default_widths(parts, device)
         return replace(
             self,
@@ -108,7 +108,7 @@ class TrainSettings:
             minutes=minutes,
             widths=self.widths or widths,
             phases=tuple(
-                one.resolved(device) if isinstance(one, ImitationPhase) else one.resolved(device, two_states=two)
+                one.resolved(device) if isinstance(one, ImitationPhase) else one.resolved(device, goal_conditioned=two)
                 for one in self.phases
             ),
             block=self.block or (200 if gpu else 20),
@@ -118,9 +118,9 @@ class TrainSettings:
 
 def _policy(policy: PolicySettings, gpu: bool) -> PolicySettings:
     """A quick network as large as the device can play with at leisure, and an attentive one as it can wait for."""
-    if policy.kind == "residual":
+    if policy.kind == "resmlp":
         return replace(policy, channels=policy.channels or (1024 if gpu else 256))
-    if policy.kind == "parts" and not gpu:
+    if policy.kind == "transformer" and not gpu:
         return replace(policy, layers=policy.layers or 3, channels=policy.channels or 64)
     return policy
 

@@ -192,7 +192,7 @@ def search_states(
         device: where to search; the states are the same on each.
         shards: processes that search together.
         direction: end to begin at.
-        report: told how far the search is.
+        report: called with progress messages.
         stop: asked before every level.
 
     Returns:
@@ -229,7 +229,7 @@ def build_dataset(
         oracle: verdicts, whose criterion the data set then names; made if not given.
         device: `auto`, `cpu` or `cuda`.
         shards: processes that search together.
-        report: told what is going on.
+        report: called with progress messages.
 
     Raises:
         DependencyError: torch is not installed.

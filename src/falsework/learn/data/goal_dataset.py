@@ -1,4 +1,4 @@
-"""Data of two-state policies: tasks to learn from, and unseen ones to test on (paper, section 7.2, Table 4)."""
+"""Data of goal-conditioned policies: tasks to learn from, and unseen ones to test on (paper, section 7.2, Table 4)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from falsework.errors import InputError
 from falsework.learn.data.dataset import Report, check_states, search_states
 from falsework.learn.data.goal_pairs import Pairs, PairSource, joined_pairs, unsolved_at_random
 from falsework.search.device.oracle import TensorOracle, oracle_on, without_exact
-from falsework.search.device.parallel_beams import search_many
+from falsework.search.device.parallel_beams import parallel_beam_search
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.state_graph import StateGraph, criterion_of, read_criterion
 from falsework.search.problem.task import Direction, Task
@@ -48,7 +48,7 @@ _THROUGH = 0.25
 
 
 @dataclass(frozen=True)
-class TargetDataSettings:
+class GoalDataSettings:
     """Which searches make a data set of pairs (paper, section 7.2, Table 4)."""
 
     train_width: int = 64
@@ -75,7 +75,7 @@ class TargetDataSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class TargetDataset:
+class GoalDataset:
     """Pairs of start and target of one structure; no start or target of a test pair is one of the training states."""
 
     train: Pairs
@@ -90,7 +90,7 @@ class TargetDataset:
     """Those and the states of further searches; the same graph where there are none."""
     task: Task
     name: str = ""
-    settings: TargetDataSettings = field(default_factory=TargetDataSettings)
+    settings: GoalDataSettings = field(default_factory=GoalDataSettings)
 
     @property
     def held_out(self) -> States:
@@ -100,8 +100,8 @@ class TargetDataset:
 
 
 @dataclass(frozen=True, eq=False)
-class Searched:
-    """States of the searches of a `TargetDataset`, which take far longer to find than to connect."""
+class SearchStates:
+    """States of the searches of a `GoalDataset`, which take far longer to find than to connect."""
 
     train: States
     """Of the first search, shape (count, parts)."""
@@ -114,23 +114,23 @@ class Searched:
     def find(
         cls,
         task: Task,
-        settings: TargetDataSettings,
+        settings: GoalDataSettings,
         oracle: TensorOracle,
         *,
         device: torch.device,
         shards: Shards = Shards(),
         report: Report | None = None,
         enough: Callable[[], bool] | None = None,
-    ) -> Searched:
+    ) -> SearchStates:
         """Search.
 
         Args:
-            task: as of `target_dataset`, like the next four.
+            task: as of `build_goal_dataset`, like the next four.
             settings: widths and seed.
             oracle: verdicts.
             device: where to search.
             shards: processes that search together.
-            report: told in words how far it is.
+            report: called with progress messages.
             enough: asked before each lot of further searches, in all processes alike, whether they and those after
                 them can be left out.
         """
@@ -162,7 +162,7 @@ class Searched:
         write_archive(path, FORMAT, header, {name: getattr(self, name) for name in _ARRAYS})
 
     @classmethod
-    def load(cls, path: Path | str, task: Task) -> Searched:
+    def load(cls, path: Path | str, task: Task) -> SearchStates:
         """Read what `save` wrote.
 
         Raises:
@@ -198,7 +198,9 @@ def _several(
     if mine:
         keep = _KEPT * width if device.type == "cuda" else None
         own = seed * shards.size + shards.rank
-        searched = search_many(task, oracle, mine, width, direction=direction, seed=own, keep=keep, device=device)
+        searched = parallel_beam_search(
+            task, oracle, mine, width, direction=direction, seed=own, keep=keep, device=device
+        )
         states, through = searched.states, float(searched.found.sum())
     if shards.size > 1:
         states = gather_rows(torch.from_numpy(states).to(device), shards).cpu().numpy()
@@ -206,22 +208,22 @@ def _several(
     return states, through
 
 
-def target_dataset(
+def build_goal_dataset(
     assembly: Assembly,
     task: Task,
-    settings: TargetDataSettings = TargetDataSettings(),
+    settings: GoalDataSettings = GoalDataSettings(),
     *,
     oracle: TensorOracle | None = None,
     device: str = "auto",
     shards: Shards = Shards(),
-    searched: Searched | None = None,
-) -> TargetDataset:
+    searched: SearchStates | None = None,
+) -> GoalDataset:
     """Run the searches of the protocol of Table 4 and draw the pairs.
 
     The paper's training set is what a search of width 64 from the complete structure finds; unseen pairs come from
     a search of width 128, and both their states are new. All of them have a way from start to target, which uniformly
     random legal actions did not find: a table of pairs that these solve says little of a policy. Further searches add
-    states, and with them ways, between which `falsework.learn.data.random_walks.Ways` draws tasks.
+    states, and with them ways, between which `falsework.learn.data.random_walks.RandomWalkGoals` draws tasks.
 
     Args:
         assembly: the structure.
@@ -242,7 +244,7 @@ def target_dataset(
     asked = oracle_on(Stability(assembly), where) if oracle is None else oracle
     task = task.judged_by(asked)
     if searched is None:
-        searched = Searched.find(task, settings, asked, device=where, shards=shards)
+        searched = SearchStates.find(task, settings, asked, device=where, shards=shards)
     graph = StateGraph.build(task, searched.train, name=assembly.name)
     wider = StateGraph.build(task, searched.test, name=assembly.name)
     rng = np.random.default_rng(settings.seed)
@@ -260,7 +262,7 @@ def target_dataset(
     wide = graph
     if len(searched.more):
         wide = StateGraph.build(task, np.concatenate([searched.train, searched.more]), name=assembly.name)
-    return TargetDataset(train, test, validation, graph, wide, task, assembly.name, settings)
+    return GoalDataset(train, test, validation, graph, wide, task, assembly.name, settings)
 
 
 def _unseen(
@@ -268,7 +270,7 @@ def _unseen(
 ) -> Pairs:
     """At most `count` pairs of states of a graph that are not among `seen` and that random actions do not solve."""
     try:
-        source = PairSource(wider, forbidden=seen)
+        source = PairSource(wider, held_out=seen)
     except InputError:
         return PairSource(wider).draw(1, rng)[:0]
     kept: list[Pairs] = []

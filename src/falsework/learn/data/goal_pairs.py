@@ -52,12 +52,12 @@ class Pairs:
 class PairSource:
     """Draws pairs of states of one graph between which a way runs inside the graph."""
 
-    def __init__(self, graph: StateGraph, *, forbidden: States | None = None) -> None:
+    def __init__(self, graph: StateGraph, *, held_out: States | None = None) -> None:
         """Prepare a graph, usually one that was searched in the direction of disassembly.
 
         Args:
             graph: states and valid actions.
-            forbidden: states that are neither start nor target of any pair, such as those kept for testing; ways may
+            held_out: states that are neither start nor target of any pair, such as those kept for testing; ways may
                 lead through them. Shape (count, parts).
 
         Raises:
@@ -66,8 +66,8 @@ class PairSource:
         self.graph = graph
         states = graph.states
         self._allowed = np.ones(len(states), dtype=bool)
-        if forbidden is not None and len(forbidden):
-            self._allowed = StateIndex(np.unique(forbidden, axis=0)).find(states) < 0
+        if held_out is not None and len(held_out):
+            self._allowed = StateIndex(np.unique(held_out, axis=0)).find(states) < 0
         self._levels = [edges for edges in graph.edges_by_level() if edges.stop > edges.start]
         # Rows of `after` are the successors of each state; the last row, which no target is ever found in, is nobody's.
         self._after = np.full((len(states), 2 * states.shape[1]), len(states), dtype=np.int32)
@@ -200,16 +200,16 @@ def _solved_at_random(
     return solved
 
 
-def sample_pairs(graph: StateGraph, count: int, rng: np.random.Generator, *, forbidden: States | None = None) -> Pairs:
+def sample_pairs(graph: StateGraph, count: int, rng: np.random.Generator, *, held_out: States | None = None) -> Pairs:
     """Draw pairs of a graph once; `PairSource` draws again and again.
 
     Args:
         graph: searched in the direction of disassembly.
         count: how many.
         rng: source of randomness.
-        forbidden: states that are neither start nor target.
+        held_out: states that are neither start nor target.
     """
-    return PairSource(graph, forbidden=forbidden).draw(count, rng)
+    return PairSource(graph, held_out=held_out).draw(count, rng)
 
 
 def joined_pairs(pieces: list[Pairs], count: int | None = None) -> Pairs:

@@ -27,7 +27,7 @@ _TRIES = 8
 """Times that walks without an allowed start are walked again."""
 
 
-class TaskSource(Protocol):
+class GoalSampler(Protocol):
     """Draws tasks: states, their targets, and actions that are valid on the way."""
 
     def draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -43,16 +43,16 @@ class TaskSource(Protocol):
         ...
 
 
-class Ways:
-    """Draws states, targets and first actions of ways inside one graph; a `TaskSource`."""
+class RandomWalkGoals:
+    """Draws states, targets and first actions of ways inside one graph; a `GoalSampler`."""
 
-    def __init__(self, graph: StateGraph, *, device: torch.device, forbidden: States | None = None) -> None:
+    def __init__(self, graph: StateGraph, *, device: torch.device, held_out: States | None = None) -> None:
         """Put a graph on a device; it may come from searches in both directions.
 
         Args:
             graph: states and valid actions.
             device: where to draw.
-            forbidden: states that are neither start nor target, such as those kept for testing; ways may lead through
+            held_out: states that are neither start nor target, such as those kept for testing; ways may lead through
                 them. Shape (count, parts).
 
         Raises:
@@ -60,8 +60,8 @@ class Ways:
         """
         count = len(graph)
         allowed = np.ones(count, dtype=bool)
-        if forbidden is not None and len(forbidden):
-            allowed = StateIndex(np.unique(forbidden, axis=0)).find(graph.states) < 0
+        if held_out is not None and len(held_out):
+            allowed = StateIndex(np.unique(held_out, axis=0)).find(graph.states) < 0
         levels = graph.edges_by_level()
         back = _Reach.over(levels, graph.target, graph.source, allowed)
         on = _Reach.over(levels[::-1], graph.source, graph.target, allowed)

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment, Step
 
 
@@ -21,7 +21,7 @@ class RecordingEnvironment(Environment):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         """As `Environment`."""
         super().__init__(*arguments, **options)
-        self.solved: SolvedStates | None = None
+        self.solved: SolvableStates | None = None
         """Where visits to held-out states are recorded."""
         self.exact = False
 
@@ -46,5 +46,5 @@ class RecordingEnvironment(Environment):
         """As `Environment.step`."""
         step = super().step(states, actions, targets, check=check)
         if self.solved is not None:
-            self.solved.meet(step.states)
+            self.solved.record_visits(step.states)
         return step

@@ -13,7 +13,7 @@ _CHUNK = 1 << 16
 """States hashed at once."""
 
 
-class SolvedStates:
+class SolvableStates:
     """A set of states from which the structure is known to come apart, on one device.
 
     States are told apart by the 64-bit words of `StateHash` alone. Among ten million states and a billion look-ups the
@@ -39,8 +39,8 @@ class SolvedStates:
         self._states = torch.empty((0, parts), dtype=torch.uint8, device=self.device)
         self._stored = self._words_of_none()
         self._known = self._words_of_none()
-        self._forbidden = self._words_of_none()
-        self._met = torch.empty(0, dtype=torch.bool, device=self.device)
+        self._held_out = self._words_of_none()
+        self._visited = torch.empty(0, dtype=torch.bool, device=self.device)
         if states is not None:
             self.add(states)
 
@@ -53,19 +53,19 @@ class SolvedStates:
         return self._states
 
     @property
-    def forbidden(self) -> int:
+    def held_out(self) -> int:
         """Number of test states."""
-        return len(self._forbidden)
+        return len(self._held_out)
 
     @property
-    def met(self) -> int:
-        """Number of test states that rollouts have come across, see `meet`."""
-        return int(self._met.sum())
+    def visited(self) -> int:
+        """Number of test states that rollouts have come across, see `record_visits`."""
+        return int(self._visited.sum())
 
     @property
-    def met_share(self) -> float:
+    def held_out_visit_rate(self) -> float:
         """Share of the test states that rollouts have come across."""
-        return self.met / max(self.forbidden, 1)
+        return self.visited / max(self.held_out, 1)
 
     def hashes(self, states: torch.Tensor) -> torch.Tensor:
         """The word of each state, int64, shape (batch,)."""
@@ -93,39 +93,39 @@ class SolvedStates:
         rows = torch.sort(order[first]).values  # in the order in which they came
         states, hashes = states[rows], hashes[rows]
         self._known = torch.sort(torch.cat([self._known, hashes])).values
-        storable = ~in_sorted(self._forbidden, hashes)
+        storable = ~in_sorted(self._held_out, hashes)
         self._states = torch.cat([self._states, states[storable]])
         self._stored = torch.sort(torch.cat([self._stored, hashes[storable]])).values
         return int(storable.sum())
 
-    def forbid(self, states: torch.Tensor) -> None:
+    def hold_out(self, states: torch.Tensor) -> None:
         """Keep states for testing: they are never stored, and dropped if they are.
 
         Args:
             states: shape (count, parts).
         """
         hashes = torch.unique(self.hashes(states.to(self.device)))
-        hashes = hashes[~in_sorted(self._forbidden, hashes)]
-        self._forbidden, order = torch.sort(torch.cat([self._forbidden, hashes]))
-        self._met = torch.cat([self._met, torch.zeros_like(hashes, dtype=torch.bool)])[order]
-        self._states = self._states[~in_sorted(self._forbidden, self.hashes(self._states))]
-        self._stored = self._stored[~in_sorted(self._forbidden, self._stored)]
+        hashes = hashes[~in_sorted(self._held_out, hashes)]
+        self._held_out, order = torch.sort(torch.cat([self._held_out, hashes]))
+        self._visited = torch.cat([self._visited, torch.zeros_like(hashes, dtype=torch.bool)])[order]
+        self._states = self._states[~in_sorted(self._held_out, self.hashes(self._states))]
+        self._stored = self._stored[~in_sorted(self._held_out, self._stored)]
 
-    def is_forbidden(self, states: torch.Tensor) -> torch.Tensor:
+    def is_held_out(self, states: torch.Tensor) -> torch.Tensor:
         """Which states are kept for testing, bool, shape (batch,)."""
-        return in_sorted(self._forbidden, self.hashes(states))
+        return in_sorted(self._held_out, self.hashes(states))
 
-    def meet(self, states: torch.Tensor) -> None:
+    def record_visits(self, states: torch.Tensor) -> None:
         """Note which test states a rollout has come across; they are counted, nothing else.
 
         Args:
             states: states of rollouts, in any number, shape (batch, parts).
         """
-        if len(self._forbidden) and len(states):
+        if len(self._held_out) and len(states):
             hashes = self.hashes(states)
-            slot = torch.searchsorted(self._forbidden, hashes).clamp_(max=len(self._forbidden) - 1)
-            hit = (self._forbidden[slot] == hashes).to(torch.int32)
-            self._met |= torch.zeros_like(self._met, dtype=torch.int32).index_add_(0, slot, hit) > 0
+            slot = torch.searchsorted(self._held_out, hashes).clamp_(max=len(self._held_out) - 1)
+            hit = (self._held_out[slot] == hashes).to(torch.int32)
+            self._visited |= torch.zeros_like(self._visited, dtype=torch.int32).index_add_(0, slot, hit) > 0
 
     def contains(self, states: torch.Tensor) -> torch.Tensor:
         """Which states are stored, bool, shape (batch,)."""
@@ -152,20 +152,20 @@ class SolvedStates:
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All that there is to save, for `load`."""
-        return {"states": self._states, "known": self._known, "forbidden": self._forbidden, "met": self._met}
+        return {"states": self._states, "known": self._known, "held_out": self._held_out, "met": self._visited}
 
     def load(self, tensors: dict[str, torch.Tensor]) -> None:
         """Go back to what `tensors` gave."""
         moved = {name: tensor.to(self.device) for name, tensor in tensors.items()}
         self._states, self._known = moved["states"], moved["known"]
-        self._forbidden, self._met = moved["forbidden"], moved["met"].bool()
+        self._held_out, self._visited = moved["held_out"], moved["met"].bool()
         self._stored = torch.sort(self.hashes(self._states)).values
 
-    def test_words(self) -> torch.Tensor:
+    def held_out_hashes(self) -> torch.Tensor:
         """Words of test states that are known to be solvable, for other processes to know of. Shape (count,)."""
-        return self._known[in_sorted(self._forbidden, self._known)]
+        return self._known[in_sorted(self._held_out, self._known)]
 
-    def learn_test_words(self, words: torch.Tensor) -> None:
+    def learn_held_out_hashes(self, words: torch.Tensor) -> None:
         """Take over from other processes which test states are solvable; words of other states are not for this."""
         fresh = torch.unique(words[~in_sorted(self._known, words)])
         self._known = torch.sort(torch.cat([self._known, fresh])).values

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
-from falsework.learn.data.random_walks import TaskSource
+from falsework.learn.data.random_walks import GoalSampler
 from falsework.search.device.rules import hash_states
 from falsework.search.problem.hashing import StateHash
 from falsework.utils.tensors import in_sorted, put
@@ -32,11 +32,11 @@ def symmetric_images(states: States, images: NDArray[np.intp]) -> States:
     return np.unique(whole.reshape(-1, states.shape[1]), axis=0)
 
 
-class TurnedTasks:
-    """Tasks of another source under symmetries drawn at random; a `TaskSource`."""
+class SymmetryAugmentation:
+    """Tasks of another source under symmetries drawn at random; a `GoalSampler`."""
 
     def __init__(
-        self, tasks: TaskSource, images: NDArray[np.intp], *, device: torch.device, forbidden: States | None = None
+        self, tasks: GoalSampler, images: NDArray[np.intp], *, device: torch.device, held_out: States | None = None
     ) -> None:
         """Put the symmetries on a device.
 
@@ -44,18 +44,18 @@ class TurnedTasks:
             tasks: what is turned.
             images: as of `falsework.assembly.symmetry.symmetries`, shape (symmetries, parts).
             device: where tasks are drawn.
-            forbidden: states that no task may begin or end with; what would is left as it was. Shape (count, parts).
+            held_out: states that no task may begin or end with; what would is left as it was. Shape (count, parts).
         """
         parts = images.shape[1]
         self._tasks = tasks
         self._images = put(np.asarray(images, dtype=np.int64), device)
         self._words = put(StateHash.for_parts(parts).words, device)
         none = torch.empty((0, parts), dtype=torch.uint8, device=device)
-        kept = none if forbidden is None else put(np.unique(forbidden, axis=0), device)
-        self._forbidden = torch.sort(hash_states(kept, self._words)).values
+        kept = none if held_out is None else put(np.unique(held_out, axis=0), device)
+        self._held_out = torch.sort(hash_states(kept, self._words)).values
 
     def draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """As `TaskSource`."""
+        """As `GoalSampler`."""
         drawn = self._tasks.draw(count, generator)
         which = torch.randint(len(self._images), (count,), generator=generator, device=self._images.device)
         image = self._images[which]
@@ -64,11 +64,11 @@ class TurnedTasks:
             torch.empty_like(one).scatter_(1, index, one)
             for one, index in zip(drawn, (image, image, both), strict=True)
         ]
-        taboo = self._is_forbidden(turned[0]) | self._is_forbidden(turned[1])
+        taboo = self._is_held_out(turned[0]) | self._is_held_out(turned[1])
         states, targets, valid = (
             torch.where(taboo[:, None], one, other) for one, other in zip(drawn, turned, strict=True)
         )
         return states, targets, valid
 
-    def _is_forbidden(self, states: torch.Tensor) -> torch.Tensor:
-        return in_sorted(self._forbidden, hash_states(states, self._words))
+    def _is_held_out(self, states: torch.Tensor) -> torch.Tensor:
+        return in_sorted(self._held_out, hash_states(states, self._words))

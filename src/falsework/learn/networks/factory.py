@@ -12,17 +12,17 @@ from torch import Tensor, nn
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.networks.graph_attention import GraphPolicy
+from falsework.learn.networks.graph_attention import GraphAttentionPolicy
 from falsework.learn.networks.mlp import MlpPolicy
-from falsework.learn.networks.part_transformer import PartsPolicy
+from falsework.learn.networks.part_transformer import PartTransformerPolicy
 from falsework.learn.networks.policy import Policy
-from falsework.learn.networks.residual_mlp import ResidualPolicy
+from falsework.learn.networks.residual_mlp import ResidualMlpPolicy
 
 NETWORKS: dict[str, type[Policy]] = {
     "mlp": MlpPolicy,
-    "residual": ResidualPolicy,
-    "parts": PartsPolicy,
-    "graph": GraphPolicy,
+    "resmlp": ResidualMlpPolicy,
+    "transformer": PartTransformerPolicy,
+    "gat": GraphAttentionPolicy,
 }
 """Class of each kind of network."""
 

@@ -26,10 +26,10 @@ from falsework.learn.networks.policy import Policy
 _SLOPE = 0.2
 """Of LeakyReLU below zero, as usual for graph attention."""
 _CHUNK_BYTES = {"cpu": 2**26, "cuda": 2**30}
-"""Memory for the features of torques of states that are only evaluated; larger batches go in pieces."""
+"""RingBuffer for the features of torques of states that are only evaluated; larger batches go in pieces."""
 
 
-class GraphPolicy(Policy):
+class GraphAttentionPolicy(Policy):
     """Graph attention over parts, forces and torques."""
 
     mass: Tensor
@@ -46,7 +46,7 @@ class GraphPolicy(Policy):
         self.keep("normals", torch.tensor(graph.normals))
         self.keep("levers", torch.tensor(graph.grid().levers))
         # Held, in the target and mass; a policy that knows a target must also know which parts end up held in it.
-        self.part_in = nn.Linear(4 if sizes.two_states else 3, sizes.channels)
+        self.part_in = nn.Linear(4 if sizes.goal_conditioned else 3, sizes.channels)
         self.force_in = nn.Linear(3, sizes.channels)
         self.torque_in = nn.Linear(3, sizes.channels)
         self.layers = nn.ModuleList(
@@ -90,9 +90,9 @@ class GraphPolicy(Policy):
 
     def part_inputs(self, kinds: Tensor) -> tuple[Tensor, Tensor]:
         """Features of part nodes, shape (batch, parts, 3 or 4), and which are there, shape (batch, parts)."""
-        if self.settings.two_states:
-            state, aim = kinds // 3, kinds % 3
-            flags = [state >= 2, aim >= 1, aim == 2]
+        if self.settings.goal_conditioned:
+            state, goal = kinds // 3, kinds % 3
+            flags = [state >= 2, goal >= 1, goal == 2]
         else:
             state = kinds
             flags = [state >= 2, self.fixed.expand_as(state)]

@@ -32,7 +32,7 @@ from falsework.learn.networks.geometric_features import PAIR_FEATURES, PART_FEAT
 from falsework.learn.networks.policy import Policy
 
 
-class PartsPolicy(Policy):
+class PartTransformerPolicy(Policy):
     """Transformer over parts with a bias of attention from the geometry of pairs."""
 
     part_features: Tensor

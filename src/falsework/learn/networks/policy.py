@@ -38,7 +38,7 @@ class Policy(nn.Module):
     @property
     def kinds_of_part(self) -> int:
         """Number of values that `classes` tells apart."""
-        return 12 if self.settings.two_states else 4
+        return 12 if self.settings.goal_conditioned else 4
 
     def numbers(self, states: Tensor, targets: Tensor | None) -> Tensor:
         """Class of every part: removed 0, installed 1, held 2, boundary 3; of two states, 3 times that plus the target.
@@ -54,9 +54,9 @@ class Policy(nn.Module):
         if states.shape[-1] != self.part_count:
             raise InputError(f"states have {states.shape[-1]} parts; this policy is for {self.part_count}")
         number = torch.where(self.fixed, 3, states.int())
-        if self.settings.two_states:
-            aim = torch.where(self.fixed, 2, 0) if targets is None else targets
-            number = 3 * number + aim.int()
+        if self.settings.goal_conditioned:
+            goal = torch.where(self.fixed, 2, 0) if targets is None else targets
+            number = 3 * number + goal.int()
         return number
 
     def classes(self, states: Tensor, targets: Tensor | None) -> Tensor:

@@ -15,7 +15,7 @@ from falsework.learn.config.policy import PolicySettings
 from falsework.learn.networks.policy import Policy
 
 
-class ResidualPolicy(Policy):
+class ResidualMlpPolicy(Policy):
     """Layers of a norm and two matrices, each added to what came in."""
 
     def __init__(self, assembly: Assembly, settings: PolicySettings) -> None:

@@ -85,8 +85,8 @@ def greedy_success(
         Numbers over all processes, and which states succeeded, in every process, bool, shape (count,).
     """
     mine, _ = shards.block(len(states))
-    aims = None if targets is None else targets[mine]
-    ended = roll_out(environment, policy, states[mine], aims, greedy=True, keep="ends").success
+    goals = None if targets is None else targets[mine]
+    ended = roll_out(environment, policy, states[mine], goals, greedy=True, keep="ends").success
     success = shards.gather_blocks(ended.to(torch.uint8), len(states)).bool()
     return Success(len(states), int(success.sum())), success
 
@@ -133,7 +133,7 @@ def evaluate(
         sets: states, and targets if there are any, of shape (count, parts).
         settings: how many states, and whether to search.
         shards: processes that share the greedy rollouts.
-        report: told how far it is.
+        report: called with progress messages.
 
     Returns:
         For each set `states` and `success`; with search for `test` also `search`: the `share` of states with a proven
@@ -147,12 +147,12 @@ def evaluate(
             report(number, len(sets), f"{len(states)} {name} states")
         rows = sample(np.arange(len(states)), settings.states)
         chosen = put(states[rows], environment.device)
-        aims = None if targets is None else put(targets[rows], environment.device)
-        success, _ = greedy_success(environment, policy, chosen, aims, shards=shards)
+        goals = None if targets is None else put(targets[rows], environment.device)
+        success, _ = greedy_success(environment, policy, chosen, goals, shards=shards)
         results[name] = success.to_dict()
         if settings.search and name == "test":
             if report is not None:
                 report(number, len(sets), f"search from {name} states")
             generator = environment.generator(settings.seed)
-            results[name]["search"] = solve_all(environment, policy, chosen, aims, generator=generator).to_dict()
+            results[name]["search"] = solve_all(environment, policy, chosen, goals, generator=generator).to_dict()
     return results

@@ -14,7 +14,7 @@ from falsework.learn.algorithms.ppo import PPO
 from falsework.learn.algorithms.start_states import MixedStarts, StartSampler
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.train import Phase, TrainSettings
-from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.policy import Policy
 from falsework.learn.training.training_data import TrainingData
@@ -65,7 +65,7 @@ class LearnerContext:
     environment: Environment
     policy: Policy
     """Trained in place."""
-    solved: SolvedStates
+    solved: SolvableStates
     data: TrainingData
     settings: TrainSettings
     """Resolved."""
@@ -103,11 +103,11 @@ class LearnerContext:
         return PPO(self.environment, self.policy, sampler, phase, solved=self.solved, begin=begin, **options)
 
 
-def share_solved(solved: SolvedStates, known: int, shards: Shards) -> None:
+def share_solved(solved: SolvableStates, known: int, shards: Shards) -> None:
     """Tell all processes what each has found solvable since it knew `known` states."""
     if shards.size > 1:
         solved.add(gather_rows(solved.states[known:], shards))
-        solved.learn_test_words(gather_rows(solved.test_words(), shards))
+        solved.learn_held_out_hashes(gather_rows(solved.held_out_hashes(), shards))
         solved.sort()
 
 

@@ -48,7 +48,7 @@ def train(
         device: `auto`, `cpu` or `cuda`.
         resume: go on with the run in the folder.
         logs: `tensorboard` and `wandb`.
-        report: told how far it is.
+        report: called with progress messages.
         dataset: states to learn from and to test on, in place of those that searches would find.
 
     Raises:

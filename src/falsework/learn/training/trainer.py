@@ -18,7 +18,7 @@ from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.train import TrainSettings, to_dict
 from falsework.learn.data.dataset import Dataset
 from falsework.learn.data.recording_environment import RecordingEnvironment
-from falsework.learn.data.solvable_states import SolvedStates
+from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.networks import policy as policies
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.factory import describe, make_policy
@@ -69,7 +69,7 @@ class TrainResult:
     """Greedy success on a sample of the test set, tried once, at the end."""
     solved: int
     """States that were learned from."""
-    met_share: float
+    held_out_visit_rate: float
     """Share of the held-out states, symmetric images included, that rollouts visited while training."""
     interrupted: bool
     processes: int
@@ -94,7 +94,7 @@ class TrainResult:
             "validation": self.validation.to_dict(),
             "test": self.test.to_dict(),
             "solved": self.solved,
-            "test_states_met": round(self.met_share, 6),
+            "held_out_visit_rate": round(self.held_out_visit_rate, 6),
             "interrupted": self.interrupted,
             "processes": self.processes,
             "device": self.device,
@@ -136,7 +136,7 @@ class Trainer:
             device=device,
             clearance=settings.removable_only_if_clear,
         )
-        self._solved = SolvedStates(self._environment.rules)
+        self._solved = SolvableStates(self._environment.rules)
         self._policy = make_policy(assembly, settings.policy, device, settings.seed)
         self._best = make_policy(assembly, settings.policy, device, settings.seed)
         same_weights(self._policy, shards)
@@ -165,7 +165,7 @@ class Trainer:
             enough=lambda: self.budget.progress(self.steps) >= _SEARCHED_BY,
         )
         self.data_seconds = self._data.seconds
-        self._solved.forbid(self._data.held_out)
+        self._solved.hold_out(self._data.held_out)
         self._environment.solved = self._solved
         if saved is None:
             self._solved.add(self._data.starts)
@@ -265,15 +265,15 @@ class Trainer:
         success = {}
         with self._environment.paused_recording():
             for name, (states, targets) in sets.items():
-                aims = None if targets is None else put(targets, self.device)
+                goals = None if targets is None else put(targets, self.device)
                 success[name], _ = greedy_success(
-                    self._environment, self._asked, put(states, self.device), aims, shards=self.shards
+                    self._environment, self._asked, put(states, self.device), goals, shards=self.shards
                 )
         return success
 
     def _log(self, journal: Journal | None, numbers: dict[str, float], success: dict[str, Success]) -> None:
         line = {f"success/{name}": one.share for name, one in success.items()}
-        line |= {"seconds": round(self.budget.seconds, 3), "test_states_met": self._solved.met_share}
+        line |= {"seconds": round(self.budget.seconds, 3), "held_out_visit_rate": self._solved.held_out_visit_rate}
         line |= {f"train/{name}": value for name, value in numbers.items()}
         self._curve.append({"step": self.steps, **line})
         if journal is not None:
@@ -327,7 +327,7 @@ class Trainer:
             success["validation"],
             success["test"],
             len(self._solved),
-            self._solved.met_share,
+            self._solved.held_out_visit_rate,
             interrupted,
             self.shards.size,
             torch.cuda.get_device_name(self.device) if gpu else platform.processor() or "cpu",

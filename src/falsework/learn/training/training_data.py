@@ -15,10 +15,10 @@ from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, load_dataset, save_dataset, task_for
-from falsework.learn.data.goal_dataset import Searched, TargetDataset, TargetDataSettings, target_dataset
+from falsework.learn.data.goal_dataset import GoalDataset, GoalDataSettings, SearchStates, build_goal_dataset
 from falsework.learn.data.goal_pairs import Pairs
-from falsework.learn.data.random_walks import TaskSource, Ways
-from falsework.learn.data.symmetry_augmentation import TurnedTasks, symmetric_images
+from falsework.learn.data.random_walks import GoalSampler, RandomWalkGoals
+from falsework.learn.data.symmetry_augmentation import SymmetryAugmentation, symmetric_images
 from falsework.learn.training.checkpoint import DATA, SEARCHED
 from falsework.learn.training.evaluate import Sets, sample
 from falsework.search.device.oracle import TensorOracle
@@ -35,7 +35,7 @@ class TrainingData:
     """States to start from, none of them held out, shape (count, parts)."""
     targets: torch.Tensor | None
     """Target of each, shape (count, parts)."""
-    tasks: TaskSource | None
+    tasks: GoalSampler | None
     """Draws more of both, with valid actions, where there are targets."""
     held_out: torch.Tensor
     """States that are not to be learned from: those of the test and the validation set with their images under the
@@ -73,7 +73,7 @@ def collect_training_data(
         folder: of the run, where states are kept.
         kept: read them if they are there.
         dataset: states to use instead.
-        report: told how far a search is.
+        report: called with progress messages.
         note: told what went wrong that does not matter much.
         enough: asked between searches for tasks with targets whether there is no time for more; in all processes alike.
 
@@ -82,21 +82,23 @@ def collect_training_data(
     """
     begun = time.perf_counter()
     count, images = settings.evaluation_states, symmetries(assembly)
-    if settings.policy.two_states:
+    if settings.policy.goal_conditioned:
         path = None if folder is None else folder / SEARCHED
         task = task_for(assembly, settings.robots, settings.removable_only_if_clear).judged_by(oracle)
         if kept and path is not None and path.exists():
-            searched = Searched.load(path, task)
+            searched = SearchStates.load(path, task)
         else:
             searches = _target_searches(settings)
-            searched = Searched.find(task, searches, oracle, device=device, shards=shards, report=report, enough=enough)
+            searched = SearchStates.find(
+                task, searches, oracle, device=device, shards=shards, report=report, enough=enough
+            )
             if shards.first:
                 _keep(path, lambda where: searched.save(where, task), note)
         pairs = find_pairs(assembly, settings, oracle, device=device, shards=shards, searched=searched)
         held_out = symmetric_images(pairs.held_out, images)
-        tasks: TaskSource = Ways(pairs.wide, device=device, forbidden=held_out)
+        tasks: GoalSampler = RandomWalkGoals(pairs.wide, device=device, held_out=held_out)
         if len(images) > 1:
-            tasks = TurnedTasks(tasks, images, device=device, forbidden=held_out)
+            tasks = SymmetryAugmentation(tasks, images, device=device, held_out=held_out)
         generator = torch.Generator(device).manual_seed(settings.data_seed)
         states, targets, _ = tasks.draw(settings.pairs, generator)
         return TrainingData(
@@ -149,16 +151,18 @@ def find_pairs(
     *,
     device: torch.device,
     shards: Shards = Shards(),
-    searched: Searched | None = None,
-) -> TargetDataset:
+    searched: SearchStates | None = None,
+) -> GoalDataset:
     """Pairs of states and targets that a run with targets learns from and is tested on; always the same ones."""
     task = task_for(assembly, settings.robots, settings.removable_only_if_clear).judged_by(oracle)
     searches = _target_searches(settings)
-    return target_dataset(assembly, task, searches, oracle=oracle, device=str(device), shards=shards, searched=searched)
+    return build_goal_dataset(
+        assembly, task, searches, oracle=oracle, device=str(device), shards=shards, searched=searched
+    )
 
 
-def _target_searches(settings: TrainSettings) -> TargetDataSettings:
-    return TargetDataSettings(widths=_widths(settings), pairs=settings.pairs, seed=settings.data_seed)
+def _target_searches(settings: TrainSettings) -> GoalDataSettings:
+    return GoalDataSettings(widths=_widths(settings), pairs=settings.pairs, seed=settings.data_seed)
 
 
 def _keep(path: Path | None, save: Callable[[Path], None], note: Callable[[str], None] | None) -> None:

@@ -39,7 +39,7 @@ _OWNER_BITS = 20
 
 
 @dataclass(frozen=True, eq=False)
-class ManySearches:
+class ParallelBeamResult:
     """What some searches found."""
 
     states: States
@@ -116,7 +116,7 @@ def with_ancestors(levels: list[Level], chosen: list[torch.Tensor]) -> list[Leve
     return pieces[::-1]
 
 
-def search_many(
+def parallel_beam_search(
     task: Task,
     oracle: TensorOracle,
     count: int,
@@ -126,7 +126,7 @@ def search_many(
     seed: int = 0,
     keep: int | None = None,
     device: torch.device | str = "cpu",
-) -> ManySearches:
+) -> ParallelBeamResult:
     """Run beam searches that choose at random among the stable states of each level.
 
     Args:
@@ -159,7 +159,7 @@ def search_many(
         states = torch.cat([level.states for level in kept])
         owner = torch.cat([level.owner for level in kept])
         pieces.append(states[torch.argsort(owner, stable=True)].cpu().numpy())
-    return ManySearches(np.concatenate(pieces), found)
+    return ParallelBeamResult(np.concatenate(pieces), found)
 
 
 class _Beams:
