@@ -38,10 +38,10 @@ from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import roll_out
 from falsework.learn.networks.factory import make_policy
 from falsework.search import StateGraph
-from falsework.search.device.oracle import oracle_on
+from falsework.search.device.oracle import tensor_oracle
 from falsework.stability import Stability
 from falsework.utils.collectives import same_weights, summed
-from falsework.utils.distributed import Shards, joined
+from falsework.utils.distributed import ProcessGroup, init_distributed
 
 
 @dataclass(frozen=True)
@@ -79,19 +79,21 @@ def wait(device: torch.device) -> None:
 class Bench:
     """The rows of one run."""
 
-    def __init__(self, options: Options, shards: Shards, device: torch.device) -> None:
+    def __init__(self, options: Options, shards: ProcessGroup, device: torch.device) -> None:
         self.options, self.shards, self.device = options, shards, device
         self.assembly: Assembly = load_structure(find(options.structure))
         self.task = task_for(self.assembly, options.robots)
         oracle = Stability(self.assembly)
-        states, _ = search_states(self.task, oracle_on(oracle, device), options.width, 0, device=device, shards=shards)
+        states, _ = search_states(
+            self.task, tensor_oracle(oracle, device), options.width, 0, device=device, shards=shards
+        )
         self.graph = StateGraph.build(self.task, states)
         self.rows: dict[str, float] = {}
         self.count = options.rollouts or (4096 if device.type == "cuda" else 256)
 
     def run(self) -> None:
         """Print all rows."""
-        if self.options.others and self.shards.first:
+        if self.options.others and self.shards.is_main_process:
             self.sb3()
         wait(self.device)
         self.rollouts()
@@ -237,7 +239,7 @@ class Bench:
         if sum_up:
             rate = summed([rate], self.shards, self.device)[0]
         self.rows[name] = rate
-        if not self.shards.first:
+        if not self.shards.is_main_process:
             return
         reference = self.rows.get("sb3 rollouts" if name.startswith("rollouts") else "sb3")
         gpu = self.device.type == "cuda" and not name.startswith("sb3")
@@ -262,7 +264,7 @@ def main(options: Options) -> None:
     write_to(options.out)
     if options.threads:
         torch.set_num_threads(options.threads)
-    with joined(options.device) as (shards, device):
+    with init_distributed(options.device) as (shards, device):
         Bench(options, shards, device).run()
 
 

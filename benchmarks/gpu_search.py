@@ -32,10 +32,10 @@ from states import find
 from falsework.assembly import Assembly, load_structure
 from falsework.search import BeamSearch, BeamSettings, StateGraph, Task
 from falsework.search.device.beam import DeviceBeam
-from falsework.search.device.oracle import oracle_on
+from falsework.search.device.oracle import tensor_oracle
 from falsework.stability import Stability
 from falsework.stability.settings import EQUILIBRIUM
-from falsework.utils.distributed import Shards, joined
+from falsework.utils.distributed import ProcessGroup, init_distributed
 
 
 @dataclass(frozen=True)
@@ -94,13 +94,13 @@ def disagreements(states: np.ndarray, count: int, oracle: Stability) -> int:
     return int((~oracle.stable(states[rows])).sum())
 
 
-def measure(case: str, options: Options, shards: Shards, device: torch.device) -> dict[str, Any]:
+def measure(case: str, options: Options, shards: ProcessGroup, device: torch.device) -> dict[str, Any]:
     """One case on the device."""
     name, _, width = case.rpartition(":")
     assembly: Assembly = load_structure(find(name))
     task = Task.create(assembly.boundary, options.robots)
     oracle = Stability(assembly, EQUILIBRIUM)
-    on_device = oracle_on(oracle, device)
+    on_device = tensor_oracle(oracle, device)
 
     def search(width: int) -> DeviceBeam:
         return DeviceBeam(task, on_device, BeamSettings(width=width), device=device, shards=shards)
@@ -134,13 +134,13 @@ def measure(case: str, options: Options, shards: Shards, device: torch.device) -
         row["peak_bytes"] = torch.cuda.max_memory_allocated(device)
     if options.phases:
         row["phases"] = time_phases(search(int(width)))
-    if shards.first and options.checked:
+    if shards.is_main_process and options.checked:
         row["checked"] = min(options.checked, len(states))
         row["disagree"] = disagreements(states, options.checked, Stability(assembly, EQUILIBRIUM))
-    if shards.first and options.graph:
+    if shards.is_main_process and options.graph:
         graph = StateGraph.build(task, states)
         row["graph_edges"], row["graph_solvable"] = len(graph.source), int(graph.solvable.sum())
-    if shards.first and int(width) <= options.host:
+    if shards.is_main_process and int(width) <= options.host:
         BeamSearch(task, Stability(assembly, EQUILIBRIUM), BeamSettings(width=4)).run()  # compiles
         host = BeamSearch(task, Stability(assembly, EQUILIBRIUM), BeamSettings(width=int(width)))
         begin = time.perf_counter()
@@ -158,10 +158,10 @@ def measure(case: str, options: Options, shards: Shards, device: torch.device) -
 def main(options: Options) -> None:
     """Run the benchmark."""
     write_to(options.out)
-    with joined(options.device) as (shards, device):
+    with init_distributed(options.device) as (shards, device):
         for case in options.cases:
             row = measure(case, options, shards, device)
-            if shards.first:
+            if shards.is_main_process:
                 report("gpu_search", **row, device=device, seeds=(0,))
 
 

@@ -49,9 +49,9 @@ from falsework.learn.networks.uniform import UniformPolicy
 from falsework.learn.training.evaluate import EvaluateSettings, GoalBlindPolicy, evaluate, sample
 from falsework.learn.training.train import TrainResult, train
 from falsework.learn.training.training_data import find_pairs
-from falsework.search.device.oracle import TensorOracle, oracle_on
+from falsework.search.device.oracle import TensorOracle, tensor_oracle
 from falsework.stability import Stability, StabilitySettings
-from falsework.utils.distributed import Shards, joined
+from falsework.utils.distributed import ProcessGroup, init_distributed
 from falsework.utils.tensors import put
 
 TABLE_3: dict[str, tuple[float, float, float, float]] = {
@@ -109,7 +109,7 @@ def run(options: argparse.Namespace, name: str, assembly: Any, settings: TrainSe
 
     def show(done: float, text: str) -> None:
         nonlocal last
-        if not options.quiet and time.perf_counter() - last > 10 and Shards.of_group().first:
+        if not options.quiet and time.perf_counter() - last > 10 and ProcessGroup.of_group().first:
             last = time.perf_counter()
             sys.stderr.write(f"{label}: {100 * done:5.1f} % {text}\n")
 
@@ -140,17 +140,17 @@ def evaluated(
     network: Any = Network(result.policy, filled.precision)
     if settings.policy.goal_conditioned or one_state:
         narrow = replace(filled, data="width64")
-        pairs = find_pairs(assembly, narrow, oracle_on(oracle, device), device=device)
+        pairs = find_pairs(assembly, narrow, tensor_oracle(oracle, device), device=device)
         sets: Any = {
             "train": (pairs.train.states, pairs.train.targets),
             "test": (pairs.test.states, pairs.test.targets),
         }
         network = GoalBlindPolicy(network) if one_state else network
     else:
-        data = protocol(assembly, settings, oracle_on(oracle, device), str(device))
+        data = protocol(assembly, settings, tensor_oracle(oracle, device), str(device))
         sets = {"train": (data.train, None), "test": (data.test, None)}
     chosen = EvaluateSettings(states=options.states, search=options.search)
-    found = evaluate(environment, network, sets, chosen, shards=Shards.of_group())
+    found = evaluate(environment, network, sets, chosen, shards=ProcessGroup.of_group())
     for name, (states, targets) in sets.items():
         rows = sample(np.arange(len(states)), options.states)
         tensors = put(states[rows], device), None if targets is None else put(targets[rows], device)
@@ -174,7 +174,7 @@ def line(
     known: dict[str, Any] = {}
     if paper and benchmark == "table3":
         known["paper"] = {"train": paper[0] / 100, "test": paper[1] / 100, "hours": paper[2]}
-    if not Shards.of_group().first:
+    if not ProcessGroup.of_group().first:
         return
     record.report(
         f"learning {benchmark}",
@@ -321,7 +321,7 @@ def main() -> None:
         plot(options)
         return
     record.write_to(options.out)
-    with joined(options.device):
+    with init_distributed(options.device):
         whats[options.what](options)
 
 

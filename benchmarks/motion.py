@@ -32,7 +32,7 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import hull
-from falsework.robots.motion.collision_world import CollisionWorld, Contact, Scene, View
+from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Contact, Scene
 from falsework.robots.motion.path_planner import plan_free
 from falsework.robots.motion.timing import time_path
 from falsework.robots.planning.warm_up import compile_kernels
@@ -117,7 +117,7 @@ def distances(random: np.random.Generator, count: int) -> Iterator[dict[str, Any
     }
 
 
-def checks(view: View, random: np.random.Generator, options: Options) -> Iterator[dict[str, Any]]:
+def checks(view: CollisionQuery, random: np.random.Generator, options: Options) -> Iterator[dict[str, Any]]:
     """Random configurations of one arm."""
     model = view.model
     values = random.uniform(model.lower, model.upper, (options.checks, model.joints))
@@ -149,7 +149,7 @@ def checks(view: View, random: np.random.Generator, options: Options) -> Iterato
     }
 
 
-def plans(view: View, random: np.random.Generator, options: Options, what: str) -> Iterator[dict[str, Any]]:
+def plans(view: CollisionQuery, random: np.random.Generator, options: Options, what: str) -> Iterator[dict[str, Any]]:
     """Plans between random free configurations."""
     model = view.model
     low, high = np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi)

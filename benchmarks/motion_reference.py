@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
 
-from falsework.robots.motion.collision_world import View
+from falsework.robots.motion.collision_world import CollisionQuery
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 class Reference:
     """Collision checks and free plans for what a view sees."""
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: CollisionQuery) -> None:
         robot = view.world.cell.robots[view.robot]
         model = robot.model
         self.model = pinocchio.Model()

@@ -29,7 +29,7 @@ from states import find
 
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import States, complete_state
-from falsework.replanning.replanner import Replan, Replanner, Request
+from falsework.replanning.replanner import Replanner, ReplanResult, Request
 from falsework.search import BeamSearch, BeamSettings, Task, validate_plan
 from falsework.stability import Stability, StabilitySettings
 
@@ -108,7 +108,7 @@ def quantiles(seconds: Sequence[float]) -> list[float]:
     return [round(float(value), 4) for value in np.quantile(seconds, [0, 0.5, 0.95, 1])]
 
 
-def summary(answers: Sequence[Replan]) -> dict[str, Any]:
+def summary(answers: Sequence[ReplanResult]) -> dict[str, Any]:
     """Times, outcomes and deciders of some answers."""
     spent: Counter[str] = Counter()
     for answer in answers:
@@ -199,7 +199,7 @@ def batch(options: Options) -> None:
         states = middle(case, options.count)
         for together in (1, options.clients):
             replanner, _ = case.replanner(options)
-            answers: list[Replan] = []
+            answers: list[ReplanResult] = []
             begun = time.perf_counter()
             for first in range(0, len(states), together):
                 piece = states[first : first + together]

@@ -23,7 +23,7 @@ from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.search import find_plans, task_of
 from falsework.search.problem.task import Direction
 from falsework.viewer.page.page import Page
-from falsework.viewer.page.viewer_state import Model
+from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.pictures.contact_sheet import contact_sheet, one_state
 from falsework.viewer.timeline import Timeline, holders
 
@@ -73,7 +73,7 @@ def page(parts: int, browser: bool) -> None:
     """Steps and jumps on the page of a large vault."""
     timeline = from_the_top(load_structure(f"vault:parts={parts}"))
     begun = time.perf_counter()
-    shown = Page(Model(timeline), port=8195)
+    shown = Page(ViewerState(timeline), port=8195)
     opened = time.perf_counter() - begun
     rng = np.random.default_rng(0)
     found: dict[str, object] = {"parts": parts, "open_seconds": round(opened, 2)}

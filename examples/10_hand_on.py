@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 import falsework as fw
-from falsework.interop import sheet_csv, site_sheet, way_in_words
+from falsework.interop import assembly_instructions, instructions_csv, way_in_words
 
 
 def main() -> None:
@@ -26,12 +26,12 @@ def main() -> None:
         for file in sorted(folder.iterdir()):
             print(f"{file.name}: {file.stat().st_size} bytes")
 
-    sheet = site_sheet(plan, arch)
+    sheet = assembly_instructions(plan, arch)
     for step in sheet.steps:
         where = "" if step.way is None else f" {way_in_words(step.way)}"
         hold = ", ".join(sheet.name(part) for part, _ in step.hold) or "nothing"
         print(f"{step.number}. {step.verb} {sheet.name(step.part)}{where}; then hold {hold}")
-    print(sheet_csv(sheet).splitlines()[0])
+    print(instructions_csv(sheet).splitlines()[0])
 
 
 if __name__ == "__main__":

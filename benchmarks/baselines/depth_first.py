@@ -13,7 +13,7 @@ from falsework.errors import InputError
 from falsework.search.beam.frontier import expand
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.hashing import StateHash
-from falsework.search.problem.oracle import Judge, Oracle
+from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
 
@@ -61,7 +61,7 @@ class DepthFirstSearch:
         """
         self.task = task = task.judged_by(oracle)
         self.settings = settings
-        self._judge = Judge(oracle)
+        self._judge = CountingOracle(oracle)
         self._guide = guide
         self._hash = StateHash.for_parts(task.part_count)
         self._path: list[States] = []

@@ -10,8 +10,8 @@ import numpy as np
 from falsework.assembly import load_structure
 from falsework.search import find_plans, task_of
 from falsework.viewer.page.page import Page
-from falsework.viewer.page.viewer_state import Model
-from falsework.viewer.timeline import NOBODY, Timeline
+from falsework.viewer.page.viewer_state import ViewerState
+from falsework.viewer.timeline import NO_ROBOT, Timeline
 
 FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 
@@ -26,8 +26,8 @@ def page(path: Path) -> None:
 
     vault = load_structure("vault")
     plan = find_plans(vault, task_of(vault)).plans[0].reverse()
-    model = Model(Timeline.of(plan, vault), plan=plan)
-    busy = [(model.timeline.holders[model.timeline.row(place)] != NOBODY).sum() for place in range(len(plan))]
+    model = ViewerState(Timeline.of(plan, vault), plan=plan)
+    busy = [(model.timeline.holders[model.timeline.row(place)] != NO_ROBOT).sum() for place in range(len(plan))]
     middle = len(plan) // 2
     model.go_to(middle - 8 + int(np.argmax(busy[middle - 8 : middle + 8])))
     model.selected = int(np.argmax(np.where(model.state == 1, vault.mass.center[:, 1], -np.inf)))

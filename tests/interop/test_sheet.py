@@ -16,14 +16,14 @@ import pytest
 from falsework.assembly import Assembly, load_structure
 from falsework.cli.main import main
 from falsework.errors import PlanError
-from falsework.interop.assembly_instructions import COLUMNS, sheet_csv, site_sheet, way_in_words
+from falsework.interop.assembly_instructions import COLUMNS, assembly_instructions, instructions_csv, way_in_words
 from falsework.search import Plan, find_plans
 from falsework.search.problem.task import Task
 
 
 def table(plan: Plan, assembly: Assembly) -> list[dict[str, str]]:
     """The lines of the table."""
-    return list(csv.DictReader(io.StringIO(sheet_csv(site_sheet(plan, assembly)))))
+    return list(csv.DictReader(io.StringIO(instructions_csv(assembly_instructions(plan, assembly)))))
 
 
 @pytest.mark.parametrize("reverse", [False, True])
@@ -58,7 +58,7 @@ def test_a_plan_that_starts_and_ends_half_way(arch: Assembly) -> None:
     start = np.array([1, 1, 2, 0, 2, 1, 1, 2, 2])
     task = Task.create(arch.boundary, 3, start=[1, 1, 1, 1, 1, 1, 1, 2, 2], target=start, identity=arch.identity)
     found = find_plans(arch, task).plans[0]
-    sheet = site_sheet(found, arch)
+    sheet = assembly_instructions(found, arch)
     assert sheet.start == (0, 1, 2, 4, 5, 6)
     assert [part for part, _ in sheet.holding(0)] == [2, 4]
     assert sheet.steps[0].place
@@ -100,16 +100,16 @@ def test_ways_in_words(way: Any, words: str) -> None:
 
 def test_a_plan_for_another_structure(plan: Plan) -> None:
     with pytest.raises(PlanError, match="the structure it was made for"):
-        site_sheet(plan, load_structure("arch:blocks=5"))
+        assembly_instructions(plan, load_structure("arch:blocks=5"))
 
 
 @pytest.fixture(scope="module")
 def pdf(arch: Assembly, plan: Plan) -> bytes:
     """The sheet of the arch."""
     pytest.importorskip("reportlab", reason="needs reportlab; pip install 'falsework[sheet]'")
-    from falsework.interop.assembly_instructions_pdf import sheet_pdf
+    from falsework.interop.assembly_instructions_pdf import instructions_pdf
 
-    return sheet_pdf(site_sheet(plan, arch))
+    return instructions_pdf(assembly_instructions(plan, arch))
 
 
 def test_the_pdf_has_all_pages_and_pictures(pdf: bytes) -> None:
@@ -135,14 +135,14 @@ def test_the_pdf_says_what_the_table_does(pdf: bytes, arch: Assembly, plan: Plan
 def test_pictures_show_what_stands(arch: Assembly, plan: Plan) -> None:
     """With every part placed, more of the picture is covered; a held part has the colour of its support."""
     from falsework.interop.assembly_instructions_pdf import CAMERA
-    from falsework.viewer.appearance import look_at
+    from falsework.viewer.appearance import appearance_at
     from falsework.viewer.palette import robot_color, unit_rgb
     from falsework.viewer.pictures.contact_sheet import draw
 
-    sheet = site_sheet(plan, arch)
+    sheet = assembly_instructions(plan, arch)
     covered = []
     for step in sheet.steps:
-        image = draw(arch, look_at(sheet.timeline, step.number, travelling=False), CAMERA, samples=1)
+        image = draw(arch, appearance_at(sheet.timeline, step.number, travelling=False), CAMERA, samples=1)
         covered.append(int((image.max(axis=2) - image.min(axis=2) > 0.05).sum()))
         if step.place:
             red, green, blue = unit_rgb(robot_color(step.support))
@@ -173,8 +173,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 def test_without_reportlab_the_extra_is_named(arch: Assembly, plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     from falsework.errors import DependencyError
-    from falsework.interop import assembly_instructions_pdf as sheet_pdf
+    from falsework.interop import assembly_instructions_pdf as instructions_pdf
 
-    monkeypatch.setattr(sheet_pdf, "find_spec", lambda name: None)
+    monkeypatch.setattr(instructions_pdf, "find_spec", lambda name: None)
     with pytest.raises(DependencyError, match=r"falsework\[sheet\].*\.csv"):
-        sheet_pdf.sheet_pdf(site_sheet(plan, arch))
+        instructions_pdf.sheet_pdf(assembly_instructions(plan, arch))

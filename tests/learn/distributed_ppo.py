@@ -17,13 +17,13 @@ from falsework.learn.config.ppo import PAPER
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.factory import make_policy
 from falsework.search import BeamSearch, BeamSettings, task_of
-from falsework.utils.distributed import joined
+from falsework.utils.distributed import init_distributed
 
 
 def main() -> None:
     """Learn with the processes that the environment names."""
     torch.set_num_threads(1)
-    with joined("cpu") as (shards, device):
+    with init_distributed("cpu") as (shards, device):
         assembly = load_structure("arch:blocks=5")
         environment = Environment(assembly, 2, device=device)
         search = BeamSearch(task_of(assembly), environment.oracle, BeamSettings(width=4))

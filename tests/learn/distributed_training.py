@@ -17,7 +17,7 @@ from falsework.learn.config.ppo import PAPER, PpoPhase
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.training import train as module
 from falsework.learn.training.trainer import Trainer
-from falsework.utils.distributed import Shards, joined
+from falsework.utils.distributed import ProcessGroup, init_distributed
 
 PHASES = {
     "default": (ImitationPhase(until=0.5, batch=16), PpoPhase(rollouts=16, batch=16)),
@@ -37,7 +37,7 @@ def main() -> None:
             kept["trainer"] = self
 
     setattr(module, "Trainer", Kept)  # noqa: B010
-    with joined("cpu"):
+    with init_distributed("cpu"):
         for method in sys.argv[2:]:
             run(method, Path(sys.argv[1]) / method, kept)
     threads = [path.read_text().strip() for path in Path("/proc/self/task").glob("*/comm")]
@@ -57,7 +57,7 @@ def run(method: str, folder: Path, kept: dict[str, Trainer]) -> None:
     )
     folder.mkdir(exist_ok=True)
     result = module.train(load_structure("arch:blocks=13"), settings, folder=folder / "run", device="cpu", logs=())
-    rank = Shards.of_group().rank
+    rank = ProcessGroup.of_group().rank
     weights = {name: tensor.clone() for name, tensor in kept["trainer"]._policy.state_dict().items()}
     weights["solved"] = kept["trainer"]._solved.states.clone()
     save_file(weights, folder / f"{rank}.safetensors")

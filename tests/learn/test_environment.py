@@ -14,7 +14,7 @@ from falsework.errors import InputError, StateError  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.env.rollout import Rollouts, choose_actions, play, roll_out  # noqa: E402
 from falsework.search import Direction, StateGraph, Task, find_plans, task_of  # noqa: E402
-from falsework.search.device.oracle import DeviceOracle, HostOracle, without_exact  # noqa: E402
+from falsework.search.device.oracle import DeviceOracle, HostOracle, without_fallback  # noqa: E402
 from falsework.stability import Stability, StabilitySettings, Verdict, Verdicts  # noqa: E402
 from falsework.stability.reference.clarabel import ExactSolver  # noqa: E402
 
@@ -280,7 +280,7 @@ def test_states_left_open_go_to_the_exact_solver_unless_they_may_be_given_up(arc
     assert torch.equal(environment.stable(states, states), truth)
     assert solver.asked == len(states) + again
     host = HostOracle(Stability(arch))
-    assert without_exact(host) is host
+    assert without_fallback(host) is host
 
 
 def test_same_seed_same_rollouts_and_ends_are_the_ends(bottle: Assembly) -> None:

@@ -13,7 +13,7 @@ from falsework.assembly.state import action_mask
 from falsework.errors import InputError
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.networks.factory import make_policy
-from falsework.replanning.deadline import Clock, TimeUp
+from falsework.replanning.deadline import Deadline, DeadlineExceeded
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.timed_oracle import TimedOracle
 from falsework.search import BeamSearch, BeamSettings
@@ -86,7 +86,7 @@ def test_from_the_target_it_needs_a_task(guide: PolicyGuide) -> None:
 def test_speed_is_known(guide: PolicyGuide) -> None:
     fresh = PolicyGuide(guide.policy)
     assert fresh.seconds_for(4) == 0.0
-    fresh.practise(TASK.start, 16)
+    fresh.warm_up(TASK.start, 16)
     assert 0 < fresh.seconds_for(1) < 60
     assert fresh.seconds_for(64) >= fresh.seconds_for(16) > 0
 
@@ -94,7 +94,7 @@ def test_speed_is_known(guide: PolicyGuide) -> None:
 def test_clock_stops_a_search(oracle: Stability) -> None:
     """When the time is up in the middle of a level, the search stands where it was before the level."""
     vault = load_structure("vault")
-    clock = Clock(0.15)
+    clock = Deadline(0.15)
     timed = TimedOracle(Stability(vault), clock)
     beam = BeamSearch(task_of(vault), timed, BeamSettings(256, Direction.ASSEMBLY))
     result = beam.run()
@@ -102,14 +102,14 @@ def test_clock_stops_a_search(oracle: Stability) -> None:
     assert clock.passed
     levels = len(beam.levels)
     assert levels > 0
-    with pytest.raises(TimeUp):
+    with pytest.raises(DeadlineExceeded):
         timed.judge(TASK.start[None])
     assert len(beam.levels) == levels
     assert clock.spent["verdicts"] > 0
 
 
 def test_clock_without_a_deadline(oracle: Stability) -> None:
-    clock = Clock()
+    clock = Deadline()
     timed = TimedOracle(oracle, clock)
     plan = find_plans(ARCH, forces=False).plans[0]
     verdicts: Any = timed.judge(plan.states)

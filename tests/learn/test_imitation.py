@@ -22,7 +22,7 @@ from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.networks.autocast import Network  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
-from falsework.utils.distributed import Shards  # noqa: E402
+from falsework.utils.distributed import ProcessGroup  # noqa: E402
 
 SMALL = PolicySettings("mlp")
 
@@ -153,7 +153,9 @@ def test_saved_and_loaded_it_goes_on_alike(arch: Any, states: Any) -> None:
 def test_a_batch_smaller_than_the_processes_is_refused(arch: Any) -> None:
     environment = RecordingEnvironment(arch, 2, device="cpu")
     with pytest.raises(InputError, match="cannot be shared by 4 processes"):
-        Imitation(make_policy(arch, SMALL), SolvableStates(environment.rules), settings(batch=3), shards=Shards(0, 4))
+        Imitation(
+            make_policy(arch, SMALL), SolvableStates(environment.rules), settings(batch=3), shards=ProcessGroup(0, 4)
+        )
 
 
 def test_visits_to_held_out_states_are_recorded(arch: Any, states: Any) -> None:

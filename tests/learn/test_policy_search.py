@@ -17,7 +17,7 @@ from falsework.learn.config.policy import PolicySettings
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import roll_out
 from falsework.learn.networks.factory import make_policy
-from falsework.replanning.result import Decider
+from falsework.replanning.result import Stage
 from falsework.search import ExhaustiveSearch, StateGraph
 from falsework.search.find import task_of
 from falsework.search.plans.plan_check import validate_plan
@@ -85,7 +85,7 @@ def test_searches_reach_targets(environment: Environment, graph: StateGraph, pol
     found = policy_beam_search(environment, policy, put(np.array(starts)), put(np.array(targets)), width=64).found
     assert found.tolist() == truth
     solved = solve_all(environment, policy, put(np.array(starts)), put(np.array(targets)))
-    assert (solved.decided_by != Decider.NOBODY).tolist() == truth
+    assert (solved.decided_by != Stage.NONE).tolist() == truth
 
 
 def test_searches_find_what_rollouts_do_not(environment: Environment, solvable: torch.Tensor) -> None:
@@ -104,7 +104,7 @@ def test_searches_find_what_rollouts_do_not(environment: Environment, solvable: 
     assert found.found.all()
     assert rows(complete) <= rows(found.states) <= rows(solvable)
     (decider,) = solve_all(environment, Wrong(), complete, samples=0).decided_by
-    assert decider == Decider.GUIDED
+    assert decider == Stage.GUIDED
 
 
 def test_everything_is_solved(environment: Environment, graph: StateGraph, solvable: torch.Tensor, policy: Any) -> None:

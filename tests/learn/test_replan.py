@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, complete_state, empty_state
 from falsework.errors import FalseworkError, InputError, StateError
-from falsework.replanning.replanner import Decider, Replanner, ReplanSettings, Request, replan
+from falsework.replanning.replanner import Replanner, ReplanSettings, Request, Stage, replan
 from falsework.search import ExhaustiveSearch, Outcome, find_plans
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan
@@ -184,7 +184,7 @@ def test_from_here_on(alone: Replanner) -> None:
 def test_there_already(alone: Replanner) -> None:
     answer = alone.replan(COMPLETE, target=COMPLETE)
     assert answer.found
-    assert answer.decided_by is Decider.RULES
+    assert answer.decided_by is Stage.RULES
     assert len(answer.plans[0]) == 0
 
 
@@ -193,7 +193,7 @@ def test_an_arch_needs_two_robots(alone: Replanner, guided: Replanner) -> None:
     for replanner in (alone, guided):
         answer = replanner.replan(COMPLETE, robots=1)
         assert answer.outcome is Outcome.PROVED_IMPOSSIBLE
-        assert answer.decided_by is Decider.EXHAUSTIVE
+        assert answer.decided_by is Stage.EXHAUSTIVE
         assert answer.moving
         assert answer.plan is None
 
@@ -203,7 +203,7 @@ def test_unstable_state_names_what_moves(alone: Replanner) -> None:
     fallen[0] = REMOVED
     answer = alone.replan(fallen)
     assert answer.outcome is Outcome.PROVED_IMPOSSIBLE
-    assert answer.decided_by is Decider.RULES
+    assert answer.decided_by is Stage.RULES
     assert answer.reason == "the state does not stand"
     assert set(answer.moving) <= set(np.flatnonzero(fallen == INSTALLED).tolist())
     assert answer.moving
@@ -216,7 +216,7 @@ def test_not_found_is_told_from_proved() -> None:
     answer = Replanner(arch, settings=tight).replan(complete_state(arch.boundary))
     if not answer.found:
         assert answer.outcome is Outcome.NOT_FOUND
-        assert answer.decided_by is Decider.NOBODY
+        assert answer.decided_by is Stage.NONE
         assert answer.reason
 
 
@@ -333,7 +333,7 @@ def test_a_perfect_policy_decides_alone(alone: Replanner) -> None:
             return logits, torch.zeros(len(states))
 
     answer = Replanner(ARCH, Knowing(), alone.oracle).replan(COMPLETE, confidences=True)
-    assert answer.decided_by is Decider.GREEDY
+    assert answer.decided_by is Stage.GREEDY
     np.testing.assert_array_equal(answer.plans[0].actions, plan.actions)
     assert answer.confidences[0][np.arange(len(plan)), plan.actions].min() > 0.99
     assert {"policy", "verdicts", "proofs"} <= set(answer.spent)
@@ -372,7 +372,7 @@ def test_equilibrium_knows_no_history() -> None:
 @pytest.mark.parametrize("policy", [False, True])
 @pytest.mark.parametrize("alternatives", [1, 3])
 def test_a_plan_whose_replay_falls_is_not_delivered(policy: bool, alternatives: int, alone: Replanner) -> None:
-    """Whatever is proposed first is held_out in its middle, twice; another plan is found."""
+    """Whatever is proposed first is ruled out in its middle, twice; another plan is found."""
     bad: set[bytes] = set()
     oracle = falling(lambda state: state.tobytes() in bad)
     for _ in range(2):
@@ -405,7 +405,7 @@ def test_a_policy_whose_plan_falls_does_not_decide(alone: Replanner) -> None:
     oracle = falling(lambda state: state.tobytes() == plan.states[4].tobytes())
     answer = Replanner(ARCH, Knowing(), oracle).replan(COMPLETE)
     assert answer.found
-    assert answer.decided_by is not Decider.GREEDY
+    assert answer.decided_by is not Stage.GREEDY
     assert answer.replays[0].stands is True
     assert not (answer.plans[0].states == plan.states[4]).all(axis=1).any()
 
@@ -417,7 +417,7 @@ def test_where_every_replay_falls_nothing_is_proved(policy: bool, end: States) -
     oracle = falling(lambda state: np.array_equal(state, end))
     answer = Replanner(ARCH, make() if policy else None, oracle).replan(COMPLETE)
     assert answer.outcome is Outcome.NOT_FOUND
-    assert answer.decided_by is Decider.NOBODY
+    assert answer.decided_by is Stage.NONE
     assert answer.plans == answer.replays == ()
     assert "when it is replayed" in answer.reason
     # One step, which has nothing but ends.

@@ -83,7 +83,7 @@ def test_test_states_are_never_stored(data: Any) -> None:
 def test_test_states_that_rollouts_meet_are_counted_once(data: Any) -> None:
     solved = SolvableStates(rules_of(data), torch.from_numpy(data.train))
     solved.record_visits(torch.from_numpy(data.test))
-    assert solved.visited == 0  # nothing is held_out yet
+    assert solved.visited == 0  # nothing is held out yet
     solved.hold_out(torch.from_numpy(data.test))
     solved.record_visits(torch.from_numpy(data.train))
     assert solved.visited == 0

@@ -18,7 +18,7 @@ from falsework.learn.data.goal_dataset import GoalDataSettings, SearchStates, bu
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.networks.uniform import UniformPolicy  # noqa: E402
-from falsework.search.device.oracle import oracle_on  # noqa: E402
+from falsework.search.device.oracle import tensor_oracle  # noqa: E402
 from falsework.search.device.parallel_beams import parallel_beam_search  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
 from falsework.search.problem.task import Direction, Task  # noqa: E402
@@ -50,7 +50,7 @@ def test_searches_are_read_back(bottle: Assembly, tmp_path: Path) -> None:
     """The same data set comes of them; files that are something else are refused."""
     task = task_for(bottle)
     settings = GoalDataSettings(train_width=4, test_width=12, widths=(8, 8), pairs=100, test_pairs=20)
-    oracle = oracle_on(Stability(bottle), torch.device("cpu"))
+    oracle = tensor_oracle(Stability(bottle), torch.device("cpu"))
     seen: list[str] = []
     searched = SearchStates.find(task, settings, oracle, device=torch.device("cpu"), report=seen.append)
     assert seen[-1] == "searches 3 to 4 of 4, width 8"
@@ -101,7 +101,7 @@ def test_after_a_search_that_died_out_one_begins_at_the_empty_structure(
     monkeypatch.setattr("falsework.learn.data.goal_dataset.parallel_beam_search", search)
     task, device = task_for(bottle), torch.device("cpu")
     settings = GoalDataSettings(train_width=4, test_width=12, widths=(2,) * 12 + (3,), pairs=100, test_pairs=20)
-    SearchStates.find(task, settings, oracle_on(Stability(bottle), device), device=device)
+    SearchStates.find(task, settings, tensor_oracle(Stability(bottle), device), device=device)
     assert directions == [(down, 4, 2), (up, 4, 2), (down, 4, 2), (down, 1, 3)]
 
 
@@ -109,7 +109,7 @@ def test_no_search_begins_once_there_are_enough(bottle: Assembly) -> None:
     """What is learned from and tested on is always searched; of three further searches two are left out here."""
     task, device = task_for(bottle), torch.device("cpu")
     settings = GoalDataSettings(train_width=4, test_width=12, widths=(8, 10, 12), pairs=100, test_pairs=20)
-    oracle = oracle_on(Stability(bottle), device)
+    oracle = tensor_oracle(Stability(bottle), device)
     answers = iter([False, True])
     found = SearchStates.find(task, settings, oracle, device=device, enough=lambda: next(answers))
     fewer = SearchStates.find(task, replace(settings, widths=(8,)), oracle, device=device)

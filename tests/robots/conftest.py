@@ -14,7 +14,7 @@ from falsework.robots.cells.validate import no_parts
 from falsework.robots.model.builtin_robots import builtin_robot
 from falsework.robots.model.cell import Cell, CellRobot, Gripper, Obstacle
 from falsework.robots.model.shapes import block, cylinder, pose
-from falsework.robots.motion.collision_world import CollisionWorld, Contact, Scene, View
+from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Contact, Scene
 from falsework.robots.planning.warm_up import compile_kernels
 
 
@@ -47,12 +47,12 @@ def cup() -> Gripper:
 
 
 @pytest.fixture(scope="session")
-def make_view(cup: Gripper) -> Callable[..., View]:
+def make_view(cup: Gripper) -> Callable[..., CollisionQuery]:
     """One built-in arm at the origin among obstacles."""
 
     def make(
         *pieces: np.ndarray, robot: str = "irb2600-12/1.65", margin: float = 0.005, floor: float | None = None
-    ) -> View:
+    ) -> CollisionQuery:
         model = builtin_robot(robot)
         entry = CellRobot("arm", model, np.eye(4), cup, model.home, np.zeros((0, 4, 4)))
         obstacles = tuple(Obstacle(f"block {k}", (piece,)) for k, piece in enumerate(pieces))

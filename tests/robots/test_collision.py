@@ -14,7 +14,7 @@ from falsework.robots.model.builtin_robots import builtin_robot
 from falsework.robots.model.cell import Cell, CellRobot, Gripper
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import block, hull, move, pose
-from falsework.robots.motion.collision_world import CollisionWorld, Contact, Scene, View
+from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Contact, Scene
 
 
 def random_piece(random: np.random.Generator) -> np.ndarray:
@@ -45,7 +45,7 @@ def test_distance_agrees_with_coal(coal_distance: Callable[[np.ndarray, np.ndarr
 
 
 def test_a_check_says_what_all_pairs_say(
-    make_view: Callable[..., View], coal_distance: Callable[[np.ndarray, np.ndarray], float]
+    make_view: Callable[..., CollisionQuery], coal_distance: Callable[[np.ndarray, np.ndarray], float]
 ) -> None:
     """An arm at random values collides exactly if some pair that counts is nearer than its margin."""
     random = np.random.default_rng(2)
@@ -66,7 +66,7 @@ def test_a_check_says_what_all_pairs_say(
     assert 5 < said.sum() < 55
 
 
-def test_a_hit_names_the_pair(make_view: Callable[..., View]) -> None:
+def test_a_hit_names_the_pair(make_view: Callable[..., CollisionQuery]) -> None:
     """People are told which bodies are too near; where nothing is, there is nothing to tell."""
     view = make_view(block((0.6, -0.5, 0.3), (0.7, 0.5, 1.5)))
     pair = view.explain(np.array([0, 0.3, 0, 0, 0, 0]))
@@ -75,14 +75,14 @@ def test_a_hit_names_the_pair(make_view: Callable[..., View]) -> None:
     assert view.explain(view.model.home + np.array([np.pi / 2, 0, 0, 0, 0, 0])) is None
 
 
-def test_the_floor_is_kept_clear(make_view: Callable[..., View]) -> None:
+def test_the_floor_is_kept_clear(make_view: Callable[..., CollisionQuery]) -> None:
     """A tool at floor level hits the floor, and does not where there is none."""
     down = np.array([0, 1.4, 0.3, 0, 0, 0])
     assert make_view(floor=0.0).explain(down) in {("arm gripper", "floor"), ("arm link_4", "floor")}
     assert make_view(floor=None).explain(down) is None
 
 
-def test_wrong_shapes_are_named(make_view: Callable[..., View]) -> None:
+def test_wrong_shapes_are_named(make_view: Callable[..., CollisionQuery]) -> None:
     """Both the shape that came and the one expected."""
     view = make_view()
     with pytest.raises(InputError, match=r"shape \(1, 5\).*6 joints"):

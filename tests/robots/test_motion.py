@@ -12,7 +12,7 @@ from falsework.errors import InputError
 from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import block
-from falsework.robots.motion.collision_world import View
+from falsework.robots.motion.collision_world import CollisionQuery
 from falsework.robots.motion.path_planner import MotionSettings, follow_line, plan_free, resolution_of
 from falsework.robots.motion.timing import time_path
 
@@ -27,7 +27,7 @@ def dense(path: np.ndarray, step: float = 0.001) -> np.ndarray:
     return np.concatenate(found)
 
 
-def path_is_free(view: View, path: np.ndarray) -> bool:
+def path_is_free(view: CollisionQuery, path: np.ndarray) -> bool:
     """Prove that all straight edges of a path, shape (points, joints), keep the margin of the view."""
     if view.collides(path[[0, -1]]).any():
         return False
@@ -36,7 +36,7 @@ def path_is_free(view: View, path: np.ndarray) -> bool:
     return int(edges_free(path, resolution_of(view), *arrays, opened)) == len(path) - 1
 
 
-def test_the_straight_edge_is_taken_where_it_is_free(make_view: Callable[..., View]) -> None:
+def test_the_straight_edge_is_taken_where_it_is_free(make_view: Callable[..., CollisionQuery]) -> None:
     """Two points, no trees."""
     motion = plan_free(make_view(), LEFT, RIGHT)
     assert motion.reason == "found"
@@ -44,7 +44,7 @@ def test_the_straight_edge_is_taken_where_it_is_free(make_view: Callable[..., Vi
     np.testing.assert_array_equal(motion.path, [LEFT, RIGHT])
 
 
-def test_nothing_slips_between_samples(make_view: Callable[..., View], wall: np.ndarray) -> None:
+def test_nothing_slips_between_samples(make_view: Callable[..., CollisionQuery], wall: np.ndarray) -> None:
     """A sheet of 2 mm stops the straight edge; the way around keeps the margin at every point, however close."""
     view = make_view(wall)
     assert not view.collides([LEFT, RIGHT]).any()
@@ -57,7 +57,7 @@ def test_nothing_slips_between_samples(make_view: Callable[..., View], wall: np.
         assert path_is_free(view, motion.path)
 
 
-def test_a_proof_is_as_good_as_looking_closely(make_view: Callable[..., View]) -> None:
+def test_a_proof_is_as_good_as_looking_closely(make_view: Callable[..., CollisionQuery]) -> None:
     """For random edges among random blocks: an edge that is proven free is free at every close sample."""
     random = np.random.default_rng(5)
     blocks = [block(c, c + random.uniform(0.05, 0.3, 3)) for c in random.uniform(-1.2, 1.0, (12, 3)) + [0, 0, 0.8]]
@@ -75,7 +75,7 @@ def test_a_proof_is_as_good_as_looking_closely(make_view: Callable[..., View]) -
     assert proven > 0.8 * seen
 
 
-def test_the_same_seed_gives_the_same_path(make_view: Callable[..., View], wall: np.ndarray) -> None:
+def test_the_same_seed_gives_the_same_path(make_view: Callable[..., CollisionQuery], wall: np.ndarray) -> None:
     """Whatever was asked of the view before."""
     view = make_view(wall)
     first = plan_free(view, LEFT, RIGHT, seed=3)
@@ -88,7 +88,7 @@ def test_the_same_seed_gives_the_same_path(make_view: Callable[..., View], wall:
     assert not np.array_equal(first.path, other.path)
 
 
-def test_failures_say_why(make_view: Callable[..., View], wall: np.ndarray) -> None:
+def test_failures_say_why(make_view: Callable[..., CollisionQuery], wall: np.ndarray) -> None:
     """Start or goal blocked or out of limits, with the pair; no connection; out of time."""
     view = make_view(wall, block((-3, -3, 2.5), (3, 3, 2.6)))
     inside = np.array([0, 0.6, 0.0, 0, 0.5, 0])
@@ -108,7 +108,7 @@ def test_failures_say_why(make_view: Callable[..., View], wall: np.ndarray) -> N
 
 
 @pytest.mark.parametrize("robot", ["irb2600-12/1.65", "crb15000-5/0.95", "ur10e"])
-def test_a_line_is_straight_and_does_not_turn(make_view: Callable[..., View], robot: str) -> None:
+def test_a_line_is_straight_and_does_not_turn(make_view: Callable[..., CollisionQuery], robot: str) -> None:
     """Between its points too, to 0.2 mm, at the length asked for and without a jump."""
     view = make_view(robot=robot)
     start = view.model.home
@@ -127,7 +127,7 @@ def test_a_line_is_straight_and_does_not_turn(make_view: Callable[..., View], ro
     assert np.abs(np.diff(motion.path, axis=0)).max() < 0.2
 
 
-def test_lines_that_cannot_be_followed_say_why(make_view: Callable[..., View]) -> None:
+def test_lines_that_cannot_be_followed_say_why(make_view: Callable[..., CollisionQuery]) -> None:
     """Something in the way, with what and how far; the end of the reach; no direction."""
     view = make_view()
     start = view.model.home
@@ -145,7 +145,9 @@ def test_lines_that_cannot_be_followed_say_why(make_view: Callable[..., View]) -
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.3])
-def test_timing_keeps_limits_path_and_spacing(make_view: Callable[..., View], wall: np.ndarray, speed: float) -> None:
+def test_timing_keeps_limits_path_and_spacing(
+    make_view: Callable[..., CollisionQuery], wall: np.ndarray, speed: float
+) -> None:
     """Velocity and acceleration within the limits, samples closer than 0.01 rad, no point of the arm off the path."""
     pytest.importorskip("toppra")
     view = make_view(wall)
@@ -168,7 +170,7 @@ def test_timing_keeps_limits_path_and_spacing(make_view: Callable[..., View], wa
         assert max(off) * (model.reach + 0.5) < 0.0005 + 2e-3
 
 
-def test_timing_is_nearly_as_fast_as_the_slowest_joint_allows(make_view: Callable[..., View]) -> None:
+def test_timing_is_nearly_as_fast_as_the_slowest_joint_allows(make_view: Callable[..., CollisionQuery]) -> None:
     """One joint, one edge: the known time of a trapezoid of speed."""
     pytest.importorskip("toppra")
     model = make_view().model
@@ -178,7 +180,7 @@ def test_timing_is_nearly_as_fast_as_the_slowest_joint_allows(make_view: Callabl
     assert ideal <= time_path(model, path).duration < 1.06 * ideal
 
 
-def test_timing_refuses_what_is_no_path(make_view: Callable[..., View]) -> None:
+def test_timing_refuses_what_is_no_path(make_view: Callable[..., CollisionQuery]) -> None:
     """Shapes, limits, numbers, speed."""
     model = make_view().model
     with pytest.raises(InputError, match=r"path has shape \(2, 5\)"):

@@ -9,7 +9,7 @@ import numpy as np
 
 from falsework.search import BeamSettings, Direction, Task
 from falsework.search.device.beam import DeviceBeam
-from falsework.utils.distributed import Shards, joined
+from falsework.utils.distributed import ProcessGroup, init_distributed
 
 PARTS = 18
 
@@ -30,7 +30,7 @@ def neighbours_stand(states: Any, parents: Any) -> Any:
     return ((states != 1) | support).all(dim=1).to(states.dtype).char() * 2 - 1
 
 
-def search_all(device: str, shards: Shards) -> dict[str, Any]:
+def search_all(device: str, shards: ProcessGroup) -> dict[str, Any]:
     """Every search, as arrays to compare."""
     task = Task.create(np.arange(PARTS) == 0, 3)
     arrays: dict[str, Any] = {}
@@ -46,7 +46,7 @@ def search_all(device: str, shards: Shards) -> dict[str, Any]:
 
 def main() -> None:
     """Search with the processes that the environment names."""
-    with joined("cpu") as (shards, device):
+    with init_distributed("cpu") as (shards, device):
         arrays = search_all(str(device), shards)
         np.savez(f"{sys.argv[1]}/{shards.rank}-of-{shards.size}.npz", **arrays)
 

@@ -27,7 +27,7 @@ def test_wide_enough_it_decides_like_the_enumeration(rules: Any, direction: Dire
     possible = rules.enumeration(task, oracle).count() > 0
     assert result.found == possible
     assert result.outcome is (Outcome.FOUND if possible else Outcome.PROVED_IMPOSSIBLE)
-    assert beam.hopeless == (not possible)
+    assert beam.infeasible == (not possible)
 
 
 def test_widens_and_becomes_narrow_again(rules: Any) -> None:

@@ -98,7 +98,7 @@ def test_only_moves_that_need_one_get_a_verdict(rules: Any, direction: Direction
 def test_a_promising_beam_asks_little(rules: Any) -> None:
     """Free blocks: the first batch of four always holds a stable state, so four verdicts a part are enough."""
     task = Task.create(rules.ground(21), 2)
-    settings = BeamSettings(width=1, ahead=32, commit=True, diversity="none")
+    settings = BeamSettings(width=1, lookahead=32, commit=True, diversity="none")
     result = BeamSearch(task, rules.blocks(21), settings).run()
     assert result.found
     assert 20 <= result.counters.asked <= 4 * 20
@@ -109,8 +109,8 @@ def test_a_promising_beam_asks_little(rules: Any) -> None:
 def test_narrow_beam_with_choice_ahead_climbs_a_high_tower(rules: Any) -> None:
     """Of sixty parts one can be placed at a time; width one with all insertions ahead finds it, without it never."""
     task = Task.create(rules.ground(61), 1)
-    ahead = BeamSearch(task, rules.tower(61), BeamSettings(width=1, ahead=64, commit=True)).run()
-    assert ahead.found
+    lookahead = BeamSearch(task, rules.tower(61), BeamSettings(width=1, lookahead=64, commit=True)).run()
+    assert lookahead.found
     blind = BeamSearch(task, rules.tower(61), BeamSettings(width=1)).run()
     assert blind.outcome is Outcome.NOT_FOUND
     assert "keeps 1 states" in blind.limit

@@ -22,7 +22,7 @@ from falsework.search.device.rules import TensorRules
 from falsework.search.problem.hashing import StateHash
 from falsework.stability import Stability
 from falsework.utils.bits import pack
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import choose_device, mix, put, uniform
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[gpu]'")
@@ -235,7 +235,7 @@ def test_memory_that_runs_out_halves_the_batch(rules: Any) -> None:
 
 def test_settings_and_devices_that_do_not_exist_are_refused(rules: Any) -> None:
     with pytest.raises(InputError, match="ahead"):
-        beam(Task.create(rules.ground(4), 1), rules.blocks(4), ahead=4)
+        beam(Task.create(rules.ground(4), 1), rules.blocks(4), lookahead=4)
     with pytest.raises(InputError, match="choose auto"):
         choose_device("cuda:99")
     with pytest.raises(InputError, match="unknown device"):
@@ -282,7 +282,7 @@ def test_clusters_are_as_tight_as_those_of_k_means_plus_plus(dimensions: int) ->
 
 def test_shares_cover_everything_once() -> None:
     for size, count in ((1, 5), (3, 10), (4, 3), (4, 0)):
-        shards = [Shards(rank, size) for rank in range(size)]
+        shards = [ProcessGroup(rank, size) for rank in range(size)]
         whole = np.arange(count)
         assert np.array_equal(np.concatenate([whole[shard.block(count)[0]] for shard in shards]), whole)
         assert sorted(np.concatenate([whole[shard.interleaved()] for shard in shards]).tolist()) == whole.tolist()

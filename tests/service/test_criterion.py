@@ -15,7 +15,7 @@ from falsework.assembly import Assembly
 from falsework.assembly.library.blocks import box, gather
 from falsework.service.schema import components, models_of
 from falsework.service.settings import ServiceSettings
-from falsework.service.worker import Item, Recipe, _Judge, _Planner
+from falsework.service.worker import Item, WorkerConfig, _Judge, _Planner
 
 
 class Pipe:
@@ -41,7 +41,7 @@ def clamp() -> Assembly:
     [("contact", "slides", "forces", [0]), ("equilibrium", "stable", "forces", [])],
 )
 def test_verdicts(criterion: Any, verdict: str, proof: str, moving: list[int], clamp: Assembly) -> None:
-    judge, pipe = _Judge(Recipe(clamp, "stability", None, criterion)), Pipe()
+    judge, pipe = _Judge(WorkerConfig(clamp, "stability", None, criterion)), Pipe()
     states = np.array([[1, 2, 2], [2, 2, 2]], dtype=np.uint8)
     judge.answer([Item(0, (states, True), 10.0), Item(1, (states, False), 10.0)], pipe)  # type: ignore[arg-type]
     for number in (0, 1):
@@ -60,7 +60,7 @@ def test_verdicts(criterion: Any, verdict: str, proof: str, moving: list[int], c
 def test_plans(criterion: Any, clamp: Assembly, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the walls must press by themselves the cube cannot be let go of; where they do, it can."""
     monkeypatch.setattr("os.nice", lambda _: None)
-    planner, pipe = _Planner(Recipe(clamp, "replan", None, criterion)), Pipe()
+    planner, pipe = _Planner(WorkerConfig(clamp, "replan", None, criterion)), Pipe()
     state = np.array([1, 2, 2], dtype=np.uint8)
     planner.answer([Item(0, {"state": state}, 10.0)], pipe)  # type: ignore[arg-type]
     answer = pipe.answers[0]

@@ -18,8 +18,8 @@ def store(cache: VerdictCache, state: ArrayLike, verdict: int, residual: float =
 
 
 def look_up(cache: VerdictCache, state: ArrayLike) -> tuple[int, float, bool]:
-    verdict, residual, by_rule = cache.look_up(np.atleast_2d(np.array(state, np.uint8)))
-    return int(verdict[0]), float(residual[0]), bool(by_rule[0])
+    verdict, residual, by_monotonicity = cache.look_up(np.atleast_2d(np.array(state, np.uint8)))
+    return int(verdict[0]), float(residual[0]), bool(by_monotonicity[0])
 
 
 def test_it_remembers() -> None:
@@ -35,8 +35,8 @@ def test_it_knows_nothing_of_other_parts() -> None:
     """Rules hold on the same parts: adding or removing one can change everything."""
     cache = VerdictCache()
     store(cache, [1, 1, 0, 2], STABLE)
-    verdict, residual, by_rule = look_up(cache, [1, 1, 1, 2])
-    assert (verdict, by_rule) == (UNDECIDED, False)
+    verdict, residual, by_monotonicity = look_up(cache, [1, 1, 1, 2])
+    assert (verdict, by_monotonicity) == (UNDECIDED, False)
     assert np.isnan(residual)
     assert look_up(cache, [0, 1, 0, 2])[0] == UNDECIDED
     assert look_up(cache, [0, 2, 0, 2])[0] == UNDECIDED

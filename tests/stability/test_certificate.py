@@ -15,7 +15,15 @@ from falsework.assembly import library
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
-from falsework.stability import Claim, ExactSolver, Stability, StabilitySettings, Verdict, Verdicts, verify_certificates
+from falsework.stability import (
+    ExactSolver,
+    Stability,
+    StabilityCriterion,
+    StabilitySettings,
+    Verdict,
+    Verdicts,
+    verify_certificates,
+)
 from falsework.stability.certificate import residual_bound_of_velocity, residual_of_forces
 from falsework.stability.reference.conic_program import into_cone
 
@@ -23,7 +31,7 @@ CONES = ("octagon", "quadratic")
 
 
 @pytest.fixture(scope="module", params=CONES)
-def case(request: pytest.FixtureRequest, scenes: Any) -> tuple[Assembly, NDArray, Verdicts, Claim]:
+def case(request: pytest.FixtureRequest, scenes: Any) -> tuple[Assembly, NDArray, Verdicts, StabilityCriterion]:
     """States of an arch with both verdicts, and their certificates."""
     assembly = library.build("arch:blocks=7,thickness=0.25")
     states = np.unique(scenes.few_changes(assembly, 40, seed=1), axis=0)
@@ -174,7 +182,7 @@ def test_forces_outside_the_cone_are_rejected(scenes: Any, cone: str) -> None:
         pattern = forces.copy()
         pattern[0, 0, 1:] = share * 0.5 * forces[0, 0, 0] * edge
         pattern[0, 1, 1:] = -pattern[0, 0, 1:]
-        assert np.isfinite(residual_of_forces(tower, state, pattern, Claim(cone=cone))[0]) == expected
+        assert np.isfinite(residual_of_forces(tower, state, pattern, StabilityCriterion(cone=cone))[0]) == expected
 
 
 def test_the_octagon_is_the_narrower_cone(scenes: Any) -> None:
@@ -187,8 +195,8 @@ def test_the_octagon_is_the_narrower_cone(scenes: Any) -> None:
     pattern = forces.copy()
     pattern[0, 0, 1:] = 0.97 * 0.5 * forces[0, 0, 0] * edge / np.linalg.norm(edge)
     pattern[0, 1, 1:] = -pattern[0, 0, 1:]
-    assert residual_of_forces(turned, state, pattern, Claim(cone="quadratic"))[0] < 1e-9
-    assert residual_of_forces(turned, state, pattern, Claim(cone="octagon"))[0] == np.inf
+    assert residual_of_forces(turned, state, pattern, StabilityCriterion(cone="quadratic"))[0] < 1e-9
+    assert residual_of_forces(turned, state, pattern, StabilityCriterion(cone="octagon"))[0] == np.inf
 
 
 def test_forces_above_the_bound_are_rejected(scenes: Any) -> None:
@@ -203,7 +211,9 @@ def test_forces_above_the_bound_are_rejected(scenes: Any) -> None:
         for wall in (1, 2):
             on_wall = (clamp.contacts.parts[clamp.contacts.contact_of_point] == wall).any(axis=1)
             pressed[0, on_wall, 0] += 500 * weight / on_wall.sum()
-        residual = residual_of_forces(clamp, np.array([[1, 2, 2]], np.uint8), pressed, Claim(force_bound=1e3 / bound))
+        residual = residual_of_forces(
+            clamp, np.array([[1, 2, 2]], np.uint8), pressed, StabilityCriterion(force_bound=1e3 / bound)
+        )
         assert np.isfinite(residual[0]) != expected
 
 
@@ -236,7 +246,7 @@ def test_no_state_passes_both_checks(seed: int, cone: str, push: float, blend: f
     forces = 10**push * weight * random.standard_normal(exact.forces.shape)
     forces = into_cone(((1 - blend) * exact.forces + blend * forces)[0], assembly.friction, cone)[None]
     velocity = (1 - blend) * exact.velocity + blend * random.standard_normal(exact.velocity.shape)
-    claim = Claim(cone=cone)
+    claim = StabilityCriterion(cone=cone)
     above = residual_of_forces(assembly, state, forces, claim)[0]
     below = residual_bound_of_velocity(assembly, state, velocity, claim)[0]
     assert below <= above + 1e-9
@@ -260,7 +270,7 @@ def test_rounding_that_is_forgiven_carries_nothing(scenes: Any, cone: str) -> No
     assembly = Assembly.from_meshes(
         [*slope.meshes, heavy, table], boundary=[1, 3], friction=0.5, density=[1e-3, 2400.0, 2400.0, 2400.0]
     )
-    claim = Claim(cone=cone)
+    claim = StabilityCriterion(cone=cone)
     settings = StabilitySettings(criterion="equilibrium", cone=cone)  # type: ignore[arg-type]
     verdicts = Stability(assembly, settings).check(complete_state(assembly.boundary))
     assert verdicts.unstable[0]

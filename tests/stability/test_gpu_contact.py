@@ -141,7 +141,7 @@ def test_what_the_gpu_leaves_open_is_settled_on_the_processor(scenes: Any, on_ho
     oracle = DeviceOracle.__new__(DeviceOracle)
     oracle._solver, oracle._settle = OnTensors(), Stability(assembly, tired).settle  # type: ignore[assignment]
     given = torch.from_numpy(states)
-    alone = oracle.without_exact()(given, given).numpy()
+    alone = oracle.without_fallback()(given, given).numpy()
     expected = Stability(assembly).check(states).verdict
     assert (alone == Verdict.UNDECIDED).any()
     assert not (alone == Verdict.SLIDES).any()

@@ -109,7 +109,7 @@ def test_the_rules_answer_without_solving(arch: Assembly) -> None:
     verdicts = stability.judge(held)
     assert verdicts.stable.all()
     assert (verdicts.proof == Proof.FORCES).all()
-    assert stability.counters.by_rule == len(held)
+    assert stability.counters.by_monotonicity == len(held)
     assert stability.counters.cpu + stability.counters.exact == 1
     gap = complete.copy()
     gap[[4, 0]] = 0, 2  # without its keystone, its first block held

@@ -15,7 +15,7 @@ from falsework.errors import AssemblyError, InputError
 from falsework.stability import CpuSettings, ExactSolver, StabilitySettings, build_problem
 from falsework.stability.cpu.admm import factor_admm
 from falsework.stability.cpu.elimination import eliminate, factor, solve
-from falsework.stability.cpu.layout import add_wrenches, build_structure, make_work, restrict
+from falsework.stability.cpu.layout import add_wrenches, build_structure, make_scratch, restrict
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import Problem
 from falsework.stability.reference.conic_program import wrench_matrix
@@ -96,7 +96,7 @@ def test_pairs_factor_the_map(scenes: Any, assembly: Assembly) -> None:
     structure = build_structure(problem)
     random = np.random.default_rng(1)
     for state in scenes.random_states(assembly, 6, seed=7):
-        work = make_work(structure)
+        work = make_scratch(structure)
         pairs, count = restrict(structure, state, work)
         if count == 0:
             continue
@@ -115,7 +115,7 @@ def test_elimination_agrees_with_dense_algebra(scenes: Any, assembly: Assembly) 
     random = np.random.default_rng(2)
     rho = 1e-3
     for state in scenes.random_states(assembly, 12, seed=8):
-        work = make_work(structure)
+        work = make_scratch(structure)
         pairs, count = restrict(structure, state, work)
         if count == 0:
             continue
@@ -132,7 +132,7 @@ def test_elimination_agrees_with_dense_algebra(scenes: Any, assembly: Assembly) 
 
 def test_elimination_says_when_a_matrix_is_not_positive() -> None:
     structure = build_structure(build_problem(library.build("arch:blocks=7")))
-    work = make_work(structure)
+    work = make_scratch(structure)
     pairs, _ = restrict(structure, np.array([1] * 7 + [2, 2], np.uint8), work)
     assert not factor_admm(structure, work, pairs, -2.0)
     work.diagonal[:] = np.nan

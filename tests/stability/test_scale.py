@@ -23,7 +23,7 @@ from falsework.stability import (
     build_problem,
     verify_certificates,
 )
-from falsework.stability.certificate import Claim, residual_bound_of_velocity, residual_of_forces
+from falsework.stability.certificate import StabilityCriterion, residual_bound_of_velocity, residual_of_forces
 from falsework.stability.cpu.solver import CpuSolver
 
 CONES = ("octagon", "quadratic")
@@ -114,13 +114,13 @@ def test_certificates_carry_over(scenes: Any, cone: str) -> None:
     found = solve(ExactSolver, base, states, settings_of(cone))
     assert found.forces is not None
     assert found.velocity is not None
-    above = residual_of_forces(base, states, found.forces, Claim(cone=cone))
-    below = residual_bound_of_velocity(base, states, found.velocity, Claim(cone=cone))
+    above = residual_of_forces(base, states, found.forces, StabilityCriterion(cone=cone))
+    below = residual_bound_of_velocity(base, states, found.velocity, StabilityCriterion(cone=cone))
     for size, density, gravity in ((1e-3, 1.0, EARTH), (1e3, 1e-3, EARTH), (0.3, 7.0, 1.62)):
         other = structure(name, size, density)
         heavier = size**3 * density * gravity / EARTH
         turned = found.velocity * np.repeat([1.0, 1 / size], 3)
-        claim = Claim(cone=cone, gravity=gravity)
+        claim = StabilityCriterion(cone=cone, gravity=gravity)
         forces = residual_of_forces(other, states, heavier * found.forces, claim)
         np.testing.assert_allclose(forces, above, rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(residual_bound_of_velocity(other, states, turned, claim), below, rtol=1e-6)

@@ -15,10 +15,10 @@ from falsework.robots.model.cell import Cell, CellRobot, Gripper, Placement, cel
 from falsework.robots.model.shapes import block, pose
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory, records_of
 from falsework.search import Direction, Plan
-from falsework.viewer.appearance import bounds_of, look_at
+from falsework.viewer.appearance import appearance_at, bounds_of
 from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms, wxyz_of
-from falsework.viewer.page.viewer_state import Model
-from falsework.viewer.timeline import NOBODY, Timeline
+from falsework.viewer.page.viewer_state import ViewerState
+from falsework.viewer.timeline import NO_ROBOT, Timeline
 
 SCALE = 0.25
 
@@ -75,8 +75,8 @@ def to_structure(cell: Cell, points: np.ndarray) -> np.ndarray:
 
 def test_links_are_where_forward_kinematics_puts_them(robot_plan: RobotPlan, cell: Cell) -> None:
     arms = Arms(robot_plan, cell, Direction.DISASSEMBLY)
-    moment = arms.at(3.0)
-    for link, found in zip(arms.links, moment.poses, strict=True):
+    arm_poses = arms.at(3.0)
+    for link, found in zip(arms.links, arm_poses.poses, strict=True):
         robot = cell.robots[link.robot]
         frames = link_poses(robot.model, robot_plan.keyframes[3].configurations[link.robot], robot.base)
         frame = frames[-1] @ robot.model.flange if link.gripper else frames[link.frame]
@@ -112,9 +112,9 @@ def test_a_carried_part_goes_with_the_gripper(
         carrying = [share for share in (0.1, 0.25, 0.4, 0.6, 0.75, 0.9) if arms.at(index + share).carried == part]
         assert len(carrying) == 3
         for share in carrying:
-            moment = arms.at(index + share)
-            assert moment.carrier == step.robot
-            seen = moment.carried_pose[:3, :3] @ point + moment.carried_pose[:3, 3]
+            arm_poses = arms.at(index + share)
+            assert arm_poses.carrier == step.robot
+            seen = arm_poses.carried_pose[:3, :3] @ point + arm_poses.carried_pose[:3, 3]
             world = cell.placement.pose[:3, :3] @ (seen * SCALE) + cell.placement.pose[:3, 3]
             number, left = int(share >= 0.5), (share % 0.5) * step.seconds
             values = step.trajectories[number].sample(np.array([left]))[0]
@@ -132,17 +132,17 @@ def test_the_part_is_seen_once(robot_plan: RobotPlan, cell: Cell, arch: tuple[As
     step = int(np.flatnonzero(plan.actions >= len(plan.boundary))[0])
     part = int(plan.actions[step]) % len(plan.boundary)
     for share, there, carried in ((0.0, True, False), (0.3, False, True), (0.7, False, False), (1.0, False, False)):
-        moment = arms.at(step + share)
-        look = look_with_arms(look_at(timeline, step + share, travelling=False), moment)
-        assert bool(look.opacity[part] > 0) is there, share
-        assert (moment.carried == part) is carried, share
+        arm_poses = arms.at(step + share)
+        appearance = look_with_arms(appearance_at(timeline, step + share, travelling=False), arm_poses)
+        assert bool(appearance.opacity[part] > 0) is there, share
+        assert (arm_poses.carried == part) is carried, share
     backwards, turned = timeline.turned(Direction.ASSEMBLY), arms.turned(Direction.ASSEMBLY)
     place = len(plan) - step - 1
     for share, there, carried in ((0.0, False, False), (0.3, False, False), (0.7, False, True), (1.0, True, False)):
-        moment = turned.at(place + share)
-        look = look_with_arms(look_at(backwards, place + share, travelling=False), moment)
-        assert bool(look.opacity[part] > 0) is there, share
-        assert (moment.carried == part) is carried, share
+        arm_poses = turned.at(place + share)
+        appearance = look_with_arms(appearance_at(backwards, place + share, travelling=False), arm_poses)
+        assert bool(appearance.opacity[part] > 0) is there, share
+        assert (arm_poses.carried == part) is carried, share
 
 
 def test_holders_are_those_of_the_keyframes(robot_plan: RobotPlan, cell: Cell) -> None:
@@ -152,7 +152,7 @@ def test_holders_are_those_of_the_keyframes(robot_plan: RobotPlan, cell: Cell) -
             for robot, part in enumerate(frame.held):
                 if part is not None:
                     assert who[row, part] == robot
-            assert (who[row] != NOBODY).sum() == sum(part is not None for part in frame.held)
+            assert (who[row] != NO_ROBOT).sum() == sum(part is not None for part in frame.held)
 
 
 def test_meshes_and_bounds(robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]) -> None:
@@ -171,16 +171,16 @@ def test_a_new_plan_has_no_arms_until_one_goes_back(
 ) -> None:
     assembly, plan = arch
     arms = Arms(robot_plan, cell, Direction.ASSEMBLY)
-    model = Model(Timeline.of(plan, assembly, Direction.ASSEMBLY, arms.holders()), plan=plan, arms=arms)
+    model = ViewerState(Timeline.of(plan, assembly, Direction.ASSEMBLY, arms.holders()), plan=plan, arms=arms)
     model.turn(Direction.DISASSEMBLY)
     assert model.arms is not None
     assert model.arms.direction is Direction.DISASSEMBLY
     model.go_to(0.5)
-    assert model.moment() is not None
+    assert model.arm_poses() is not None
     model.go_to(0)
     assert model.replan().found
     assert model.arms is None
-    assert model.moment() is None
+    assert model.arm_poses() is None
     model.go_back()
     assert model.arms is not None
 

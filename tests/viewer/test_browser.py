@@ -20,10 +20,10 @@ import numpy as np
 import pytest
 
 from falsework.assembly.state import REMOVED
-from falsework.viewer.page.disruption import Tool
+from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.scene import SIZE
-from falsework.viewer.page.viewer_state import Model
+from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import ROBOTS, rgb
 from falsework.viewer.timeline import Timeline
 
@@ -66,7 +66,7 @@ class Open:
     complaints: list[str]
 
     @property
-    def model(self) -> Model:
+    def model(self) -> ViewerState:
         return self.page.model
 
     def until(self, true: Callable[[], bool], what: str) -> None:
@@ -115,7 +115,7 @@ class Open:
         box = self.tab.locator("input[type=text]").first
         box.fill(str(place))
         box.press("Enter")
-        self.until(lambda: self.model.place == place, f"step {place}")
+        self.until(lambda: self.model.position == place, f"step {place}")
 
     def choose(self, label: str, value: str) -> None:
         """Take an entry of a list."""
@@ -128,7 +128,7 @@ def opened(browser: Any, arch: Any) -> Iterator[Callable[..., Open]]:
     """Serve a model and open it in a tab; whatever the console says against it fails the test."""
     pages: list[Open] = []
 
-    def show(model: Model) -> Open:
+    def show(model: ViewerState) -> Open:
         page = Page(model, port=8190)
         tab = browser.new_page()
         now = Open(page, tab, [])
@@ -164,7 +164,7 @@ def near(picture: np.ndarray, color: str, reach: int = 90) -> int:
 def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     """Load, slide, click a part, mark one as missing, plan anew, lose the server."""
     assembly, plan = arch
-    model = Model(Timeline.of(plan.reverse(), assembly), plan=plan.reverse())
+    model = ViewerState(Timeline.of(plan.reverse(), assembly), plan=plan.reverse())
     now = opened(model)
     tab = now.tab
     empty = now.picture()
@@ -202,8 +202,8 @@ def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     now.slide(3)
     tab.get_by_role("tab", name="Disrupt").click()
     before = now.picture()
-    now.choose("A click will", str(Tool.MISSING))
-    now.until(lambda: model.tool is Tool.MISSING, "the tool is chosen")
+    now.choose("A click will", str(ClickMode.MISSING))
+    now.until(lambda: model.tool is ClickMode.MISSING, "the tool is chosen")
     assert model.state[top] == REMOVED  # what is not there yet is hinted at and can be clicked
     now.picture()
     now.click(top)
@@ -238,7 +238,7 @@ def test_an_unstable_state(opened: Callable[..., Open]) -> None:
     from falsework.assembly.state import complete_state
 
     thin = load_structure("arch:blocks=11,thickness=0.06")
-    model = Model(Timeline.still(thin, complete_state(thin.boundary)))
+    model = ViewerState(Timeline.from_state(thin, complete_state(thin.boundary)))
     now = opened(model)
     now.tab.get_by_text("would move").wait_for()
     before = now.picture()
@@ -256,16 +256,16 @@ def test_playing_probabilities_and_the_graph(opened: Callable[..., Open], arch: 
 
     assembly, plan = arch
     graph = StateGraph.build(task_of(assembly), plan.states, name=assembly.name)
-    model = Model(Timeline.of(plan, assembly), plan=plan, policy=policy, graph=graph)
+    model = ViewerState(Timeline.of(plan, assembly), plan=plan, policy=policy, graph=graph)
     now = opened(model)
     now.tab.get_by_text("probability of the action on a part").wait_for()
     coloured = now.picture()
     now.tab.get_by_label("Probabilities of the policy").uncheck()
-    now.until(lambda: not model.show_chances, "probabilities are off")
+    now.until(lambda: not model.show_probabilities, "probabilities are off")
     assert (np.abs(now.picture() - coloured).max(axis=2) > 25).sum() > 100
     now.page._speed.value = 8.0
     now.tab.get_by_role("button", name="Play").click()
-    now.until(lambda: model.place == len(model.timeline), "the plan is played to its end")
+    now.until(lambda: model.position == len(model.timeline), "the plan is played to its end")
     now.tab.get_by_text(f"step {len(plan)} of {len(plan)}").wait_for()
     now.tab.get_by_role("tab", name="Graph").click()
     now.tab.get_by_text(f"{len(graph)} states").wait_for()
@@ -297,13 +297,13 @@ def test_a_thousand_parts_are_few_draw_calls(opened: Callable[..., Open]) -> Non
     rows = np.array(states)
     timeline = Timeline(vault, rows, np.array(actions), holders(rows, vault.boundary), Direction.DISASSEMBLY, 1)
     np.testing.assert_array_equal(rows[-1], empty_state(vault.boundary))
-    now = opened(Model(timeline))
+    now = opened(ViewerState(timeline))
     sent, seconds = [], []
     for place in (0, 1, 2, 3, 500, 501, 1200, 40, 1):
         now.model.go_to(place)
         begun = time.perf_counter()
         with now.page.server.atomic():
-            sent.append(now.page.scene.show(now.model.look()))
+            sent.append(now.page.scene.show(now.model.appearance()))
         seconds.append(time.perf_counter() - begun)
         assert now.page.scene.node_count < 50
     assert max(sent[1:4]) <= 4

@@ -8,8 +8,8 @@ import pytest
 from falsework.assembly.state import HELD, INSTALLED, REMOVED
 from falsework.errors import InputError, StateError
 from falsework.search import Direction, validate_plan
-from falsework.viewer.page.disruption import Disruption, Tool, chance_of_parts
-from falsework.viewer.page.viewer_state import Model
+from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
+from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import FIXED, SELECTED, ramp_in_steps, rgb
 from falsework.viewer.timeline import Timeline
 
@@ -17,38 +17,38 @@ ABOVE, DOWN = np.array([0.0, 0.0, 10.0]), np.array([0.0, 0.0, -1.0])
 
 
 @pytest.fixture
-def model(arch, timeline) -> Model:
-    return Model(timeline, plan=arch[1].reverse())
+def model(arch, timeline) -> ViewerState:
+    return ViewerState(timeline, plan=arch[1].reverse())
 
 
-def over(model: Model, part: int) -> np.ndarray:
+def over(model: ViewerState, part: int) -> np.ndarray:
     return model.assembly.mass.center[part] + ABOVE
 
 
-def test_going_beyond_the_end_is_the_end(model: Model) -> None:
+def test_going_beyond_the_end_is_the_end(model: ViewerState) -> None:
     model.go_to(1e9)
-    assert model.place == len(model.timeline)
+    assert model.position == len(model.timeline)
     model.go_to(-3)
-    assert model.place == 0
+    assert model.position == 0
 
 
-def test_turning_keeps_the_state(model: Model) -> None:
+def test_turning_keeps_the_state(model: ViewerState) -> None:
     model.go_to(3)
     before = model.state.copy()
     model.turn(Direction.DISASSEMBLY)
     np.testing.assert_array_equal(model.state, before)
-    assert model.place == len(model.timeline) - 3
+    assert model.position == len(model.timeline) - 3
     model.turn(Direction.DISASSEMBLY)  # nothing to do
-    assert model.place == len(model.timeline) - 3
+    assert model.position == len(model.timeline) - 3
 
 
-def test_a_click_selects_and_a_click_beside_forgets(model: Model) -> None:
+def test_a_click_selects_and_a_click_beside_forgets(model: ViewerState) -> None:
     model.go_to(len(model.timeline))
     top = int(np.argmax(model.assembly.mass.center[:, 2]))
     assert model.click(over(model, top), DOWN) == top
     assert model.selected == top
-    assert tuple(model.look().color[top]) == rgb(SELECTED)
-    assert model.labels(model.look())[top] == model.assembly.names[top]
+    assert tuple(model.appearance().color[top]) == rgb(SELECTED)
+    assert model.labels(model.appearance())[top] == model.assembly.names[top]
     facts = dict(model.about(top))
     assert facts["mass"] == f"{model.assembly.mass.mass[top]:.4g} kg"
     assert "robot" in facts["held by"]
@@ -57,15 +57,17 @@ def test_a_click_selects_and_a_click_beside_forgets(model: Model) -> None:
     assert model.selected is None
 
 
-def test_about_a_boundary_part(model: Model) -> None:
+def test_about_a_boundary_part(model: ViewerState) -> None:
     part = int(np.argmax(model.assembly.boundary))
     facts = dict(model.about(part))
     assert facts["now"] == "boundary"
     assert facts["held by"] == "nobody"
 
 
-@pytest.mark.parametrize(("tool", "field"), [(Tool.MISSING, "missing"), (Tool.FIXED, "fixed"), (Tool.TARGET, "target")])
-def test_a_tool_marks_and_unmarks(model: Model, tool: Tool, field: str) -> None:
+@pytest.mark.parametrize(
+    ("tool", "field"), [(ClickMode.MISSING, "missing"), (ClickMode.FIXED, "fixed"), (ClickMode.TARGET, "target")]
+)
+def test_a_tool_marks_and_unmarks(model: ViewerState, tool: ClickMode, field: str) -> None:
     """Absent parts too: they are shown palely while a tool is chosen."""
     model.tool = tool
     assert set(model.pale) == set(np.flatnonzero(model.state == REMOVED).tolist())
@@ -73,42 +75,42 @@ def test_a_tool_marks_and_unmarks(model: Model, tool: Tool, field: str) -> None:
     model.click(over(model, top), DOWN)
     assert getattr(model.disruption, field) == {top}
     assert model.assembly.names[top] in model.disruption.words(model.assembly)
-    assert top in model.labels(model.look())
+    assert top in model.labels(model.appearance())
     model.click(over(model, top), DOWN)
     assert model.disruption.empty
 
 
-def test_what_is_there_already_was_absent_before(model: Model) -> None:
-    model.tool = Tool.THERE
+def test_what_is_there_already_was_absent_before(model: ViewerState) -> None:
+    model.tool = ClickMode.THERE
     model.click_part(1)
     assert model.site[1] == INSTALLED
-    assert model.look().opacity[1] == 1.0
-    model.tool = Tool.MISSING
+    assert model.appearance().opacity[1] == 1.0
+    model.tool = ClickMode.MISSING
     model.click_part(1)  # it cannot be both
     assert model.disruption == Disruption(missing=frozenset({1}), robots=2)
     assert model.site[1] == REMOVED
 
 
-def test_fixed_parts_are_dark(model: Model) -> None:
+def test_fixed_parts_are_dark(model: ViewerState) -> None:
     model.go_to(len(model.timeline))
-    model.tool = Tool.FIXED
+    model.tool = ClickMode.FIXED
     model.click_part(2)
     model.selected = None
-    assert tuple(model.look().color[2]) == rgb(FIXED)
+    assert tuple(model.appearance().color[2]) == rgb(FIXED)
 
 
-def test_boundary_cannot_be_marked(model: Model) -> None:
-    model.tool = Tool.MISSING
+def test_boundary_cannot_be_marked(model: ViewerState) -> None:
+    model.tool = ClickMode.MISSING
     with pytest.raises(InputError, match="boundary"):
         model.click_part(int(np.argmax(model.assembly.boundary)))
     assert model.disruption.empty
 
 
-def test_marks_ask_for_a_proof_of_their_own(model: Model) -> None:
+def test_marks_ask_for_a_proof_of_their_own(model: ViewerState) -> None:
     """Every state of a plan stands; without the part that carries the rest it does not."""
     model.go_to(len(model.timeline))
     assert model.proof().stable
-    model.tool = Tool.MISSING
+    model.tool = ClickMode.MISSING
     model.click_part(2)
     assert not model.proof().stable
     model.clear_marks()
@@ -144,13 +146,13 @@ def test_the_question_in_disassembly() -> None:
     assert question["missing"] == ()
 
 
-def test_replanning_around_a_missing_part_and_back(model: Model) -> None:
+def test_replanning_around_a_missing_part_and_back(model: ViewerState) -> None:
     old = model.timeline
     model.go_to(4)
     here = model.state.copy()
 
     absent = [part for part in range(5) if here[part] == REMOVED]
-    model.tool = Tool.MISSING
+    model.tool = ClickMode.MISSING
     model.click_part(absent[0])
     site = model.site.copy()
     model.set_robots(3)
@@ -163,16 +165,16 @@ def test_replanning_around_a_missing_part_and_back(model: Model) -> None:
     assert answer.plan.robots == 3
     assert validate_plan(answer.plan, model.assembly).good
     np.testing.assert_array_equal(model.state, site)
-    assert model.place == 0
+    assert model.position == 0
     assert model.disruption == Disruption(robots=3)
     assert model.can_go_back
     model.go_back()
     assert model.timeline is old
-    assert model.place == 4
+    assert model.position == 4
     assert not model.can_go_back
 
 
-def test_a_question_without_an_answer_says_why(model: Model) -> None:
+def test_a_question_without_an_answer_says_why(model: ViewerState) -> None:
     """One robot cannot close an arch: the state before the keystone needs two."""
     model.set_robots(1)
     answer = model.replan()
@@ -182,11 +184,11 @@ def test_a_question_without_an_answer_says_why(model: Model) -> None:
     assert not model.can_go_back
 
 
-def test_a_senseless_question_is_refused(model: Model) -> None:
-    place = next(
+def test_a_senseless_question_is_refused(model: ViewerState) -> None:
+    position = next(
         p for p in range(len(model.timeline) + 1) if (model.timeline.states[model.timeline.row(p)] == HELD).sum() == 4
     )
-    model.go_to(place)
+    model.go_to(position)
     model.set_robots(1)
     with pytest.raises(StateError, match="held"):
         model.replan()
@@ -194,8 +196,8 @@ def test_a_senseless_question_is_refused(model: Model) -> None:
 
 def test_a_structure_without_a_plan_gets_one(arch) -> None:
     assembly, plan = arch
-    still = Timeline.still(assembly, plan.states[-1])
-    model = Model(still)
+    still = Timeline.from_state(assembly, plan.states[-1])
+    model = ViewerState(still)
     answer = model.replan()
     assert answer.found
     assert "no plan before" in answer.words
@@ -204,13 +206,13 @@ def test_a_structure_without_a_plan_gets_one(arch) -> None:
 
 def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
     assembly, plan = arch
-    model = Model(Timeline.of(plan, assembly), plan=plan, policy=policy)
-    chances = model.chances()
-    assert np.isfinite(chances).sum() == (model.state == INSTALLED).sum()
-    assert np.nansum(chances) == pytest.approx(1.0)
-    look = model.look()
-    part = int(np.nanargmax(chances))
-    assert tuple(look.color[part]) == tuple(ramp_in_steps(chances[part]))
+    model = ViewerState(Timeline.of(plan, assembly), plan=plan, policy=policy)
+    action_probabilities = model.action_probabilities()
+    assert np.isfinite(action_probabilities).sum() == (model.state == INSTALLED).sum()
+    assert np.nansum(action_probabilities) == pytest.approx(1.0)
+    appearance = model.appearance()
+    part = int(np.nanargmax(action_probabilities))
+    assert tuple(appearance.color[part]) == tuple(ramp_in_steps(action_probabilities[part]))
     assert dict(model.about(part))["policy"].startswith("hold it with")
     visited = model.visited(4)
     assert (visited[:, assembly.boundary] == HELD).all()
@@ -221,5 +223,5 @@ def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
 
 
 def test_chances_of_parts() -> None:
-    chances = chance_of_parts(np.array([0.2, 0.0, 0.0, 0.0, 0.8, 0.0]))
-    np.testing.assert_allclose(chances, [0.2, 0.8, np.nan])
+    action_probabilities = chance_of_parts(np.array([0.2, 0.0, 0.0, 0.0, 0.8, 0.0]))
+    np.testing.assert_allclose(action_probabilities, [0.2, 0.8, np.nan])

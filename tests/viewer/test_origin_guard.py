@@ -15,7 +15,7 @@ from falsework.cli.main import main
 from falsework.errors import DependencyError
 from falsework.viewer.page.origin_guard import OriginGuard, start_server
 from falsework.viewer.page.page import Page
-from falsework.viewer.page.viewer_state import Model
+from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.timeline import Timeline
 
 PORT = 8230
@@ -23,7 +23,7 @@ PORT = 8230
 
 @pytest.fixture
 def page(timeline: Timeline) -> Iterator[Page]:
-    opened = Page(Model(timeline), port=PORT, allowed_hosts=["plans.example"])
+    opened = Page(ViewerState(timeline), port=PORT, allowed_hosts=["plans.example"])
     yield opened
     opened.close()
 

@@ -1,4 +1,4 @@
-"""Contact sheets, line drawings, films and state graphs as files, and every wrong input in one line."""
+"""Contact sheets, line drawings, videos and state graphs as files, and every wrong input in one line."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_names_are_escaped(arch) -> None:
 
     assembly = arch[0]
     odd = replace(assembly, meshes=tuple(replace(mesh, name=f"<{mesh.name}>") for mesh in assembly.meshes))
-    still = Timeline.still(odd, arch[1].states[0])
+    still = Timeline.from_state(odd, arch[1].states[0])
     ElementTree.fromstring(drawing(still, [0]))
 
 
@@ -132,9 +132,9 @@ def test_films(plan_file: Path, run: Run, tmp_path: Path) -> None:
     options = ("--width", 120, "--rate", 4, "--seconds", 0.25)
     steps = len(load_plan(plan_file))
     assert run("animate", plan_file, "--out", gif, *options) == (0, "")
-    film = pil.open(gif)
-    assert film.n_frames == steps + 1
-    assert film.size[0] == 120
+    video = pil.open(gif)
+    assert video.n_frames == steps + 1
+    assert video.size[0] == 120
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="MP4 needs imageio-ffmpeg")
     assert run("animate", plan_file, "--out", mp4, *options) == (0, "")
     frames = imageio_ffmpeg.read_frames(str(mp4))

@@ -17,7 +17,7 @@ from falsework.cli.main import main
 from falsework.search import Plan, find_plans, save_plan
 from falsework.stability import Stability, StabilitySettings
 from falsework.viewer.page.page_text import legend_text, where_text
-from falsework.viewer.page.viewer_state import Model
+from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import SLIDING, rgb
 from falsework.viewer.pictures.render import Camera
 from falsework.viewer.pictures.video import frames_of
@@ -103,12 +103,12 @@ def test_many_states_at_once_are_as_each_by_itself(clamp: Assembly, plan: Plan) 
 
 @pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
 def test_the_page_marks_it_once_it_was_asked_about(criterion: str, clamp: Assembly, plan: Plan) -> None:
-    model = Model(Timeline.of(plan, clamp), plan=plan, criterion=criterion)  # type: ignore[arg-type]
-    assert model.look().color[CUBE].tolist() != list(rgb(SLIDING))
+    model = ViewerState(Timeline.of(plan, clamp), plan=plan, criterion=criterion)  # type: ignore[arg-type]
+    assert model.appearance().color[CUBE].tolist() != list(rgb(SLIDING))
     slides = criterion == "contact"
     assert ("slides: cube-0" in where_text(model, ask=True)) == slides
-    assert (model.look().color[CUBE].tolist() == list(rgb(SLIDING))) == slides
-    assert model.look().color[IDLER].tolist() != list(rgb(SLIDING))
+    assert (model.appearance().color[CUBE].tolist() == list(rgb(SLIDING))) == slides
+    assert model.appearance().color[IDLER].tolist() != list(rgb(SLIDING))
     assert ("would slide" in legend_text(model, ())) == slides
     model.go_to(len(model.timeline))
     assert "slides" not in where_text(model, ask=True)
@@ -206,7 +206,7 @@ def test_the_scene_of_the_page_has_the_part_and_its_way(clamp: Assembly) -> None
     pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
     from falsework.viewer.page.page import Page
 
-    page = Page(Model(Timeline.still(clamp, complete_state(clamp.boundary))), port=0)
+    page = Page(ViewerState(Timeline.from_state(clamp, complete_state(clamp.boundary))), port=0)
     try:
         page.refresh()
         shown = set(page.scene._shown)

@@ -9,9 +9,9 @@ from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import PlanError
 from falsework.search import Direction
-from falsework.viewer.appearance import FADE, look_at, pick
+from falsework.viewer.appearance import FADE, appearance_at, pick
 from falsework.viewer.palette import BOUNDARY, ramp, rgb, robot_color
-from falsework.viewer.timeline import NOBODY, Timeline, holders, interesting, way_out
+from falsework.viewer.timeline import NO_ROBOT, Timeline, holders, interesting, way_out
 
 
 def test_a_robot_keeps_its_part() -> None:
@@ -20,7 +20,7 @@ def test_a_robot_keeps_its_part() -> None:
         [[2, 1, 1, 1], [2, 2, 1, 1], [2, 2, 2, 1], [2, 0, 2, 1], [2, 0, 2, 2], [2, 0, 0, 2]], dtype=np.uint8
     )
     robots = holders(states, boundary)
-    assert (robots[:, 0] == NOBODY).all()
+    assert (robots[:, 0] == NO_ROBOT).all()
     assert robots[1:3, 1].tolist() == [0, 0]
     assert robots[2:5, 2].tolist() == [1, 1, 1]
     assert robots[4:, 3].tolist() == [0, 0]  # the robot that was free
@@ -78,14 +78,14 @@ def test_a_plan_of_another_structure_is_refused(arch) -> None:
 
 def test_colours_are_those_of_state_and_robots(timeline) -> None:
     for place in range(len(timeline) + 1):
-        look = look_at(timeline, place, travelling=False)
+        appearance = appearance_at(timeline, place, travelling=False)
         state = timeline.states[timeline.row(place)]
-        np.testing.assert_array_equal(look.opacity > 0, state != REMOVED)
+        np.testing.assert_array_equal(appearance.opacity > 0, state != REMOVED)
         for part in range(len(state)):
             if timeline.assembly.boundary[part]:
-                assert tuple(look.color[part]) == rgb(BOUNDARY)
+                assert tuple(appearance.color[part]) == rgb(BOUNDARY)
             elif state[part] == HELD:
-                assert tuple(look.color[part]) == rgb(robot_color(int(look.holder[part])))
+                assert tuple(appearance.color[part]) == rgb(robot_color(int(appearance.holder[part])))
 
 
 def test_a_part_fades_out_along_its_way(arch) -> None:
@@ -98,36 +98,39 @@ def test_a_part_fades_out_along_its_way(arch) -> None:
     )
     begin = int(timeline.removal_step[first])
     places = begin + np.linspace(0, FADE, 9)
-    looks = [look_at(timeline, place) for place in places]
-    opacity = [look.opacity[first] for look in looks]
+    looks = [appearance_at(timeline, place) for place in places]
+    opacity = [appearance.opacity[first] for appearance in looks]
     assert opacity[0] == 1.0
     assert opacity[-1] == 0.0
     assert (np.diff(opacity) < 0).all()
-    along = [look.shift[first] @ timeline.ways[first] for look in looks[:-1]]
+    along = [appearance.shift[first] @ timeline.ways[first] for appearance in looks[:-1]]
     assert (np.diff(along) > 0).all()
     assert looks[4].ghosts.tolist() == [first] or first in looks[4].ghosts
-    assert look_at(timeline, step + 1).opacity[part] < 1.0
+    assert appearance_at(timeline, step + 1).opacity[part] < 1.0
 
 
 def test_probabilities_colour_only_what_can_be_acted_on(timeline) -> None:
-    chances = np.full(timeline.assembly.part_count, np.nan)
-    chances[2] = 0.75
+    action_probabilities = np.full(timeline.assembly.part_count, np.nan)
+    action_probabilities[2] = 0.75
     place = len(timeline)
-    plain, asked = look_at(timeline, place), look_at(timeline, place, chances=chances)
+    plain, asked = (
+        appearance_at(timeline, place),
+        appearance_at(timeline, place, action_probabilities=action_probabilities),
+    )
     assert tuple(asked.color[2]) == tuple(ramp(0.75))
     np.testing.assert_array_equal(np.delete(asked.color, 2, 0), np.delete(plain.color, 2, 0))
 
 
 def test_a_ray_hits_the_nearest_part_that_is_seen(timeline) -> None:
     assembly = timeline.assembly
-    look = look_at(timeline, len(timeline))
+    appearance = appearance_at(timeline, len(timeline))
     above = np.array([0.0, 0.0, 10.0])
     keystone = int(np.argmax(assembly.mass.center[:, 2]))
-    hit = pick(assembly, look, assembly.mass.center[keystone] + above, np.array([0.0, 0.0, -2.0]))
+    hit = pick(assembly, appearance, assembly.mass.center[keystone] + above, np.array([0.0, 0.0, -2.0]))
     assert hit == keystone
-    assert pick(assembly, look, assembly.mass.center[keystone] + above, np.array([0.0, 0.0, 1.0])) is None
-    assert pick(assembly, look, np.array([50.0, 0.0, 10.0]), np.array([0.0, 0.0, -1.0])) is None
-    empty = look_at(timeline, 0, travelling=False)
+    assert pick(assembly, appearance, assembly.mass.center[keystone] + above, np.array([0.0, 0.0, 1.0])) is None
+    assert pick(assembly, appearance, np.array([50.0, 0.0, 10.0]), np.array([0.0, 0.0, -1.0])) is None
+    empty = appearance_at(timeline, 0, travelling=False)
     assert pick(assembly, empty, assembly.mass.center[keystone] + above, np.array([0.0, 0.0, -1.0])) is None
 
 

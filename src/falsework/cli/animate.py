@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from falsework.cli.command import Command, Exit
 from falsework.cli.planning import writable
-from falsework.cli.subject import SubjectOptions
+from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ class Animate(Command):
         "falsework animate plan.json --width 320 --out plan.gif",
     )
 
-    subject: SubjectOptions
+    subject: ViewableOptions
     out: Annotated[Path, arg(metavar="FILE")] = Path("plan.mp4")
     """File to write; it ends in .mp4 or .gif."""
     seconds: float = 0.4
@@ -55,12 +55,12 @@ class Animate(Command):
         from falsework.viewer.show import animate, check_film
 
         if self.out.suffix.lower() not in KINDS:
-            raise InputError(f"{self.out}: films are written as {' or '.join(KINDS)}; name such a file")
+            raise InputError(f"{self.out}: videos are written as {' or '.join(KINDS)}; name such a file")
         check_film(self.width, self.seconds, self.rate)
         writable(self.out)
         subject = self.subject.open()
         with output.bar("drawing") as show:
-            film = animate(
+            video = animate(
                 subject,
                 self.out,
                 seconds=self.seconds,
@@ -72,9 +72,9 @@ class Animate(Command):
                 elevation=self.elevation,
                 progress=lambda done, total: show(done, total, f"picture {done} of {total}"),
             )
-        record = {"out": str(self.out), "pictures": film.pictures, "steps": len(subject.timeline)}
-        if film.unstable is not None:
-            record |= {"criterion": self.criterion, "not_standing": list(film.unstable)}
+        record = {"out": str(self.out), "pictures": video.pictures, "steps": len(subject.timeline)}
+        if video.unstable is not None:
+            record |= {"criterion": self.criterion, "not_standing": list(video.unstable)}
         output.record(record)
-        output.say(f"{self.out}: {film.shows}")
+        output.say(f"{self.out}: {video.shows}")
         return Exit.DONE

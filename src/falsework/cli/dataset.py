@@ -52,9 +52,9 @@ class MakeDataset(Command):
         """Search, compare, save."""
         from falsework.cli.arguments import parse_parts
         from falsework.learn.data.dataset import save_dataset
-        from falsework.search.device.oracle import oracle_on
+        from falsework.search.device.oracle import tensor_oracle
         from falsework.stability import Stability, StabilitySettings
-        from falsework.utils.distributed import joined
+        from falsework.utils.distributed import init_distributed
         from falsework.utils.optional_packages import check_torch
 
         check_torch()
@@ -68,17 +68,17 @@ class MakeDataset(Command):
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
         if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
-        with joined(self.device) as (shards, device), output.bar("searching") as show:
+        with init_distributed(self.device) as (shards, device), output.bar("searching") as show:
             dataset = build_dataset(
                 assembly,
                 task,
                 settings,
-                oracle=oracle_on(oracle, device),
+                oracle=tensor_oracle(oracle, device),
                 device=str(device),
                 shards=shards,
                 report=lambda text: show(0, 0, text),
             )
-            first = shards.first
+            first = shards.is_main_process
         if not first:
             return Exit.DONE
         save_dataset(dataset, self.out)

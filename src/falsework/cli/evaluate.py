@@ -66,14 +66,14 @@ class Evaluate(Command):
         from falsework.learn.networks.autocast import Network
         from falsework.learn.training.checkpoint import load_run
         from falsework.learn.training.evaluate import EvaluateSettings, GoalBlindPolicy, evaluate
-        from falsework.search.device.oracle import oracle_on
+        from falsework.search.device.oracle import tensor_oracle
         from falsework.stability import Stability, StabilitySettings
-        from falsework.utils.distributed import joined
+        from falsework.utils.distributed import init_distributed
 
         if self.states is not None and self.states < 1:
             raise InputError(f"--states {self.states} leaves nothing to evaluate; give at least 1")
         begun = time.perf_counter()
-        with joined(self.device) as (shards, device):
+        with init_distributed(self.device) as (shards, device):
             trained = load_run(self.folder, device)
             settings = trained.settings
             criterion = self.criterion or settings.criterion
@@ -84,15 +84,15 @@ class Evaluate(Command):
             )
             network: Any = Network(policy, settings.precision if device.type == "cuda" else "float32")
             if self.targets:
-                sets = self._pairs(trained, assembly, oracle_on(oracle, device), device)
+                sets = self._pairs(trained, assembly, tensor_oracle(oracle, device), device)
                 network = network if settings.policy.goal_conditioned else GoalBlindPolicy(network)
             else:
-                data = self._data(trained, assembly, oracle_on(oracle, device), device)
+                data = self._data(trained, assembly, tensor_oracle(oracle, device), device)
                 sets = {name: (getattr(data, name), None) for name in ("train", "validation", "test")}
             options = EvaluateSettings(states=self.states or 0, search=self.search, seed=self.seed)
             with output.bar("evaluating") as show:
                 found = evaluate(environment, network, sets, options, shards=shards, report=show)
-            if not shards.first:
+            if not shards.is_main_process:
                 return Exit.DONE
         record = {
             "run": str(self.folder),

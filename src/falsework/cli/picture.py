@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from falsework.cli.command import UNSET, Command, Exit
 from falsework.cli.planning import writable
-from falsework.cli.subject import SubjectOptions
+from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class MakePicture(Command):
         "falsework picture arch:blocks=9 --svg --forces --out arch.svg",
     )
 
-    subject: SubjectOptions
+    subject: ViewableOptions
     out: Annotated[Path, arg(metavar="FILE", help_behavior_hint=UNSET)] = Path("picture.png")
     """File to write, PNG, or SVG with --svg."""
     step: Annotated[int | None, arg(metavar="N", help_behavior_hint=UNSET)] = None

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.replanning.request import Request
-    from falsework.replanning.result import Replan
+    from falsework.replanning.result import ReplanResult
     from falsework.search.plans.plan import Plan
     from falsework.stability import Stability
 
@@ -156,7 +156,7 @@ class MakeReplan(Command):
             confidences=self.confidences,
         )
 
-    def _save(self, answer: Replan, source: dict[str, Any]) -> list[Path]:
+    def _save(self, answer: ReplanResult, source: dict[str, Any]) -> list[Path]:
         from falsework.search.plans.plan_file import save_plan
 
         paths = []
@@ -166,7 +166,7 @@ class MakeReplan(Command):
             paths.append(path)
         return paths
 
-    def _tell(self, answer: Replan, paths: list[Path], output: Output) -> None:
+    def _tell(self, answer: ReplanResult, paths: list[Path], output: Output) -> None:
         plan = answer.plans[0]
         output.say(
             f"{paths[0]}: {len(plan)} steps of {answer.direction.value} with {plan.robots} robots, every state proven "
@@ -185,7 +185,9 @@ class MakeReplan(Command):
         if answer.deadline_passed:
             output.note("the deadline cut the work short; more time may give more plans, or missing parts later")
 
-    def _refuse(self, assembly: Assembly, oracle: Stability, request: Request, answer: Replan, output: Output) -> None:
+    def _refuse(
+        self, assembly: Assembly, oracle: Stability, request: Request, answer: ReplanResult, output: Output
+    ) -> None:
         """Say why there is no plan, and what moves where the search broke off."""
         from falsework.cli.failure import explain
         from falsework.cli.velocity_text import describe, motions

@@ -43,7 +43,7 @@ class MakeSheet(Command):
     def run(self, output: Output) -> Exit:
         """Load, lay out, write."""
         from falsework.cli.planning import writable
-        from falsework.interop.assembly_instructions import sheet_csv, site_sheet, write_sheet
+        from falsework.interop.assembly_instructions import assembly_instructions, instructions_csv, write_sheet
         from falsework.search.plans.plan_file import load_plan
         from falsework.search.plans.plan_source import structure_of_plan
 
@@ -54,17 +54,19 @@ class MakeSheet(Command):
             raise InputError(f"an elevation of {self.elevation:g} degrees sees nothing; give one such as 24")
         writable(self.out)
         plan = load_plan(self.plan)
-        sheet = site_sheet(plan, structure_of_plan(plan, self.plan, self.structure, **self.reading.given()))
+        sheet = assembly_instructions(plan, structure_of_plan(plan, self.plan, self.structure, **self.reading.given()))
         if kind == ".csv":
-            content = sheet_csv(sheet).encode("utf-8-sig")  # with the mark by which spreadsheets know the encoding
+            content = instructions_csv(sheet).encode(
+                "utf-8-sig"
+            )  # with the mark by which spreadsheets know the encoding
         else:
             from dataclasses import replace
 
-            from falsework.interop.assembly_instructions_pdf import CAMERA, sheet_pdf
+            from falsework.interop.assembly_instructions_pdf import CAMERA, instructions_pdf
 
             camera = replace(CAMERA, azimuth=self.azimuth, elevation=self.elevation)
             with output.bar("drawing") as show:
-                content = sheet_pdf(
+                content = instructions_pdf(
                     sheet, camera=camera, progress=lambda done, total: show(done, total, f"step {done} of {total}")
                 )
         write_sheet(self.out, content)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SubjectOptions(LoadOptions):
+class ViewableOptions(LoadOptions):
     """Options that name the file or structure to show."""
 
     spec: Annotated[Positional[str], arg(metavar="WHAT")]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from tyro.conf import arg
 
 from falsework.cli.command import UNSET, Command, Exit
-from falsework.cli.subject import SubjectOptions
+from falsework.cli.subject import ViewableOptions
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -27,7 +27,7 @@ class View(Command):
         "falsework view vault --robots 3 --browser",
     )
 
-    subject: SubjectOptions
+    subject: ViewableOptions
     policy: Annotated[str | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Run whose policy colours the parts and proposes new plans."""
     host: Annotated[str | None, arg(metavar="HOST", help_behavior_hint=UNSET)] = None

@@ -1,9 +1,9 @@
-from falsework.interop.assembly_instructions import SiteSheet as SiteSheet
-from falsework.interop.assembly_instructions import SiteStep as SiteStep
-from falsework.interop.assembly_instructions import sheet_csv as sheet_csv
-from falsework.interop.assembly_instructions import site_sheet as site_sheet
+from falsework.interop.assembly_instructions import AssemblyInstruction as AssemblyInstruction
+from falsework.interop.assembly_instructions import AssemblyInstructions as AssemblyInstructions
+from falsework.interop.assembly_instructions import assembly_instructions as assembly_instructions
+from falsework.interop.assembly_instructions import instructions_csv as instructions_csv
 from falsework.interop.assembly_instructions import way_in_words as way_in_words
-from falsework.interop.assembly_instructions_pdf import sheet_pdf as sheet_pdf
+from falsework.interop.assembly_instructions_pdf import instructions_pdf as instructions_pdf
 from falsework.interop.compas_read import is_compas as is_compas
 from falsework.interop.compas_read import load_compas as load_compas
 from falsework.interop.compas_write import compas_of as compas_of

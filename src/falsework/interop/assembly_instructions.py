@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED
 from falsework.search.problem.task import Direction
 from falsework.utils.archive import write_whole
-from falsework.viewer.timeline import NOBODY, Timeline
+from falsework.viewer.timeline import NO_ROBOT, Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -51,7 +51,7 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 @dataclass(frozen=True, eq=False)
-class SiteStep:
+class AssemblyInstruction:
     """One step of the assembly instructions."""
 
     number: int
@@ -77,11 +77,11 @@ class SiteStep:
 
 
 @dataclass(frozen=True, eq=False)
-class SiteSheet:
+class AssemblyInstructions:
     """Plan as instructions for a crew."""
 
     timeline: Timeline
-    steps: tuple[SiteStep, ...]
+    steps: tuple[AssemblyInstruction, ...]
     supports: int
     """That there must be."""
 
@@ -106,7 +106,7 @@ class SiteSheet:
         return _holding(self.timeline, place)
 
 
-def site_sheet(plan: Plan, assembly: Assembly) -> SiteSheet:
+def assembly_instructions(plan: Plan, assembly: Assembly) -> AssemblyInstructions:
     """Return the sheet of a plan, in the order of assembly.
 
     Args:
@@ -124,7 +124,7 @@ def site_sheet(plan: Plan, assembly: Assembly) -> SiteSheet:
         part, place = action % parts, action >= parts
         before, after = timeline.row(number - 1), timeline.row(number)
         steps.append(
-            SiteStep(
+            AssemblyInstruction(
                 number=number,
                 part=part,
                 place=place,
@@ -135,7 +135,7 @@ def site_sheet(plan: Plan, assembly: Assembly) -> SiteSheet:
                 needed=place and part in missing,
             )
         )
-    return SiteSheet(timeline, tuple(steps), int(timeline.holders.max(initial=NOBODY)) + 1)
+    return AssemblyInstructions(timeline, tuple(steps), int(timeline.holders.max(initial=NO_ROBOT)) + 1)
 
 
 def way_in_words(way: NDArray[np.float64]) -> str:
@@ -146,7 +146,7 @@ def way_in_words(way: NDArray[np.float64]) -> str:
     return f"from {' and '.join(sides)}" if sides else "straight in"
 
 
-def sheet_csv(sheet: SiteSheet) -> str:
+def instructions_csv(sheet: AssemblyInstructions) -> str:
     """Return the table as CSV with a line of headings, one step a line."""
     text = io.StringIO()
     writer = csv.writer(text)
@@ -165,7 +165,7 @@ def write_sheet(path: Path | str, content: bytes) -> None:
     write_whole(path, lambda file: file.write(content))
 
 
-def _rows(sheet: SiteSheet) -> Iterator[dict[str, Any]]:
+def _rows(sheet: AssemblyInstructions) -> Iterator[dict[str, Any]]:
     assembly = sheet.assembly
     for step in sheet.steps:
         way = ["", "", ""] if step.way is None else [f"{value:.4f}" for value in step.way]
@@ -194,5 +194,5 @@ def _harmless(text: str) -> str:
 def _holding(timeline: Timeline, place: int) -> tuple[tuple[int, int], ...]:
     """Return the part and support of everything that is held after so many steps, by support."""
     robots = timeline.holders[timeline.row(place)]
-    held = np.flatnonzero(robots != NOBODY)
+    held = np.flatnonzero(robots != NO_ROBOT)
     return tuple(sorted(((int(part), int(robots[part])) for part in held), key=lambda pair: pair[1]))

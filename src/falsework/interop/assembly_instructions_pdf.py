@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from falsework.errors import DependencyError
-from falsework.interop.assembly_instructions import SiteSheet, SiteStep, way_in_words
-from falsework.viewer.appearance import look_at
+from falsework.interop.assembly_instructions import AssemblyInstruction, AssemblyInstructions, way_in_words
+from falsework.viewer.appearance import appearance_at
 from falsework.viewer.palette import INK, mix, robot_color
 from falsework.viewer.pictures.contact_sheet import draw
 from falsework.viewer.pictures.render import Camera
@@ -40,7 +40,9 @@ _REGULAR, _BOLD = "FalseworkSans", "FalseworkSans-Bold"
 _GREY = "#77797d"
 
 
-def sheet_pdf(sheet: SiteSheet, *, camera: Camera = CAMERA, progress: Progress | None = None) -> bytes:
+def instructions_pdf(
+    sheet: AssemblyInstructions, *, camera: Camera = CAMERA, progress: Progress | None = None
+) -> bytes:
     """Return a PDF of A4 pages.
 
     Args:
@@ -78,7 +80,7 @@ def sheet_pdf(sheet: SiteSheet, *, camera: Camera = CAMERA, progress: Progress |
     return buffer.getvalue()
 
 
-def _pages(sheet: SiteSheet) -> Iterator[tuple[SiteStep, ...]]:
+def _pages(sheet: AssemblyInstructions) -> Iterator[tuple[AssemblyInstruction, ...]]:
     """Yield steps of each page; the first has room for fewer."""
     room = _PAGE[1] - _MARGIN
     first, rest = int((room - _FIRST_TOP) // _ROW), int((room - _TOP) // _ROW)
@@ -87,7 +89,7 @@ def _pages(sheet: SiteSheet) -> Iterator[tuple[SiteStep, ...]]:
         yield sheet.steps[begin : begin + rest]
 
 
-def _head(canvas: Canvas, sheet: SiteSheet) -> None:
+def _head(canvas: Canvas, sheet: AssemblyInstructions) -> None:
     """Title, what the words mean, and the rules that the proofs rest on."""
     assembly, left, y = sheet.assembly, _MARGIN, _PAGE[1] - _MARGIN - 8
     _text(canvas, left, y, assembly.name, _BOLD, 18, width=_PAGE[0] - 2 * _MARGIN)
@@ -121,7 +123,7 @@ def _head(canvas: Canvas, sheet: SiteSheet) -> None:
     _text(canvas, x, y, "pale: just released", _REGULAR, 9)
 
 
-def _row(canvas: Canvas, sheet: SiteSheet, step: SiteStep, y: float, camera: Camera) -> None:
+def _row(canvas: Canvas, sheet: AssemblyInstructions, step: AssemblyInstruction, y: float, camera: Camera) -> None:
     """One step, between `y` and `y` plus the height of a row."""
     left, top = _MARGIN, y + _ROW
     canvas.setStrokeColor("#d5d3cd")
@@ -171,7 +173,7 @@ def _row(canvas: Canvas, sheet: SiteSheet, step: SiteStep, y: float, camera: Cam
         _text(canvas, x, top - 32 - 13 * len(shown), more, _REGULAR, 8.3)
 
 
-def _foot(canvas: Canvas, sheet: SiteSheet, number: int, pages: int) -> None:
+def _foot(canvas: Canvas, sheet: AssemblyInstructions, number: int, pages: int) -> None:
     y = _MARGIN - 16
     about = f"{sheet.assembly.name}, structure {sheet.assembly.identity[:12]}"
     _text(canvas, _MARGIN, y, about, _REGULAR, 7.5, color=_GREY, width=_PAGE[0] / 2)
@@ -180,13 +182,13 @@ def _foot(canvas: Canvas, sheet: SiteSheet, number: int, pages: int) -> None:
     canvas.drawRightString(_PAGE[0] - _MARGIN, y, f"page {number} of {pages}")
 
 
-def _picture(sheet: SiteSheet, step: SiteStep, camera: Camera) -> Any:
+def _picture(sheet: AssemblyInstructions, step: AssemblyInstruction, camera: Camera) -> Any:
     """Return the state after a step, as an image for the page."""
     from PIL import Image
     from reportlab.lib.utils import ImageReader
 
     marks = {} if step.place else {step.part: mix(robot_color(step.support), "#ffffff", 0.55)}
-    look = look_at(sheet.timeline, step.number, marks=marks, travelling=False)
+    look = appearance_at(sheet.timeline, step.number, marks=marks, travelling=False)
     pixels = np.rint(255 * draw(sheet.assembly, look, camera, samples=2)).astype(np.uint8)
     # JPEG goes into the page as it is, a fifth of the size of what the page would make of the pixels.
     file = io.BytesIO()
@@ -217,7 +219,7 @@ def _text(
     return x + canvas.stringWidth(text, font, size)
 
 
-def _shortened(sheet: SiteSheet, parts: tuple[int, ...]) -> str:
+def _shortened(sheet: AssemblyInstructions, parts: tuple[int, ...]) -> str:
     names = ", ".join(sheet.name(part) for part in parts[:_LISTED_PARTS])
     return names if len(parts) <= _LISTED_PARTS else f"{names} and {len(parts) - _LISTED_PARTS} more"
 

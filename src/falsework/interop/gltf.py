@@ -21,7 +21,7 @@ from falsework.errors import InputError
 from falsework.interop.tracks import Track, Tracks, tracks_of
 from falsework.utils.archive import write_whole
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
-from falsework.viewer.timeline import NOBODY
+from falsework.viewer.timeline import NO_ROBOT
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -97,7 +97,7 @@ class _Document:
 
     def still(self, part: int) -> int:
         """Return a node with the part's mesh, in the scene."""
-        material = "boundary" if self._assembly.boundary[part] else NOBODY
+        material = "boundary" if self._assembly.boundary[part] else NO_ROBOT
         node = self._part_node(part)
         self._json["nodes"][node]["mesh"] = self._mesh(part, material, self._assembly.names[part])
         return node
@@ -120,7 +120,7 @@ class _Document:
         looks = sorted({robot for _, robot in track.holder})
         children = []
         for robot in looks:
-            how = "by itself" if robot == NOBODY else f"held by robot {robot + 1}"
+            how = "by itself" if robot == NO_ROBOT else f"held by robot {robot + 1}"
             name = f"{self._assembly.names[part]} {how}"
             child = self._add("nodes", {"name": name, "mesh": self._mesh(part, robot, name)})
             children.append(child)
@@ -178,7 +178,7 @@ class _Document:
             if isinstance(look, str):
                 name, color = look, BOUNDARY
             else:
-                name, color = ("part", INSTALLED) if look == NOBODY else (f"robot {look + 1}", robot_color(look))
+                name, color = ("part", INSTALLED) if look == NO_ROBOT else (f"robot {look + 1}", robot_color(look))
             surface = {"baseColorFactor": [*_linear(color), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}
             self._materials[look] = self._add("materials", {"name": name, "pbrMetallicRoughness": surface})
         return self._materials[look]

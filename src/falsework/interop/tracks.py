@@ -14,7 +14,7 @@ from falsework.errors import InputError
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.task import Direction
 from falsework.viewer.appearance import diagonal
-from falsework.viewer.timeline import NOBODY, holders, way_out
+from falsework.viewer.timeline import NO_ROBOT, holders, way_out
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -35,7 +35,7 @@ class Track:
     shown: tuple[tuple[float, bool], ...]
     """Seconds and whether the part is to be seen from then on; the first key is at 0."""
     holder: tuple[tuple[float, int], ...]
-    """Seconds and the robot that holds the part from then on, `NOBODY` for none; the first key is at 0."""
+    """Seconds and the robot that holds the part from then on, `NO_ROBOT` for none; the first key is at 0."""
     path: tuple[tuple[float, tuple[float, float, float]], ...]
     """Seconds and offset from the part's place, metres, to be joined by straight lines; empty if it never moves."""
 
@@ -52,7 +52,7 @@ class Track:
     @property
     def is_held(self) -> bool:
         """Whether a robot ever holds the part."""
-        return any(robot != NOBODY for _, robot in self.holder)
+        return any(robot != NO_ROBOT for _, robot in self.holder)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Tracks:
     @cached_property
     def robots(self) -> int:
         """Number of robots that hold something at some time."""
-        return 1 + max((robot for track in self.tracks for _, robot in track.holder), default=NOBODY)
+        return 1 + max((robot for track in self.tracks for _, robot in track.holder), default=NO_ROBOT)
 
 
 def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Tracks:
@@ -104,7 +104,7 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
         away = _triple(reach * way_out(assembly, plan.states[step if leaves else step + 1], part))
         if leaves:
             shown[part].append((end, False))
-            holder[part].append((end, NOBODY))
+            holder[part].append((end, NO_ROBOT))
             path[part] = [(begin, home), (end, away)]
         else:
             shown[part].append((begin, True))

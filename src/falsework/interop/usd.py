@@ -20,7 +20,7 @@ from falsework.interop.tracks import Track, Tracks, tracks_of
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.archive import write_whole
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
-from falsework.viewer.timeline import NOBODY
+from falsework.viewer.timeline import NO_ROBOT
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -166,7 +166,7 @@ def _colors(track: Track) -> Iterable[tuple[float, str]]:
     """Yield the colour by who holds the part; a key just before each change keeps it from fading."""
     before = None
     for time, robot in track.holder:
-        value = f"[{_tuple(unit_rgb(INSTALLED if robot == NOBODY else robot_color(robot)))}]"
+        value = f"[{_tuple(unit_rgb(INSTALLED if robot == NO_ROBOT else robot_color(robot)))}]"
         if before is not None:
             yield time - 0.01, before
         yield time, value

@@ -5,6 +5,6 @@ from falsework.replanning.replanner import Replanner as Replanner
 from falsework.replanning.replanner import replan as replan
 from falsework.replanning.replays import Replayed as Replayed
 from falsework.replanning.request import Request as Request
-from falsework.replanning.result import Decider as Decider
-from falsework.replanning.result import Replan as Replan
+from falsework.replanning.result import ReplanResult as ReplanResult
+from falsework.replanning.result import Stage as Stage
 from falsework.replanning.session import ReplanSettings as ReplanSettings

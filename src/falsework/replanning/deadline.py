@@ -15,7 +15,7 @@ _SLICE = 0.02
 """... and then as many as take about so many seconds."""
 
 
-class TimeUp(KeyboardInterrupt):
+class DeadlineExceeded(KeyboardInterrupt):
     """Deadline exceeded in the middle of a batch of verdicts.
 
     Searches take it like an interruption from the keyboard: they stop where they are, in good order, and hand back
@@ -23,7 +23,7 @@ class TimeUp(KeyboardInterrupt):
     """
 
 
-class Clock:
+class Deadline:
     """Deadline of a request, with an account of the time spent."""
 
     def __init__(self, deadline: float | None = None) -> None:
@@ -56,7 +56,7 @@ class Clock:
         return self.left <= self.reserve
 
     @contextmanager
-    def spend(self, what: str) -> Iterator[None]:
+    def timed(self, what: str) -> Iterator[None]:
         """Put the seconds that a piece of work takes to the account of `what`."""
         begun = time.perf_counter()
         try:
@@ -69,7 +69,7 @@ class Clock:
         self.spent[what] = self.spent.get(what, 0.0) + seconds
 
 
-class Pace:
+class AdaptiveBatchSize:
     """Batch size between two checks of the deadline, adapted to the time that a state takes."""
 
     def __init__(self, *, limited: bool) -> None:

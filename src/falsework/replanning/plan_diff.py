@@ -17,7 +17,7 @@ _NAMED = 5
 
 
 @dataclass(frozen=True)
-class Move:
+class MovedPart:
     """Part whose position in the order has changed."""
 
     part: int
@@ -52,7 +52,7 @@ class Difference:
     new_steps: int
     begins_on_the_way: bool
     """Whether the new plan begins in a state that the old one passes through; if not, it is compared from its start."""
-    moved: tuple[Move, ...]
+    moved: tuple[MovedPart, ...]
     """Parts that both plans place, at another place in their order: those that moved farthest first."""
     added: tuple[str, ...]
     """Parts that only the new plan places."""
@@ -145,7 +145,7 @@ def difference(old: Plan, new: Plan) -> Difference:
     both = [part for part in after if part in set(before)]
     place = {part: number for number, part in enumerate((part for part in before if part in set(after)), 1)}
     moves = [
-        Move(part, new.part_names[part], place[part], number)
+        MovedPart(part, new.part_names[part], place[part], number)
         for number, part in enumerate(both, 1)
         if place[part] != number
     ]

@@ -63,7 +63,7 @@ class PolicyGuide:
         """Return the same policy as the guide of another task."""
         return PolicyGuide(self.policy, task=task)
 
-    def practise(self, state: States, rows: int) -> None:
+    def warm_up(self, state: States, rows: int) -> None:
         """Let the network see one state, then `rows` different ones, so that it is loaded and its speed is known.
 
         Args:

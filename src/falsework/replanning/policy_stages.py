@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
-from falsework.replanning.deadline import Pace
+from falsework.replanning.deadline import AdaptiveBatchSize
 from falsework.replanning.policy_guide import PolicyGuide
-from falsework.replanning.result import Decider
+from falsework.replanning.result import Stage
 from falsework.replanning.rollout import Rollout, roll_out
-from falsework.replanning.session import Job, Kit
+from falsework.replanning.session import ReplanContext, ReplanSession
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
@@ -29,101 +29,103 @@ _BACK = 2
 """Half of the samples branch off the proven part of the greedy rollout: 2, 4, 8, ... steps before its end."""
 
 
-def follow_greedily(jobs: Sequence[Job], kit: Kit) -> None:
-    """Take the most probable actions for all jobs at once, then judge where they lead.
+def follow_greedily(sessions: Sequence[ReplanSession], context: ReplanContext) -> None:
+    """Take the most probable actions for all sessions at once, then judge where they lead.
 
     What the network says does not depend on verdicts, so it is asked for whole rollouts first, and the oracle then
     gets their states together, which keeps all cores busy.
     """
-    if kit.guide is None:
+    if context.guide is None:
         return
-    jobs = [job for job in jobs if not job.settled]
-    jobs = with_time([(job, len(_hopes(job))) for job in jobs], kit.guide)
-    variants = [(job, task) for job in jobs for task in _hopes(job)]
+    sessions = [session for session in sessions if not session.done]
+    sessions = with_time([(session, len(_postponed_variants(session))) for session in sessions], context.guide)
+    variants = [(session, task) for session in sessions for task in _postponed_variants(session)]
     if not variants:
         return
-    owners = [job for job, _ in variants]
-    with _policy_time(jobs):
+    owners = [session for session, _ in variants]
+    with _policy_time(sessions):
         rollouts = roll_out(
-            kit.guide,
+            context.guide,
             [task for _, task in variants],
             [task.start for _, task in variants],
             np.arange(len(variants)),
             stop=lambda number: _late(owners[number]),
         )
     proven = _proven_steps(owners, rollouts)
-    for job, rollout, steps in zip(owners, rollouts, proven, strict=True):
+    for session, rollout, steps in zip(owners, rollouts, proven, strict=True):
         if rollout.reached and steps == len(rollout.states) - 1:
-            job.found([Route.through(rollout.states)], Decider.GREEDY)
-        if steps >= len(job.prefix):
-            job.prefix = rollout.states[: steps + 1]
+            session.found([Route.through(rollout.states)], Stage.GREEDY)
+        if steps >= len(session.prefix):
+            session.prefix = rollout.states[: steps + 1]
 
 
-def follow_samples(jobs: Sequence[Job], kit: Kit) -> None:
-    """Draw rollouts for all jobs at once; half of them branch off the proven part of the greedy one."""
-    jobs = [job for job in jobs if not job.settled and (not job.routes or job.request.alternatives > 1)]
-    count = kit.samples
-    if not count or kit.guide is None:
+def follow_samples(sessions: Sequence[ReplanSession], context: ReplanContext) -> None:
+    """Draw rollouts for all sessions at once; half of them branch off the proven part of the greedy one."""
+    sessions = [
+        session for session in sessions if not session.done and (not session.routes or session.request.alternatives > 1)
+    ]
+    count = context.samples
+    if not count or context.guide is None:
         return
-    jobs = with_time([(job, count) for job in jobs], kit.guide)
-    if not jobs:
+    sessions = with_time([(session, count) for session in sessions], context.guide)
+    if not sessions:
         return
-    prefixes = [prefix for job in jobs for prefix in _branches(job, count)]
-    owner = np.repeat(np.arange(len(jobs)), count)
+    prefixes = [prefix for session in sessions for prefix in _branches(session, count)]
+    owner = np.repeat(np.arange(len(sessions)), count)
 
     def stable(numbers: NDArray[np.int64], states: States, parents: States) -> Mask:
-        return _judge([jobs[number] for number in numbers.tolist()], states, parents) > 0
+        return _judge([sessions[number] for number in numbers.tolist()], states, parents) > 0
 
-    before = [sum(job.clock.spent.values()) for job in jobs]
+    before = [sum(session.clock.spent.values()) for session in sessions]
     begun = time.perf_counter()
     rollouts = roll_out(
-        kit.guide,
-        [job.task for job in jobs],
+        context.guide,
+        [session.task for session in sessions],
         [prefix[-1] for prefix in prefixes],
         owner,
-        rng=np.random.default_rng([job.request.seed for job in jobs]),
-        temperature=kit.settings.temperature,
+        rng=np.random.default_rng([session.request.seed for session in sessions]),
+        temperature=context.settings.temperature,
         stable=stable,
-        stop=lambda number: _late(jobs[number]),
+        stop=lambda number: _late(sessions[number]),
     )
-    for job, spent in zip(jobs, before, strict=True):
-        job.clock.add("policy", time.perf_counter() - begun - (sum(job.clock.spent.values()) - spent))
+    for session, spent in zip(sessions, before, strict=True):
+        session.clock.add("policy", time.perf_counter() - begun - (sum(session.clock.spent.values()) - spent))
     for prefix, rollout in zip(prefixes, rollouts, strict=True):
         if rollout.reached:
             states = np.concatenate([prefix[:-1], rollout.states])
-            jobs[rollout.task].found([Route.through(states)], Decider.SAMPLED)
+            sessions[rollout.task].found([Route.through(states)], Stage.SAMPLED)
 
 
-def _late(job: Job) -> bool:
-    """Return whether the clock of a job has run out; if so, it need not wait for the others any longer."""
-    if job.clock.passed:
-        job.others()
-    return job.clock.passed
+def _late(session: ReplanSession) -> bool:
+    """Return whether the clock of a session has run out; if so, it need not wait for the others any longer."""
+    if session.clock.passed:
+        session.yield_control()
+    return session.clock.passed
 
 
-def with_time(wanted: Sequence[tuple[Job, int]], guide: PolicyGuide) -> list[Job]:
-    """Return jobs whose deadline leaves time for rollouts, and as much again for a search if they fail.
+def with_time(wanted: Sequence[tuple[ReplanSession, int]], guide: PolicyGuide) -> list[ReplanSession]:
+    """Return sessions whose deadline leaves time for rollouts, and as much again for a search if they fail.
 
     Args:
-        wanted: jobs and the number of their rollouts.
+        wanted: sessions and the number of their rollouts.
         guide: the policy.
     """
-    jobs = list(wanted)
-    while jobs:
-        rows = sum(count for _, count in jobs)
-        seconds = guide.seconds_for(rows) * max(job.task.steps for job, _ in jobs)
-        tight = [job for job, _ in jobs if _SHARE * (job.clock.left - job.clock.reserve) < seconds]
+    sessions = list(wanted)
+    while sessions:
+        rows = sum(count for _, count in sessions)
+        seconds = guide.seconds_for(rows) * max(session.task.steps for session, _ in sessions)
+        tight = [session for session, _ in sessions if _SHARE * (session.clock.left - session.clock.reserve) < seconds]
         if not tight:
             break
-        # Fewer rollouts at a time are faster for each: the most urgent job gives way.
-        urgent = min(tight, key=lambda job: job.clock.left)
-        jobs = [(job, count) for job, count in jobs if job is not urgent]
-    return [job for job, _ in jobs]
+        # Fewer rollouts at a time are faster for each: the most urgent session gives way.
+        urgent = min(tight, key=lambda session: session.clock.left)
+        sessions = [(session, count) for session, count in sessions if session is not urgent]
+    return [session for session, _ in sessions]
 
 
-def _hopes(job: Job) -> list[Task]:
+def _postponed_variants(session: ReplanSession) -> list[Task]:
     """Return the task, and where parts are missing, with them later and later."""
-    task = job.task
+    task = session.task
     if not task.missing:
         return [task]
     latest = task.steps - len(task.missing)
@@ -131,18 +133,18 @@ def _hopes(job: Job) -> list[Task]:
     return [task.postpone((step,) * len(task.missing)) for step in steps]
 
 
-def _branches(job: Job, count: int) -> list[States]:
+def _branches(session: ReplanSession, count: int) -> list[States]:
     """Return proven ways that samples go on from."""
-    ways = [job.prefix[:1]] * ((count + 1) // 2)
-    length, back = len(job.prefix), _BACK
+    ways = [session.prefix[:1]] * ((count + 1) // 2)
+    length, back = len(session.prefix), _BACK
     while len(ways) < count:
         keep = length - back
-        ways.append(job.prefix[: max(keep, 1)])
+        ways.append(session.prefix[: max(keep, 1)])
         back = back * 2 if keep > 1 else _BACK
     return ways
 
 
-def _proven_steps(owners: Sequence[Job], rollouts: Sequence[Rollout]) -> list[int]:
+def _proven_steps(owners: Sequence[ReplanSession], rollouts: Sequence[Rollout]) -> list[int]:
     """Count the leading steps of each rollout whose states are proven stable."""
     proven = np.array([len(rollout.states) - 1 for rollout in rollouts])
     steps = [(s, n) for n, r in enumerate(rollouts) for s in _judged_steps(r, owners[n].task)]
@@ -168,16 +170,16 @@ def _judged_steps(rollout: Rollout, task: Task) -> list[int]:
     return (np.flatnonzero(task.needs_verdict(actions, Direction.DISASSEMBLY)) + 1).tolist()
 
 
-def _judge(owners: Sequence[Job], states: States, parents: States) -> NDArray[np.int8]:
-    """Return verdicts for several jobs in one batch; 0 for those whose clock has run out."""
+def _judge(owners: Sequence[ReplanSession], states: States, parents: States) -> NDArray[np.int8]:
+    """Return verdicts for several sessions in one batch; 0 for those whose clock has run out."""
     verdict = np.zeros(len(states), dtype=np.int8)
-    pace = Pace(limited=any(job.clock.limited for job in owners))
-    oracle = owners[0].kit.prover.oracle
+    pace = AdaptiveBatchSize(limited=any(session.clock.limited for session in owners))
+    oracle = owners[0].context.prover.oracle
     begin = 0
     while begin < len(states):
         rows = np.arange(begin, min(begin + pace.batch, len(states)))
         begin += len(rows)
-        owners[0].others()
+        owners[0].yield_control()
         rows = np.array([row for row in rows.tolist() if not owners[row].clock.passed], dtype=np.int64)
         if len(rows) == 0:
             continue
@@ -189,14 +191,14 @@ def _judge(owners: Sequence[Job], states: States, parents: States) -> NDArray[np
             owners[row].oracle.asked += 1
             if owners[row].oracle.rules_out(states[row][None])[0]:
                 verdict[row] = Verdict.SLIDES
-        for job in {id(owners[row]): owners[row] for row in rows.tolist()}.values():
-            job.clock.add("verdicts", taken)
+        for session in {id(owners[row]): owners[row] for row in rows.tolist()}.values():
+            session.clock.add("verdicts", taken)
     return verdict
 
 
 @contextmanager
-def _policy_time(jobs: Sequence[Job]) -> Iterator[None]:
+def _policy_time(sessions: Sequence[ReplanSession]) -> Iterator[None]:
     begun = time.perf_counter()
     yield
-    for job in jobs:
-        job.clock.add("policy", time.perf_counter() - begun)
+    for session in sessions:
+        session.clock.add("policy", time.perf_counter() - begun)

@@ -43,7 +43,7 @@ class Prover:
         """Estimate the time to prove a number of states from the proofs so far, s."""
         return states * self._per_state
 
-    def practise(self) -> None:
+    def warm_up(self) -> None:
         """Learn how long a proof takes, on the complete structure with one part held in turn."""
         boundary = self.assembly.boundary
         movable = np.flatnonzero(~boundary)[:_PRACTICE]

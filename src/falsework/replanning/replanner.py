@@ -17,21 +17,21 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
-from falsework.replanning.deadline import Clock
+from falsework.replanning.deadline import Deadline
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.policy_stages import follow_greedily, follow_samples, with_time
 from falsework.replanning.proving import Prover
 from falsework.replanning.request import Request as Request
-from falsework.replanning.result import Decider as Decider
-from falsework.replanning.result import Replan as Replan
+from falsework.replanning.result import ReplanResult as ReplanResult
+from falsework.replanning.result import Stage as Stage
 from falsework.replanning.search_stages import search_on
-from falsework.replanning.session import Job, Kit
+from falsework.replanning.session import ReplanContext, ReplanSession
 from falsework.replanning.session import ReplanSettings as ReplanSettings
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.stability.oracle import Stability
 
 _END = object()
-Finished = Callable[[int, Replan], None]
+Finished = Callable[[int, ReplanResult], None]
 
 
 class Replanner:
@@ -68,12 +68,12 @@ class Replanner:
         self.assembly = assembly
         self.policy = policy
         self.oracle = oracle
-        self._kit = Kit(assembly, Prover(assembly, oracle), guide, settings)
+        self._context = ReplanContext(assembly, Prover(assembly, oracle), guide, settings)
         self._support = SupportGuide(assembly)
         self._lock = threading.Lock()
         self._warm()
 
-    def replan(self, state: ArrayLike, **options: Any) -> Replan:
+    def replan(self, state: ArrayLike, **options: Any) -> ReplanResult:
         """Answer one request; the options are the fields of `Request`.
 
         Raises:
@@ -81,7 +81,7 @@ class Replanner:
         """
         return self.replan_many([Request(state, **options)])[0]
 
-    def replan_many(self, requests: Sequence[Request], *, finished: Finished | None = None) -> list[Replan]:
+    def replan_many(self, requests: Sequence[Request], *, finished: Finished | None = None) -> list[ReplanResult]:
         """Answer several requests together.
 
         The policy is followed for all of them in lock-step; those that need a search then take turns.
@@ -96,10 +96,12 @@ class Replanner:
         Raises:
             InputError: a request that makes no sense for this structure.
         """
-        clocks = [Clock(request.deadline) for request in requests]
+        clocks = [Deadline(request.deadline) for request in requests]
         with self._lock:
-            jobs = [Job(request, self._kit, clock) for request, clock in zip(requests, clocks, strict=True)]
-            return _Round(jobs, self._kit, self._support, finished).run()
+            sessions = [
+                ReplanSession(request, self._context, clock) for request, clock in zip(requests, clocks, strict=True)
+            ]
+            return _Round(sessions, self._context, self._support, finished).run()
 
     def _warm(self) -> None:
         """Have everything loaded and compiled, and learn how long a proof takes."""
@@ -108,73 +110,75 @@ class Replanner:
         self.oracle.check(state)
         if self.oracle.replayer is not None:
             self.oracle.replayer.replay(state)
-        self._kit.prover.practise()
-        if self._kit.guide is not None:
+        self._context.prover.warm_up()
+        if self._context.guide is not None:
             for _ in range(2):  # what the first call takes says nothing about the next
-                self._kit.guide.practise(state[0], self._kit.samples)
+                self._context.guide.warm_up(state[0], self._context.samples)
 
 
 class _Round:
     """Requests answered together until all have their results."""
 
-    def __init__(self, jobs: Sequence[Job], kit: Kit, support: Guide, finished: Finished | None) -> None:
-        self._jobs = jobs
-        self._kit = kit
+    def __init__(
+        self, sessions: Sequence[ReplanSession], context: ReplanContext, support: Guide, finished: Finished | None
+    ) -> None:
+        self._sessions = sessions
+        self._context = context
         self._support = support
         self._finished = finished
-        self._answers: dict[int, Replan] = {}
-        for job in jobs:
-            job.others = self._answer_overdue
-            job.oracle.limited = any(other.clock.limited for other in jobs)
+        self._answers: dict[int, ReplanResult] = {}
+        for session in sessions:
+            session.yield_control = self._answer_overdue
+            session.oracle.limited = any(other.clock.limited for other in sessions)
 
-    def run(self) -> list[Replan]:
+    def run(self) -> list[ReplanResult]:
         """Follow the policy for all in lock-step, then let searches take turns."""
-        if not self._jobs:
+        if not self._sessions:
             return []
         self._check_ends()
-        if self._kit.guide is not None:
+        if self._context.guide is not None:
             # Who cannot wait for rollouts of all the others is searched for at once.
-            patient = with_time([(job, 1) for job in self._open()], self._kit.guide)
-            self._search([number for number, job in enumerate(self._jobs) if job not in patient])
-            follow_greedily(self._open(), self._kit)
-            follow_samples(self._open(), self._kit)
-        self._search(range(len(self._jobs)))
-        return [self._answers[number] for number in range(len(self._jobs))]
+            patient = with_time([(session, 1) for session in self._open()], self._context.guide)
+            self._search([number for number, session in enumerate(self._sessions) if session not in patient])
+            follow_greedily(self._open(), self._context)
+            follow_samples(self._open(), self._context)
+        self._search(range(len(self._sessions)))
+        return [self._answers[number] for number in range(len(self._sessions))]
 
-    def _open(self) -> list[Job]:
-        """Return jobs on which work goes on; the others get their answers."""
-        for number, job in enumerate(self._jobs):
-            if job.settled:
+    def _open(self) -> list[ReplanSession]:
+        """Return sessions on which work goes on; the others get their answers."""
+        for number, session in enumerate(self._sessions):
+            if session.done:
                 self._answer(number)
-        return [job for number, job in enumerate(self._jobs) if number not in self._answers]
+        return [session for number, session in enumerate(self._sessions) if number not in self._answers]
 
     def _search(self, numbers: Iterable[int]) -> None:
-        """Let the searches of some jobs take turns until all have their answers, the most urgent job first."""
+        """Let the searches of some sessions take turns until all have their answers, the most urgent session first."""
         self._open()
-        searches = {number: search_on(self._jobs[number], self._support) for number in numbers}
+        searches = {number: search_on(self._sessions[number], self._support) for number in numbers}
         while searches := {number: search for number, search in searches.items() if number not in self._answers}:
-            for number in sorted(searches, key=lambda number: self._jobs[number].clock.left):
+            for number in sorted(searches, key=lambda number: self._sessions[number].clock.left):
                 if number not in self._answers and next(searches[number], _END) is _END:
                     self._answer(number)
 
     def _answer_overdue(self) -> None:
-        """Answer jobs whose clocks ran out while another one was worked on."""
-        for number, job in enumerate(self._jobs):
-            if job.clock.passed and not job.busy:
+        """Answer sessions whose clocks ran out while another one was worked on."""
+        for number, session in enumerate(self._sessions):
+            if session.clock.passed and not session.busy:
                 self._answer(number)
 
     def _answer(self, number: int) -> None:
         if number not in self._answers:
-            self._answers[number] = self._jobs[number].answer()
+            self._answers[number] = self._sessions[number].answer()
             if self._finished is not None:
                 self._finished(number, self._answers[number])
 
     def _check_ends(self) -> None:
-        """Judge start and target of all jobs."""
-        ends = np.concatenate([[job.task.start, job.task.target] for job in self._jobs])
-        verdicts = self._kit.prover.oracle.judge(ends)
-        for number, job in enumerate(self._jobs):
-            job.check_ends(verdicts[2 * number : 2 * number + 2])
+        """Judge start and target of all sessions."""
+        ends = np.concatenate([[session.task.start, session.task.target] for session in self._sessions])
+        verdicts = self._context.prover.oracle.judge(ends)
+        for number, session in enumerate(self._sessions):
+            session.check_ends(verdicts[2 * number : 2 * number + 2])
 
 
 def replan(
@@ -185,7 +189,7 @@ def replan(
     oracle: Stability | None = None,
     settings: ReplanSettings = ReplanSettings(),
     **options: Any,
-) -> Replan:
+) -> ReplanResult:
     """Plan anew from a state; a `Replanner` answers many requests about one structure.
 
     Args:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.state import States
-from falsework.replanning.deadline import Clock, TimeUp
+from falsework.replanning.deadline import Deadline, DeadlineExceeded
 from falsework.stability.contact.newton import RESTS
 from falsework.stability.contact.replay import History, Replay, Replayer
 from falsework.stability.problem import Problem
@@ -59,14 +59,14 @@ class _Progress:
         return self.fell or self.reached == len(self.result)
 
 
-class TimedReplayer:
+class DeadlineReplayer:
     """Replayer that checks the deadline between steps and replays no sequence twice.
 
     Searches use it like a `Replayer`. They rule the state out in which a sequence falls, which makes no sense of the
     two ends, since every sequence has them: where an end falls, its neighbour is ruled out.
     """
 
-    def __init__(self, replayer: Replayer, clock: Clock, between: Callable[[], None]) -> None:
+    def __init__(self, replayer: Replayer, clock: Deadline, between: Callable[[], None]) -> None:
         """Replay until `clock` has run out; call `between` before each few steps."""
         self.unfinished: States | None = None
         """The last sequence whose replay the clock cut short, in the order of assembly."""
@@ -95,12 +95,12 @@ class TimedReplayer:
         sequence = np.asarray(states, dtype=np.uint8)
         if history is not None or len(sequence) < 2:
             self._look()
-            with self._clock.spend("replays"):
+            with self._clock.timed("replays"):
                 return self._replayer.replay(sequence, history)
         progress = self._go_on(sequence)
         if not progress.over:
             self.unfinished = sequence
-            raise TimeUp
+            raise DeadlineExceeded
         result = progress.result.copy()
         if progress.fell:
             result[:] = RESTS
@@ -114,7 +114,7 @@ class TimedReplayer:
             TimeUp: the clock ran out.
         """
         self._look()
-        with self._clock.spend("replays"):
+        with self._clock.timed("replays"):
             return self._replayer.step(history, before, after)
 
     def as_time_allows(self, states: States) -> Replayed:
@@ -131,7 +131,7 @@ class TimedReplayer:
     def _look(self) -> None:
         self._between()
         if self._clock.passed:
-            raise TimeUp
+            raise DeadlineExceeded
 
     def _go_on(self, states: States) -> _Progress:
         progress = self._known.setdefault(states.tobytes(), _Progress.begin(len(states)))
@@ -141,7 +141,7 @@ class TimedReplayer:
                 break
             first = max(progress.reached - 1, 0)  # the last state that rests, whose history is known
             rows = slice(first, first + _PIECE + 1)
-            with self._clock.spend("replays"):
+            with self._clock.timed("replays"):
                 found = self._replayer.replay(states[rows], progress.history)
             done = int(np.argmin(np.append(found.stands == RESTS, False)))
             fresh = slice(progress.reached, first + done)

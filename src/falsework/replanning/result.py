@@ -17,10 +17,10 @@ from falsework.search.problem.task import Direction
 from falsework.stability.verdict import Criterion
 
 
-class Decider(StrEnum):
+class Stage(StrEnum):
     """Stage that found the first plan, or proved that there is none."""
 
-    NOBODY = "nobody"
+    NONE = "none"
     """The question is open."""
     RULES = "rules"
     """The state is the target already, or one of the two does not stand."""
@@ -37,14 +37,14 @@ class Decider(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Replan:
+class ReplanResult:
     """Result of one request."""
 
     plans: tuple[Plan, ...]
     """Proven plans from the state to the target, in the direction that was asked for; the first is the best."""
     outcome: Outcome
     """Found; proved impossible; or not found, which says nothing about whether there is a plan."""
-    decided_by: Decider
+    decided_by: Stage
     direction: Direction
     """Of the plans: assembly adds parts, disassembly takes them away."""
     steps: int

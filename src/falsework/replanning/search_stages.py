@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
-from falsework.replanning.deadline import Clock
+from falsework.replanning.deadline import Deadline
 from falsework.replanning.policy_guide import PolicyGuide
-from falsework.replanning.result import Decider
-from falsework.replanning.session import Job
+from falsework.replanning.result import Stage
+from falsework.replanning.session import ReplanSession
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.exhaustive import ExhaustiveSearch
@@ -44,18 +44,18 @@ class _Search(Protocol):
 class _Census:
     """Exhaustive search behind the interface of the other searches."""
 
-    def __init__(self, job: Job) -> None:
-        self._job = job
-        self._search = ExhaustiveSearch(job.task, job.oracle, state_limit=job.kit.settings.state_limit)
+    def __init__(self, session: ReplanSession) -> None:
+        self._session = session
+        self._search = ExhaustiveSearch(session.task, session.oracle, state_limit=session.context.settings.state_limit)
 
     def run(self, *, stop: Stop | None = None) -> SearchResult:
-        job, census = self._job, self._search.run(stop=stop)
+        session, census = self._session, self._search.run(stop=stop)
         result, states = census.result, census.graph.states
-        while result.found and not job.stands(result.routes[0], Decider.EXHAUSTIVE):
+        while result.found and not session.stands(result.routes[0], Stage.EXHAUSTIVE):
             # Each turn rules a state out, so that there is an end; but a route of one step has none to rule out.
-            left = states[~job.oracle.rules_out(states)]
-            graph = StateGraph.build(job.task, left)
-            route = graph.sample_route(np.random.default_rng(job.request.seed)) if len(left) < len(states) else None
+            left = states[~session.oracle.rules_out(states)]
+            graph = StateGraph.build(session.task, left)
+            route = graph.sample_route(np.random.default_rng(session.request.seed)) if len(left) < len(states) else None
             states = left
             if route is None:
                 return replace(result, outcome=Outcome.NOT_FOUND, routes=())
@@ -66,90 +66,90 @@ class _Census:
 class _TimedGuide:
     """Action heuristic whose time counts as the policy's."""
 
-    def __init__(self, guide: PolicyGuide, clock: Clock) -> None:
+    def __init__(self, guide: PolicyGuide, clock: Deadline) -> None:
         self._guide = guide
         self._clock = clock
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float64]:
-        with self._clock.spend("policy"):
+        with self._clock.timed("policy"):
             return self._guide(states, actions, direction)
 
 
-def search_on(job: Job, guide: Guide) -> Iterator[None]:
+def search_on(session: ReplanSession, guide: Guide) -> Iterator[None]:
     """Look for what the rollouts did not find: a plan, later missing parts, other plans; or prove that there is none.
 
     A policy that has just failed is no safe guide, so the search that it guides and the plain one take turns.
 
     Args:
-        job: what is asked, and what was found.
+        session: what is asked, and what was found.
         guide: of the search without a policy.
 
     Yields:
         Whenever it may be another request's turn.
     """
-    if not job.routes:
-        yield from _first_plan(job, guide)
-    if job.routes and not job.settled:
-        yield from _better_plans(job, guide)
-    if not job.decided and not job.clock.passed:
-        yield from _finish([_Turns(_Census(job), Decider.EXHAUSTIVE, _TURN_LEVELS)], job)
+    if not session.routes:
+        yield from _first_plan(session, guide)
+    if session.routes and not session.done:
+        yield from _better_plans(session, guide)
+    if not session.decided and not session.clock.passed:
+        yield from _finish([_Turns(_Census(session), Stage.EXHAUSTIVE, _TURN_LEVELS)], session)
 
 
-def _first_plan(job: Job, guide: Guide) -> Iterator[None]:
-    settings = PlannerSettings(job.kit.settings.width, seed=job.request.seed)
+def _first_plan(session: ReplanSession, guide: Guide) -> Iterator[None]:
+    settings = PlannerSettings(session.context.settings.width, seed=session.request.seed)
     # Later missing parts are looked for once there is a plan.
-    task = replace(job.task, missing=(), postponed=())
-    rivals = [_Turns(Planner(task, job.oracle, settings, guide=guide), Decider.SEARCH, _PLAIN_LEVELS)]
-    policy = job.kit.guide
-    if policy is not None and _affordable(job, policy):
-        timed = _TimedGuide(policy.for_task(job.task), job.clock)
-        rivals.insert(0, _Turns(_Widening(job, timed), Decider.GUIDED, 1))
-    yield from _finish(rivals, job)
+    task = replace(session.task, missing=(), postponed=())
+    rivals = [_Turns(Planner(task, session.oracle, settings, guide=guide), Stage.SEARCH, _PLAIN_LEVELS)]
+    policy = session.context.guide
+    if policy is not None and _affordable(session, policy):
+        timed = _TimedGuide(policy.for_task(session.task), session.clock)
+        rivals.insert(0, _Turns(_Widening(session, timed), Stage.GUIDED, 1))
+    yield from _finish(rivals, session)
 
 
-def _affordable(job: Job, policy: PolicyGuide) -> bool:
+def _affordable(session: ReplanSession, policy: PolicyGuide) -> bool:
     """Return whether there is time for a beam that the policy guides beside the plain search."""
-    widths = job.kit.settings.widths
+    widths = session.context.settings.widths
     if not widths:
         return False
-    return policy.seconds_for(widths[0]) * job.task.steps < _SHARE * (job.clock.left - job.clock.reserve)
+    return policy.seconds_for(widths[0]) * session.task.steps < _SHARE * (session.clock.left - session.clock.reserve)
 
 
-def _better_plans(job: Job, guide: Guide) -> Iterator[None]:
-    request = job.request
-    settings = PlannerSettings(job.kit.settings.width, alternatives=request.alternatives, seed=request.seed)
-    planner = Planner(job.task, job.oracle, settings, guide=guide)
-    planner.begin_with(job.routes[0])
-    planner.states = np.concatenate([route.states for route in job.routes])
-    clock, reserve = job.clock, job.clock.reserve
+def _better_plans(session: ReplanSession, guide: Guide) -> Iterator[None]:
+    request = session.request
+    settings = PlannerSettings(session.context.settings.width, alternatives=request.alternatives, seed=request.seed)
+    planner = Planner(session.task, session.oracle, settings, guide=guide)
+    planner.begin_with(session.routes[0])
+    planner.states = np.concatenate([route.states for route in session.routes])
+    clock, reserve = session.clock, session.clock.reserve
     if clock.limited and request.alternatives > 1:
         clock.reserve += _CHOOSING * (clock.left - reserve)
-    yield from _finish([_Turns(planner, Decider.SEARCH, _TURN_LEVELS)], job)
+    yield from _finish([_Turns(planner, Stage.SEARCH, _TURN_LEVELS)], session)
     clock.reserve = reserve
     if request.alternatives == 1:
-        job.take(planner.routes)
+        session.take(planner.routes)
         return
     states = np.concatenate([planner.states, *(route.states for route in planner.routes)])
-    job.take(job.choose(planner.task.postpone(planner.postponed), states, planner.routes))
+    session.take(session.choose(planner.task.postpone(planner.postponed), states, planner.routes))
 
 
-def _finish(rivals: list[_Turns], job: Job) -> Iterator[None]:
+def _finish(rivals: list[_Turns], session: ReplanSession) -> Iterator[None]:
     """Let searches take turns until one finds a plan or proves that there is none, all are at an end, or time is up."""
     while rivals:
         for rival in list(rivals):
-            result = rival.take(job)
+            result = rival.take(session)
             if result is not None:
-                job.ended(result, rival.decider)
+                session.ended(result, rival.decider)
                 rivals.remove(rival)
-                if job.decided:
+                if session.decided:
                     return
-            if job.clock.passed:
-                job.busy = True
+            if session.clock.passed:
+                session.busy = True
                 try:
                     for rest in rivals:
-                        job.ended(rest.search.run(stop=lambda: True), rest.decider)
+                        session.ended(rest.search.run(stop=lambda: True), rest.decider)
                 finally:
-                    job.busy = False
+                    session.busy = False
                 return
         yield
 
@@ -157,36 +157,36 @@ def _finish(rivals: list[_Turns], job: Job) -> Iterator[None]:
 class _Turns:
     """Search that runs some levels per turn."""
 
-    def __init__(self, search: _Search, decider: Decider, levels: int) -> None:
+    def __init__(self, search: _Search, decider: Stage, levels: int) -> None:
         self.search = search
         self.decider = decider
         self._levels = levels
         self._left = 0
         self._told = False
-        self._job: Job | None = None
+        self._session: ReplanSession | None = None
 
-    def take(self, job: Job) -> SearchResult | None:
+    def take(self, session: ReplanSession) -> SearchResult | None:
         """Search for a turn; the result if the search is at its end.
 
         Raises:
             KeyboardInterrupt: somebody at the keyboard wants an end.
         """
-        self._left, self._job, self._told, job.busy = self._levels, job, False, True
+        self._left, self._session, self._told, session.busy = self._levels, session, False, True
         try:
             result = self.search.run(stop=self._over)
         finally:
-            job.busy = False
+            session.busy = False
         if not result.interrupted:
             return result
-        if not self._told and not job.clock.passed:
+        if not self._told and not session.clock.passed:
             raise KeyboardInterrupt
         return None
 
     def _over(self) -> bool:
-        job = self._job
-        if job is not None:
-            job.others()
-        self._told = self._left == 0 or (job is not None and job.clock.passed)
+        session = self._session
+        if session is not None:
+            session.yield_control()
+        self._told = self._left == 0 or (session is not None and session.clock.passed)
         self._left -= 1
         return self._told
 
@@ -194,23 +194,23 @@ class _Turns:
 class _Widening:
     """Beams that the policy guides, each wider than the one before."""
 
-    def __init__(self, job: Job, guide: Guide) -> None:
-        self._job = job
+    def __init__(self, session: ReplanSession, guide: Guide) -> None:
+        self._session = session
         self._guide = guide
         self._number = 0
         self._beam: BeamSearch | None = None
 
     def run(self, *, stop: Stop | None = None) -> SearchResult:
-        widths = self._job.kit.settings.widths
+        widths = self._session.context.settings.widths
         while True:
             if self._beam is None:
-                width, seed = widths[self._number], self._job.request.seed
+                width, seed = widths[self._number], self._session.request.seed
                 settings = BeamSettings(width, Direction.DISASSEMBLY, "none", retries=0, seed=seed)
-                self._beam = BeamSearch(self._job.task, self._job.oracle, settings, guide=self._guide)
+                self._beam = BeamSearch(self._session.task, self._session.oracle, settings, guide=self._guide)
             result = self._beam.run(stop=stop)
-            if result.found and not self._job.stands(result.routes[0], Decider.GUIDED):
+            if result.found and not self._session.stands(result.routes[0], Stage.GUIDED):
                 states = result.routes[0].states
-                self._beam.forbid(states[self._job.oracle.rules_out(states)])
+                self._beam.forbid(states[self._session.oracle.rules_out(states)])
                 if self._beam.found:  # nothing lies between the ends
                     return replace(result, outcome=Outcome.NOT_FOUND, routes=())
                 continue

@@ -11,12 +11,12 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError, PlanError
-from falsework.replanning.deadline import Clock
+from falsework.replanning.deadline import Deadline
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.proving import Prover
-from falsework.replanning.replays import TimedReplayer
+from falsework.replanning.replays import DeadlineReplayer
 from falsework.replanning.request import Request
-from falsework.replanning.result import Decider, Replan
+from falsework.replanning.result import ReplanResult, Stage
 from falsework.replanning.timed_oracle import TimedOracle
 from falsework.search.planner import insertion_steps
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
@@ -61,7 +61,7 @@ class ReplanSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class Kit:
+class ReplanContext:
     """What all requests about one structure share."""
 
     assembly: Assembly
@@ -79,10 +79,10 @@ class Kit:
         return _SAMPLES_GPU if self.guide.device.type == "cuda" else _SAMPLES_CPU
 
 
-class Job:
+class ReplanSession:
     """A request that is being worked on."""
 
-    def __init__(self, request: Request, kit: Kit, clock: Clock) -> None:
+    def __init__(self, request: Request, context: ReplanContext, clock: Deadline) -> None:
         """Check the request; its clock runs already.
 
         Raises:
@@ -90,45 +90,47 @@ class Job:
         """
         self.clock = clock
         self.request = request
-        self.kit = kit
-        self.task = request.task(kit.assembly).judged_by(kit.prover.oracle)
-        self.way = request.way(kit.assembly)
-        replayer = kit.prover.oracle.replayer
-        self.replayer = None if replayer is None else TimedReplayer(replayer, self.clock, lambda: self.others())
-        self.oracle = TimedOracle(kit.prover.oracle, self.clock, lambda: self.others(), self.replayer)
-        needed = _SAFETY * kit.prover.seconds_for(kit.prover.states_to_prove(self.task.steps))
+        self.context = context
+        self.task = request.task(context.assembly).judged_by(context.prover.oracle)
+        self.way = request.way(context.assembly)
+        replayer = context.prover.oracle.replayer
+        self.replayer = (
+            None if replayer is None else DeadlineReplayer(replayer, self.clock, lambda: self.yield_control())
+        )
+        self.oracle = TimedOracle(context.prover.oracle, self.clock, lambda: self.yield_control(), self.replayer)
+        needed = _SAFETY * context.prover.seconds_for(context.prover.states_to_prove(self.task.steps))
         self.clock.reserve = min(needed, _PROVING * request.deadline) if request.deadline is not None else 0.0
         self.routes: list[Route] = []
         """The best one first."""
-        self.others: Callable[[], None] = lambda: None
+        self.yield_control: Callable[[], None] = lambda: None
         """Called every now and then, so that other requests need not wait for this one beyond their deadlines."""
         self.busy = False
         """Whether a search, a replay or the answer is under way, which ends by itself when the clock has run out."""
-        self.decided_by = Decider.NOBODY
+        self.decided_by = Stage.NONE
         self.outcome = Outcome.NOT_FOUND
         self.result: SearchResult | None = None
         self.prefix = self.task.start[None]
         """States that are known to stand, from the start on: where the policy's most probable actions led."""
-        self.hopeless = False
+        self.infeasible = False
         """Whether one of the ends does not stand, so that looking for a plan is in vain."""
         self._chosen = False
-        self._fell_by: dict[bytes, Decider] = {}
+        self._fell_by: dict[bytes, Stage] = {}
         """Who proposed the routes whose replays fell."""
         self._unstable: States | None = None
         self._why = ""
 
     @property
-    def settled(self) -> bool:
+    def done(self) -> bool:
         """Whether nothing is left to look for, or no time to do it."""
         enough = bool(self.routes) and self.request.alternatives == 1 and not self.task.missing
-        return enough or self.hopeless or self.outcome is Outcome.PROVED_IMPOSSIBLE or self.clock.passed
+        return enough or self.infeasible or self.outcome is Outcome.PROVED_IMPOSSIBLE or self.clock.passed
 
     @property
     def decided(self) -> bool:
         """Whether there is a plan or a proof that there is none."""
         return self.outcome is not Outcome.NOT_FOUND
 
-    def found(self, routes: list[Route], by: Decider) -> None:
+    def found(self, routes: list[Route], by: Stage) -> None:
         """Take plans unless their replays fall; the first are those with which missing parts may come latest."""
         routes = [route for route in routes if self.stands(route, by)]
         if not routes:
@@ -140,10 +142,10 @@ class Job:
         self.routes = sorted(routes, key=lambda route: insertion_steps(route, self.task), reverse=True)
         self.outcome = Outcome.FOUND
 
-    def stands(self, route: Route, by: Decider = Decider.SEARCH) -> bool:
+    def stands(self, route: Route, by: Stage = Stage.SEARCH) -> bool:
         """Return whether a replay of a route stands, as far as there is time for it.
 
-        The state in which it falls is ruled out: the oracle of this job from then on says that it slides.
+        The state in which it falls is ruled out: the oracle of this session from then on says that it slides.
         """
         if self.replayer is None:
             return True
@@ -188,17 +190,17 @@ class Job:
         self.routes = [*chosen, *(route for route in self.routes if route.states.tobytes() not in known)]
         self._chosen = True
 
-    def ended(self, result: SearchResult, by: Decider) -> None:
+    def ended(self, result: SearchResult, by: Stage) -> None:
         """Take the end of a search."""
         self.result = result
         cut = None if self.replayer is None else self.replayer.unfinished
         if result.found:
             self.found(list(result.routes), by)
-        elif cut is not None and by is Decider.SEARCH and not self.routes:
+        elif cut is not None and by is Stage.SEARCH and not self.routes:
             self.found([Route.through(cut[::-1].copy())], by)
         elif result.outcome is Outcome.PROVED_IMPOSSIBLE and not self.routes:
             # A search that left nothing out has been through all states, whatever it was meant to be.
-            self.outcome, self.decided_by = result.outcome, Decider.EXHAUSTIVE
+            self.outcome, self.decided_by = result.outcome, Stage.EXHAUSTIVE
 
     def check_ends(self, verdicts: Verdicts) -> None:
         """Take the verdicts on start and target."""
@@ -210,12 +212,12 @@ class Job:
             word = "slides" if slides else "could be proved neither stable nor unstable"
             self._why = f"the {name} {'does not stand' if proved else word}"
             if proved:
-                self.outcome, self.decided_by = Outcome.PROVED_IMPOSSIBLE, Decider.RULES
-            self.hopeless = True
+                self.outcome, self.decided_by = Outcome.PROVED_IMPOSSIBLE, Stage.RULES
+            self.infeasible = True
         elif self.task.steps == 0:
-            self.found([Route(self.task.start[None].copy(), np.zeros(0, dtype=np.int64))], Decider.RULES)
+            self.found([Route(self.task.start[None].copy(), np.zeros(0, dtype=np.int64))], Stage.RULES)
 
-    def answer(self) -> Replan:
+    def answer(self) -> ReplanResult:
         """Prove what was found and say it."""
         plans: tuple[Plan, ...]
         self.busy = True
@@ -223,23 +225,23 @@ class Job:
         if not self.routes and fallen is not None and self.clock.passed:
             # Every state of it stands, and there was no time for another one; the answer says that its replay falls.
             self.routes = [Route.through(fallen[::-1].copy())]
-            self.outcome, self.decided_by = Outcome.FOUND, self._fell_by.get(fallen.tobytes(), Decider.SEARCH)
+            self.outcome, self.decided_by = Outcome.FOUND, self._fell_by.get(fallen.tobytes(), Stage.SEARCH)
         plans, chosen = (), self._choose()
         late = self.clock.passed
         if self.routes:
-            with self.clock.spend("proofs"):
+            with self.clock.timed("proofs"):
                 try:
-                    prover, forces = self.kit.prover, self.kit.settings.forces
+                    prover, forces = self.context.prover, self.context.settings.forces
                     for route in chosen.routes:
                         plans = (*plans, prover.plan(route, self.task, forces=forces, seconds=self.clock.left))
                 except PlanError as error:
-                    self._why, self.outcome, self.decided_by = str(error), Outcome.NOT_FOUND, Decider.NOBODY
+                    self._why, self.outcome, self.decided_by = str(error), Outcome.NOT_FOUND, Stage.NONE
         if self.way is Direction.ASSEMBLY:
             plans = tuple(plan.reverse() for plan in plans)
         moving = () if plans else self._moving()
         replayer = self.replayer
         replays = [] if replayer is None else [replayer.as_time_allows(plan.route.states[::-1]) for plan in plans]
-        return Replan(
+        return ReplanResult(
             plans=plans,
             outcome=self.outcome,
             decided_by=self.decided_by,
@@ -254,7 +256,7 @@ class Job:
             moving=moving,
             distance=chosen.distance,
             confidences=tuple(self._confidence(plan.states) for plan in plans) if self.request.confidences else (),
-            criterion=self.kit.prover.oracle.settings.criterion,
+            criterion=self.context.prover.oracle.settings.criterion,
             replays=tuple(replays),
             search=self.result,
         )
@@ -293,7 +295,7 @@ class Job:
             rejected = self.result.rejected[:_LOOKED_AT]
         if rejected is None or len(rejected) == 0 or self.clock.passed:
             return ()
-        verdicts = self.kit.prover.oracle.check(rejected)
+        verdicts = self.context.prover.oracle.check(rejected)
         count: Counter[int] = Counter()
         for row in np.flatnonzero(verdicts.unstable):
             if verdicts.velocity is not None:
@@ -302,10 +304,10 @@ class Job:
         return tuple(part for part, _ in count.most_common())
 
     def _confidence(self, states: States) -> np.ndarray:
-        guide = self.kit.guide
+        guide = self.context.guide
         if guide is None:
             return np.zeros((0, 2 * self.task.part_count), dtype=np.float32)
         legal: Mask = self.task.moves(states, Direction.DISASSEMBLY)
         targets = np.broadcast_to(self.task.target, states.shape)
-        with self.clock.spend("policy"):
+        with self.clock.timed("policy"):
             return np.exp(guide.log_probabilities(states, legal, targets)).astype(np.float32)

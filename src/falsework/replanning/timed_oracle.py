@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from falsework.assembly.state import Mask, States
-from falsework.replanning.deadline import Clock, Pace, TimeUp
-from falsework.replanning.replays import TimedReplayer
+from falsework.replanning.deadline import AdaptiveBatchSize, Deadline, DeadlineExceeded
+from falsework.replanning.replays import DeadlineReplayer
 from falsework.search.problem.oracle import Oracle
 from falsework.stability.verdict import Verdict, Verdicts
 
@@ -19,9 +19,9 @@ class TimedOracle:
     def __init__(
         self,
         oracle: Oracle,
-        clock: Clock,
+        clock: Deadline,
         between: Callable[[], None] | None = None,
-        replayer: TimedReplayer | None = None,
+        replayer: DeadlineReplayer | None = None,
     ) -> None:
         """Ask `oracle` until `clock` has run out; call `between` before each batch.
 
@@ -45,14 +45,14 @@ class TimedOracle:
             TimeUp: the clock has run out.
         """
         verdicts = Verdicts.blank(len(states))
-        pace = Pace(limited=self.limited)
+        pace = AdaptiveBatchSize(limited=self.limited)
         begin = 0
         while begin < len(states):
             self._between()
             if self._clock.passed:
-                raise TimeUp
+                raise DeadlineExceeded
             rows = np.arange(begin, min(begin + pace.batch, len(states)))
-            with self._clock.spend("verdicts"), pace.measure():
+            with self._clock.timed("verdicts"), pace.measure():
                 found = self._oracle.judge(states[rows], parents=None if parents is None else parents[rows])
             verdicts.put(rows, found)
             verdicts.verdict[rows[self.rules_out(states[rows])]] = Verdict.SLIDES

@@ -15,7 +15,7 @@ from falsework.robots.model.cell import Placement as Placement
 from falsework.robots.model.cell import cell_identity as cell_identity
 from falsework.robots.model.robot_model import RobotModel as RobotModel
 from falsework.robots.planning.failure_report import Explanation as Explanation
-from falsework.robots.planning.failure_report import Reason as Reason
+from falsework.robots.planning.failure_report import LoggedFailure as LoggedFailure
 from falsework.robots.planning.hybrid_planner import HybridProgress as HybridProgress
 from falsework.robots.planning.hybrid_planner import HybridResult as HybridResult
 from falsework.robots.planning.hybrid_planner import HybridSettings as HybridSettings

@@ -3,7 +3,7 @@ from falsework.search.beam.beam import BeamSearch as BeamSearch
 from falsework.search.beam.settings import BeamSettings as BeamSettings
 from falsework.search.device.beam import DeviceBeam as DeviceBeam
 from falsework.search.device.rules import TensorRules as TensorRules
-from falsework.search.exhaustive import Census as Census
+from falsework.search.exhaustive import ExhaustiveResult as ExhaustiveResult
 from falsework.search.exhaustive import ExhaustiveSearch as ExhaustiveSearch
 from falsework.search.find import Planning as Planning
 from falsework.search.find import find_plans as find_plans
@@ -12,7 +12,7 @@ from falsework.search.find import task_of as task_of
 from falsework.search.planner import Planner as Planner
 from falsework.search.plans.alternatives import Alternatives as Alternatives
 from falsework.search.plans.alternatives import choose_alternatives as choose_alternatives
-from falsework.search.plans.plan import Need as Need
+from falsework.search.plans.plan import PartDeadline as PartDeadline
 from falsework.search.plans.plan import Plan as Plan
 from falsework.search.plans.plan_check import PlanReport as PlanReport
 from falsework.search.plans.plan_check import validate_plan as validate_plan

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.beam import DeviceBeam
-from falsework.search.device.oracle import oracle_on
+from falsework.search.device.oracle import tensor_oracle
 from falsework.search.problem.task import Task
-from falsework.utils.distributed import joined
+from falsework.utils.distributed import init_distributed
 from falsework.utils.tensors import import_torch
 
 if TYPE_CHECKING:
@@ -43,8 +43,11 @@ def beam_search(
     if not together and (device == "cpu" or (device == "auto" and not _gpu_is_usable())):
         yield BeamSearch(task, oracle, settings), True
         return
-    with joined(device) as (shards, where):
-        yield DeviceBeam(task, oracle_on(oracle, where), settings, device=where, shards=shards), shards.first
+    with init_distributed(device) as (shards, where):
+        yield (
+            DeviceBeam(task, tensor_oracle(oracle, where), settings, device=where, shards=shards),
+            shards.is_main_process,
+        )
 
 
 def _gpu_is_usable() -> bool:

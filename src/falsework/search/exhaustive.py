@@ -16,7 +16,7 @@ from falsework.search.problem.task import Direction, Task
 
 
 @dataclass(frozen=True, eq=False)
-class Census:
+class ExhaustiveResult:
     """Result of an exhaustive search."""
 
     result: SearchResult
@@ -73,7 +73,7 @@ class ExhaustiveSearch:
         kept = sum(len(level.states) for level in self._beam.levels)
         return kept > self.state_limit or not self._beam.exhaustive
 
-    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> Census:
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> ExhaustiveResult:
         """Search on until every state is found, the limit is exceeded, or `stop` stops it.
 
         Args:
@@ -89,7 +89,7 @@ class ExhaustiveSearch:
         outcome = result.outcome
         if outcome is Outcome.PROVED_IMPOSSIBLE and not complete:
             outcome = Outcome.NOT_FOUND
-        return Census(replace(result, outcome=outcome, limit=limit, interrupted=interrupted), complete, graph)
+        return ExhaustiveResult(replace(result, outcome=outcome, limit=limit, interrupted=interrupted), complete, graph)
 
     def save(self, path: Path | str) -> None:
         """Write the search as it stands, to be resumed by `load`."""
@@ -106,7 +106,7 @@ class ExhaustiveSearch:
         """
         search = cls(task, oracle, state_limit=state_limit, name=name)
         beam = BeamSearch.load(path, task, oracle)
-        kind = (beam.settings.direction, beam.settings.diversity, beam.settings.ahead)
+        kind = (beam.settings.direction, beam.settings.diversity, beam.settings.lookahead)
         if kind != (Direction.DISASSEMBLY, "none", 0) or not beam.exhaustive:
             raise InputError(f"{path} is not from an exhaustive search that can go on; begin a new one")
         beam.settings = replace(beam.settings, width=state_limit)

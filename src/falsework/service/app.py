@@ -18,7 +18,7 @@ from falsework.errors import InputError
 from falsework.service import schema as description
 from falsework.service.docs_page import page_of
 from falsework.service.metrics import Metrics
-from falsework.service.middleware import INSIDE, App, Guard
+from falsework.service.middleware import INSIDE, App, ServiceMiddleware
 from falsework.service.pool import Pool, Reply
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import refusal
@@ -79,7 +79,7 @@ def application(assembly: Assembly, pool: Pool, settings: ServiceSettings, metri
     app.add_exception_handler(Exception, _admit)
     app.openapi = _describe(app, models, settings)  # type: ignore[method-assign]
     _add_pages(app)
-    return Guard(app, settings, metrics)
+    return ServiceMiddleware(app, settings, metrics)
 
 
 def _add_questions(

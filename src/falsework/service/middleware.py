@@ -42,7 +42,7 @@ class _Refused(Exception):
         self.headers = headers
 
 
-class Guard:
+class ServiceMiddleware:
     """Middleware that checks host, token and size, buffers whole requests, and masks errors.
 
     Without a token only this machine can connect, but a page in its browser could be made to do so under another name

@@ -24,7 +24,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import FalseworkError, InputError
 from falsework.service.metrics import Metrics
 from falsework.service.settings import ServiceSettings
-from falsework.service.worker import NOT_YET, Done, Failed, Item, Kind, Ready, Recipe, refusal, work
+from falsework.service.worker import NOT_YET, Done, Failed, Item, Kind, Ready, WorkerConfig, refusal, work
 from falsework.stability.verdict import Criterion
 
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -52,7 +52,7 @@ class Reply:
 
 
 @dataclass(eq=False)
-class Ticket:
+class PendingRequest:
     """Request that waits for its answer."""
 
     kind: Kind
@@ -77,7 +77,7 @@ class _Worker:
     process: Any
     pipe: Connection
     ready: bool = False
-    busy: dict[int, Ticket] | None = field(default_factory=dict)
+    busy: dict[int, PendingRequest] | None = field(default_factory=dict)
     """Requests that it has; None once it is waiting for more."""
     watchdog: asyncio.TimerHandle | None = None
 
@@ -93,11 +93,11 @@ class Pool:
         self.policy = ""
         """What proposes actions, in words; empty for none."""
         self._recipes = {
-            kind: Recipe(assembly, kind, run if kind == "replan" else None, settings.criterion) for kind in KINDS
+            kind: WorkerConfig(assembly, kind, run if kind == "replan" else None, settings.criterion) for kind in KINDS
         }
         self._metrics = metrics
         self._workers: list[_Worker] = []
-        self._queues: dict[Kind, list[tuple[float, int, Ticket]]] = {kind: [] for kind in KINDS}
+        self._queues: dict[Kind, list[tuple[float, int, PendingRequest]]] = {kind: [] for kind in KINDS}
         self._planned: dict[Kind, asyncio.TimerHandle] = {}
         self._failures: dict[Kind, int] = dict.fromkeys(KINDS, 0)
         self._numbers = itertools.count()
@@ -172,7 +172,7 @@ class Pool:
         if len(self._queues[kind]) >= self.settings.queue:
             self._metrics.turned_away()
             return Reply(503, refusal("too many requests are waiting; try again in a moment"))
-        ticket = Ticket(kind, payload, loop.time() + seconds, loop.create_future(), next(self._numbers))
+        ticket = PendingRequest(kind, payload, loop.time() + seconds, loop.create_future(), next(self._numbers))
         guard = loop.call_at(ticket.deadline + self.settings.grace, self._late, ticket, seconds)
         try:
             self._put(ticket)
@@ -181,7 +181,7 @@ class Pool:
         finally:
             guard.cancel()
 
-    def _put(self, ticket: Ticket) -> None:
+    def _put(self, ticket: PendingRequest) -> None:
         """Who has the least time left comes first."""
         heapq.heappush(self._queues[ticket.kind], (ticket.deadline, ticket.number, ticket))
 
@@ -203,11 +203,11 @@ class Pool:
                 return
             self._send(worker, batch)
 
-    def _take(self, kind: Kind, limit: int, share: int) -> list[Ticket]:
+    def _take(self, kind: Kind, limit: int, share: int) -> list[PendingRequest]:
         """Return the most urgent requests for one of `share` idle workers; one that was tried before goes by itself."""
         queue = self._queues[kind]
         limit = min(limit, -(-len(queue) // share))
-        batch: list[Ticket] = []
+        batch: list[PendingRequest] = []
         while queue and len(batch) < limit:
             ticket = queue[0][2]
             if ticket.open and ticket.tries and batch:
@@ -219,7 +219,7 @@ class Pool:
                     break
         return batch
 
-    def _send(self, worker: _Worker, batch: list[Ticket]) -> None:
+    def _send(self, worker: _Worker, batch: list[PendingRequest]) -> None:
         loop = asyncio.get_running_loop()
         now = loop.time()
         items = [Item(ticket.number, ticket.payload, ticket.deadline - now - _HEAD_START) for ticket in batch]
@@ -330,7 +330,7 @@ class Pool:
         self._workers.append(worker)
         asyncio.get_running_loop().add_reader(mine.fileno(), self._heard, worker)
 
-    def _late(self, ticket: Ticket, seconds: float) -> None:
+    def _late(self, ticket: PendingRequest, seconds: float) -> None:
         """A request has run out of time while it waited or was worked on."""
         if not ticket.open:
             return
@@ -346,7 +346,7 @@ def not_yet(seconds: float, criterion: Criterion) -> bytes:
     record = {
         "criterion": criterion,
         "outcome": NOT_YET,
-        "decided_by": "nobody",
+        "decided_by": "none",
         "direction": None,
         "steps": None,
         "reached": 0,
@@ -360,7 +360,7 @@ def not_yet(seconds: float, criterion: Criterion) -> bytes:
     return json.dumps(record, separators=(",", ":")).encode()
 
 
-def _give(ticket: Ticket, reply: Reply) -> None:
+def _give(ticket: PendingRequest, reply: Reply) -> None:
     if ticket.open:
         with contextlib.suppress(asyncio.InvalidStateError):
             ticket.future.set_result(reply)

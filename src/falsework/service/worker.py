@@ -28,7 +28,7 @@ from falsework.stability.settings import CpuSettings, StabilitySettings
 from falsework.stability.verdict import Criterion, Proof, Verdict, Verdicts
 
 if TYPE_CHECKING:
-    from falsework.replanning.replanner import Replan, Replanner
+    from falsework.replanning.replanner import Replanner, ReplanResult
 
 Kind = Literal["replan", "stability"]
 
@@ -45,7 +45,7 @@ log = logging.getLogger("falsework.service")
 
 
 @dataclass(frozen=True, eq=False)
-class Recipe:
+class WorkerConfig:
     """Initial data of a worker."""
 
     assembly: Assembly
@@ -95,11 +95,11 @@ class Done:
     """Who decided, for the statistics."""
 
 
-def work(pipe: Connection, recipe: Recipe) -> None:
+def work(pipe: Connection, config: WorkerConfig) -> None:
     """Answer batches until the pipe closes; what a new process runs."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that talks to clients; it closes the pipe
     try:
-        bench = _Planner(recipe) if recipe.kind == "replan" else _Judge(recipe)
+        bench = _Planner(config) if config.kind == "replan" else _Judge(config)
     except InputError as error:
         pipe.send(Failed(" ".join(str(error).split())))
         return
@@ -128,10 +128,10 @@ class _Judge:
 
     policy = ""
 
-    def __init__(self, recipe: Recipe) -> None:
-        self._assembly, self._settings = recipe.assembly, one_thread(recipe.criterion)
-        self._oracle = Stability(recipe.assembly, self._settings)
-        states = np.where(recipe.assembly.boundary, 2, 1).astype(np.uint8)[None]
+    def __init__(self, config: WorkerConfig) -> None:
+        self._assembly, self._settings = config.assembly, one_thread(config.criterion)
+        self._oracle = Stability(config.assembly, self._settings)
+        states = np.where(config.assembly.boundary, 2, 1).astype(np.uint8)[None]
         self._oracle.judge(states)
         self._oracle.check(states)
 
@@ -172,10 +172,10 @@ class _Judge:
 class _Planner:
     """Worker loop for replanning requests."""
 
-    def __init__(self, recipe: Recipe) -> None:
+    def __init__(self, config: WorkerConfig) -> None:
         os.nice(_BACKGROUND)
-        self._assembly, self._settings = recipe.assembly, one_thread(recipe.criterion)
-        policy, self.policy = _load_policy(recipe)
+        self._assembly, self._settings = config.assembly, one_thread(config.criterion)
+        policy, self.policy = _load_policy(config)
         self._replanner = self._make(policy)
 
     def _make(self, policy: Any) -> Replanner:
@@ -201,7 +201,7 @@ class _Planner:
                 good.append((item, request))
         open_items = {item.number for item, _ in good}
 
-        def finished(number: int, answer: Replan) -> None:
+        def finished(number: int, answer: ReplanResult) -> None:
             item = good[number][0]
             open_items.discard(item.number)
             body = _dump(replan_record(answer, self._settings.criterion))
@@ -221,7 +221,7 @@ class _Planner:
                     self.answer([item], pipe)
 
 
-def replan_record(answer: Replan, criterion: Criterion) -> dict[str, Any]:
+def replan_record(answer: ReplanResult, criterion: Criterion) -> dict[str, Any]:
     """Return an answer as JSON values, its plans as in plan files; `criterion` says what stable means in it."""
     cut = answer.outcome is Outcome.NOT_FOUND and answer.deadline_passed
     return {
@@ -240,9 +240,9 @@ def replan_record(answer: Replan, criterion: Criterion) -> dict[str, Any]:
     }
 
 
-def _load_policy(recipe: Recipe) -> tuple[Any, str]:
+def _load_policy(config: WorkerConfig) -> tuple[Any, str]:
     """Return the policy of a run and what it is in words."""
-    if recipe.run is None:
+    if config.run is None:
         return None, ""
     from falsework.utils.optional_packages import check_torch
 
@@ -252,7 +252,7 @@ def _load_policy(recipe: Recipe) -> tuple[Any, str]:
     from falsework.learn.training.checkpoint import load_run
 
     torch.set_num_threads(1)
-    run = load_run(recipe.run, assembly=recipe.assembly)
+    run = load_run(config.run, assembly=config.assembly)
     return run.policy, run.settings.policy.kind
 
 

@@ -1,5 +1,5 @@
 from falsework.stability import judges as judges
-from falsework.stability.certificate import Claim as Claim
+from falsework.stability.certificate import StabilityCriterion as StabilityCriterion
 from falsework.stability.certificate import verify_certificates as verify_certificates
 from falsework.stability.contact.replay import Replay as Replay
 from falsework.stability.contact.replay import Replayer as Replayer

@@ -43,7 +43,7 @@ class VerdictCache:
         """
         verdict = np.zeros(len(states), np.int8)
         residual = np.full(len(states), np.nan)
-        by_rule = np.zeros(len(states), bool)
+        by_monotonicity = np.zeros(len(states), bool)
         for row, (present, held) in enumerate(_keys(states)):
             entry = self._known.get(present)
             if entry is None:
@@ -59,8 +59,8 @@ class VerdictCache:
                 value = Verdict.UNSTABLE
                 found = next((r for h, r in entry.get(value, {}).items() if h & held == held), None)
             if found is not None:
-                verdict[row], residual[row], by_rule[row] = value, found, True
-        return verdict, residual, by_rule
+                verdict[row], residual[row], by_monotonicity[row] = value, found, True
+        return verdict, residual, by_monotonicity
 
     def store(self, states: States, verdict: NDArray[np.int8], residual: NDArray[np.float64]) -> None:
         """Remember decided verdicts; when full, forget everything and start again."""

@@ -32,7 +32,7 @@ _CHUNK = 256
 
 
 @dataclass(frozen=True)
-class Claim:
+class StabilityCriterion:
     """Criterion, cone, gravity, tolerance and bounds that a verdict refers to."""
 
     cone: str = "octagon"
@@ -50,7 +50,7 @@ class Claim:
 
 
 def verify_certificates(
-    assembly: Assembly, states: States, verdicts: Verdicts, claim: Claim = Claim()
+    assembly: Assembly, states: States, verdicts: Verdicts, claim: StabilityCriterion = StabilityCriterion()
 ) -> NDArray[np.bool_]:
     """Return whether each verdict is proven by the certificate that comes with it.
 
@@ -102,7 +102,9 @@ def verify_certificates(
     return accepted
 
 
-def residual_of_displacement(assembly: Assembly, states: States, displacement: Array, claim: Claim) -> Array:
+def residual_of_displacement(
+    assembly: Assembly, states: States, displacement: Array, claim: StabilityCriterion
+) -> Array:
     """Residual that the contact forces of a displacement leave, or infinity where the displacement is too large.
 
     The law is that of `contact/law.py`, written anew: normal springs without tension, tangential springs cut back to
@@ -127,7 +129,7 @@ def residual_of_displacement(assembly: Assembly, states: States, displacement: A
     return np.where(finite & (moved <= np.sqrt(3.0) * MOVEMENT * structure_size(assembly)), residual, np.inf)
 
 
-def forces_of_displacement(assembly: Assembly, states: States, displacement: Array, claim: Claim) -> Array:
+def forces_of_displacement(assembly: Assembly, states: States, displacement: Array, claim: StabilityCriterion) -> Array:
     """Return the contact forces `(n, t1, t2)` in N that the law gives at a displacement, shape (batch, points, 3)."""
     relative = _relative(assembly, displacement)
     stiffness = normal_stiffness(assembly, claim.gravity)
@@ -139,7 +141,9 @@ def forces_of_displacement(assembly: Assembly, states: States, displacement: Arr
     return np.where(acts[:, :, None], forces, 0.0)
 
 
-def residual_of_forces(assembly: Assembly, states: States, forces: Array, claim: Claim = Claim()) -> Array:
+def residual_of_forces(
+    assembly: Assembly, states: States, forces: Array, claim: StabilityCriterion = StabilityCriterion()
+) -> Array:
     """Return the residual that contact forces leave, or infinity where they are not admissible.
 
     Args:
@@ -181,7 +185,9 @@ def residual_of_forces(assembly: Assembly, states: States, forces: Array, claim:
     return np.where(admissible, residual, np.inf)
 
 
-def residual_bound_of_velocity(assembly: Assembly, states: States, velocity: Array, claim: Claim = Claim()) -> Array:
+def residual_bound_of_velocity(
+    assembly: Assembly, states: States, velocity: Array, claim: StabilityCriterion = StabilityCriterion()
+) -> Array:
     """Return the residual that every admissible set of contact forces leaves at least, as a velocity proves it.
 
     For forces with sum of normals at most `B`, the power of all forces on velocity `w` is at least

@@ -40,7 +40,7 @@ class Counters:
     """States asked about, repetitions included."""
     cached: int = 0
     """Answered because the same state had been asked before."""
-    by_rule: int = 0
+    by_monotonicity: int = 0
     """Answered because a proof of another state holds for this one."""
     cpu: int = 0
     """Decided by the solver on the processor."""
@@ -147,11 +147,11 @@ class Stability:
         batch = as_states(states, self.assembly.boundary)
         self.counters.asked += len(batch)
         verdicts = Verdicts.blank(len(batch))
-        verdict, residual, by_rule = self._cache.look_up(batch)
+        verdict, residual, by_monotonicity = self._cache.look_up(batch)
         verdicts.verdict[:], verdicts.residual[:] = verdict, residual
         verdicts.decided_by[:] = np.where(verdict != 0, Solver.RULE, Solver.NONE)
-        self.counters.by_rule += int(by_rule.sum())
-        self.counters.cached += int(((verdict != 0) & ~by_rule).sum())
+        self.counters.by_monotonicity += int(by_monotonicity.sum())
+        self.counters.cached += int(((verdict != 0) & ~by_monotonicity).sum())
         origins = None if parents is None else as_states(parents, self.assembly.boundary)
         if origins is not None:
             self._pass_on(batch[verdict == Verdict.STABLE], origins[verdict == Verdict.STABLE])

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from falsework.errors import InputError
-from falsework.stability.certificate import Claim
+from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.problem import FORCE_BOUND, TOLERANCE, Cone
 from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Criterion
@@ -115,9 +115,9 @@ class StabilitySettings:
         return self.cone or ("quadratic" if self.criterion == "contact" else "octagon")
 
     @property
-    def claim(self) -> Claim:
+    def claim(self) -> StabilityCriterion:
         """What the certificate checker needs to know."""
-        return Claim(
+        return StabilityCriterion(
             self.friction_cone, self.gravity, self.tolerance, self.force_bound, self.criterion, self.stiffness_ratio
         )
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import import_torch
 
 if TYPE_CHECKING:
     import torch
 
 
-def average_gradients(parameters: Iterable[torch.nn.Parameter], shards: Shards) -> None:
+def average_gradients(parameters: Iterable[torch.nn.Parameter], shards: ProcessGroup) -> None:
     """Replace gradients by their mean over the processes, in one exchange."""
     if shards.size == 1:
         return
@@ -29,7 +29,7 @@ def average_gradients(parameters: Iterable[torch.nn.Parameter], shards: Shards) 
         one.grad = mean.view_as(one)
 
 
-def same_weights(module: torch.nn.Module, shards: Shards) -> None:
+def same_weights(module: torch.nn.Module, shards: ProcessGroup) -> None:
     """Give every process the weights of the first."""
     if shards.size == 1:
         return
@@ -39,7 +39,7 @@ def same_weights(module: torch.nn.Module, shards: Shards) -> None:
         dist.broadcast(tensor, src=0, group=shards.group)
 
 
-def decided(value: float, shards: Shards, device: torch.device) -> float:
+def decided(value: float, shards: ProcessGroup, device: torch.device) -> float:
     """A number that only the first process may choose, such as its clock, in all of them."""
     if shards.size == 1:
         return value
@@ -51,7 +51,7 @@ def decided(value: float, shards: Shards, device: torch.device) -> float:
     return float(box[0])
 
 
-def summed(values: list[float], shards: Shards, device: torch.device) -> list[float]:
+def summed(values: list[float], shards: ProcessGroup, device: torch.device) -> list[float]:
     """Sums over the processes, such as of successes and of states tried."""
     if shards.size == 1:
         return values
@@ -63,7 +63,7 @@ def summed(values: list[float], shards: Shards, device: torch.device) -> list[fl
     return box.tolist()
 
 
-def gather_rows(rows: torch.Tensor, shards: Shards) -> torch.Tensor:
+def gather_rows(rows: torch.Tensor, shards: ProcessGroup) -> torch.Tensor:
     """The rows of all processes, which may be different numbers of them, those of the first process first.
 
     Args:

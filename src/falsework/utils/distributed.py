@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Shards:
+class ProcessGroup:
     """Process group of one search, seen from one of its processes.
 
     Whatever is combined is combined exactly, as integers or unchanged, so that the number of processes does not show
@@ -30,7 +30,7 @@ class Shards:
     """Process group of `torch.distributed`; the default one if None."""
 
     @classmethod
-    def of_group(cls, group: Any = None) -> Shards:
+    def of_group(cls, group: Any = None) -> ProcessGroup:
         """Return the processes of a group of `torch.distributed`, or this process alone where that is not set up."""
         import_torch()
         import torch.distributed as dist
@@ -40,7 +40,7 @@ class Shards:
         return cls(dist.get_rank(group), dist.get_world_size(group), group)
 
     @property
-    def first(self) -> bool:
+    def is_main_process(self) -> bool:
         """Whether this process is the one that reports and writes files."""
         return self.rank == 0
 
@@ -83,7 +83,7 @@ class Shards:
 
 
 @contextmanager
-def joined(device: str = "auto") -> Iterator[tuple[Shards, torch.device]]:
+def init_distributed(device: str = "auto") -> Iterator[tuple[ProcessGroup, torch.device]]:
     """Join the processes that `torchrun` started, for the length of a `with` block; alone without it.
 
     Each process takes the GPU of its local rank and NCCL, or the processor and gloo.
@@ -102,7 +102,7 @@ def joined(device: str = "auto") -> Iterator[tuple[Shards, torch.device]]:
     import torch.distributed as dist
 
     if "RANK" not in os.environ or "WORLD_SIZE" not in os.environ or dist.is_initialized():
-        yield Shards.of_group(), choose_device(device)
+        yield ProcessGroup.of_group(), choose_device(device)
         return
     # Its functions have the group that exists at import as a default argument. Imported now, there is none; imported
     # later, which an optimizer does, they would keep the group and its threads beyond the block, and a thread that
@@ -121,6 +121,6 @@ def joined(device: str = "auto") -> Iterator[tuple[Shards, torch.device]]:
     else:
         dist.init_process_group("gloo")
     try:
-        yield Shards.of_group(), chosen
+        yield ProcessGroup.of_group(), chosen
     finally:
         dist.destroy_process_group()

@@ -1,4 +1,4 @@
-"""Pictures, films, and the page in the browser, of plans, runs, robot plans, state graphs and structures."""
+"""Pictures, videos, and the page in the browser, of plans, runs, robot plans, state graphs and structures."""
 
 from falsework.utils.lazy import lazy_exports
 

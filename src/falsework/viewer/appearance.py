@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, States
 from falsework.viewer.palette import BOUNDARY, INSTALLED, ramp_in_steps, rgb, robot_color
-from falsework.viewer.timeline import NOBODY, Timeline
+from falsework.viewer.timeline import NO_ROBOT, Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -25,7 +25,7 @@ TRAVEL = 0.45
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class Appearance:
     """Appearance of all parts."""
 
     state: States
@@ -37,7 +37,7 @@ class Look:
     shift: Array
     """From the place of each part, metres, shape (parts, 3)."""
     holder: NDArray[np.int64]
-    """Robot that holds each part, `NOBODY` where none does, shape (parts,)."""
+    """Robot that holds each part, `NO_ROBOT` where none does, shape (parts,)."""
 
     @property
     def solid(self) -> NDArray[np.bool_]:
@@ -50,15 +50,15 @@ class Look:
         return np.flatnonzero((self.opacity > 0) & ~self.solid)
 
 
-def look_at(
+def appearance_at(
     timeline: Timeline,
-    place: float,
+    position: float,
     *,
     state: States | None = None,
-    chances: Array | None = None,
+    action_probabilities: Array | None = None,
     marks: Mapping[int, str] | None = None,
     travelling: bool = True,
-) -> Look:
+) -> Appearance:
     """Return the appearance of all parts at a timeline position.
 
     Args:
@@ -71,11 +71,11 @@ def look_at(
         travelling: show parts on their way in or out.
     """
     assembly = timeline.assembly
-    done, row = timeline.at(place), timeline.row(place)
+    done, row = timeline.at(position), timeline.row(position)
     shown = timeline.states[row] if state is None else state
-    holder = np.where(shown == 2, timeline.holders[row], NOBODY)
+    holder = np.where(shown == 2, timeline.holders[row], NO_ROBOT)
     color = np.broadcast_to(np.array(rgb(INSTALLED), dtype=np.uint8), (assembly.part_count, 3)).copy()
-    for part in np.flatnonzero(holder != NOBODY):
+    for part in np.flatnonzero(holder != NO_ROBOT):
         color[part] = rgb(robot_color(int(holder[part])))
     color[assembly.boundary] = rgb(BOUNDARY)
     opacity = (shown != REMOVED).astype(float)
@@ -91,14 +91,14 @@ def look_at(
             opacity[part] = 1 - share
             shift[part] = TRAVEL * diagonal(assembly) * share * timeline.ways[part]
             last = int(timeline.holders[timeline.removal_step[part], part])
-            if last != NOBODY:
+            if last != NO_ROBOT:
                 color[part] = rgb(robot_color(last))
-    if chances is not None:
-        asked = np.isfinite(chances)
-        color[asked] = ramp_in_steps(chances[asked])
+    if action_probabilities is not None:
+        asked = np.isfinite(action_probabilities)
+        color[asked] = ramp_in_steps(action_probabilities[asked])
     for part, mark in (marks or {}).items():
         color[part] = rgb(mark)
-    return Look(shown, color, opacity, shift, holder)
+    return Appearance(shown, color, opacity, shift, holder)
 
 
 def bounds_of(assembly: Assembly) -> Array:
@@ -112,7 +112,7 @@ def diagonal(assembly: Assembly) -> float:
     return float(np.linalg.norm(np.ptp(bounds_of(assembly), axis=0)))
 
 
-def pick(assembly: Assembly, look: Look, origin: Array, direction: Array) -> int | None:
+def pick(assembly: Assembly, appearance: Appearance, origin: Array, direction: Array) -> int | None:
     """Return the part that a ray hits first, or None.
 
     Args:
@@ -121,11 +121,11 @@ def pick(assembly: Assembly, look: Look, origin: Array, direction: Array) -> int
         origin: of the ray, metres, shape (3,).
         direction: of the ray, any length, shape (3,).
     """
-    seen = np.flatnonzero(look.opacity > 0)
+    seen = np.flatnonzero(appearance.opacity > 0)
     if len(seen) == 0:
         return None
     origin, direction = np.asarray(origin, dtype=float), np.asarray(direction, dtype=float)
-    triangles = np.concatenate([assembly.meshes[part].triangles + look.shift[part] for part in seen])
+    triangles = np.concatenate([assembly.meshes[part].triangles + appearance.shift[part] for part in seen])
     owner = np.repeat(seen, [len(assembly.meshes[part].faces) for part in seen])
     edge, other = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     across = np.cross(direction, other)

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.search.problem.task import Direction
-from falsework.viewer.appearance import Look
+from falsework.viewer.appearance import Appearance
 from falsework.viewer.palette import robot_color, unit_rgb
 from falsework.viewer.pictures.render import Solid
-from falsework.viewer.timeline import NOBODY
+from falsework.viewer.timeline import NO_ROBOT
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -50,7 +50,7 @@ class Link:
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class ArmPoses:
     """Poses of all arms at one time."""
 
     poses: Array
@@ -59,7 +59,7 @@ class Moment:
     """Part that is on its way in a gripper."""
     carried_pose: Array
     """From the place of the carried part to where it is, shape (4, 4)."""
-    carrier: int = NOBODY
+    carrier: int = NO_ROBOT
     """Robot that carries it."""
     arrived: int | None = None
     """Part that has come to its place in this step, before the step is over."""
@@ -93,7 +93,7 @@ class Arms:
     def holders(self) -> NDArray[np.int64]:
         """Return robot that holds each part in each state, in the order of disassembly; shape (steps + 1, parts)."""
         frames = self._plan.keyframes
-        who = np.full((len(frames), len(self._plan.plan.boundary)), NOBODY, dtype=np.int64)
+        who = np.full((len(frames), len(self._plan.plan.boundary)), NO_ROBOT, dtype=np.int64)
         for row, frame in enumerate(frames):
             for robot, part in enumerate(frame.held):
                 if part is not None:
@@ -104,19 +104,19 @@ class Arms:
         """Return the duration of a step, counted from 0 in the order shown."""
         return self._plan.steps[step].seconds
 
-    def at(self, place: float) -> Moment:
+    def at(self, position: float) -> ArmPoses:
         """Return the poses at a position, in steps in the order shown."""
         steps = len(self._plan)
-        place = min(max(place, 0.0), float(steps))
-        step = min(int(place), steps - 1) if steps else 0
-        if steps == 0 or place == int(place):
-            return self._still(int(place))
-        return self._moving(step, place - step)
+        position = min(max(position, 0.0), float(steps))
+        step = min(int(position), steps - 1) if steps else 0
+        if steps == 0 or position == int(position):
+            return self._still(int(position))
+        return self._moving(step, position - step)
 
-    def _still(self, state: int) -> Moment:
-        return Moment(self._poses(self._plan.keyframes[state].configurations), None, np.eye(4))
+    def _still(self, state: int) -> ArmPoses:
+        return ArmPoses(self._poses(self._plan.keyframes[state].configurations), None, np.eye(4))
 
-    def _moving(self, index: int, share: float) -> Moment:
+    def _moving(self, index: int, share: float) -> ArmPoses:
         from falsework.robots.kinematics.forward import tool_pose
         from falsework.robots.model.shapes import inverse_pose
 
@@ -140,7 +140,7 @@ class Arms:
         removing = moves and self.direction is Direction.DISASSEMBLY
         poses = self._poses(configurations)
         if not moves:
-            return Moment(poses, None, np.eye(4))
+            return ArmPoses(poses, None, np.eye(4))
         carrying = current is not None and current.part is not None
         if carrying:
             robot = self.cell.robots[step.robot]
@@ -148,11 +148,11 @@ class Arms:
             way = tool_pose(robot, configurations[step.robot]) @ inverse_pose(tool_pose(robot, home))
             back = self._to_structure
             # From the structure into the cell, along with the tool, and back again.
-            return Moment(poses, part, back @ way @ np.linalg.inv(back), step.robot)
+            return ArmPoses(poses, part, back @ way @ np.linalg.inv(back), step.robot)
         was = any(trajectory.part is not None for trajectory in done)
         arrived = part if was and not removing else None
         gone = part if was and removing else None
-        return Moment(poses, None, np.eye(4), arrived=arrived, gone=gone)
+        return ArmPoses(poses, None, np.eye(4), arrived=arrived, gone=gone)
 
     def _poses(self, configurations: Sequence[Array]) -> Array:
         from falsework.robots.kinematics.forward import link_poses
@@ -166,18 +166,18 @@ class Arms:
         return made
 
 
-def look_with_arms(look: Look, moment: Moment) -> Look:
+def look_with_arms(look: Appearance, arm_poses: ArmPoses) -> Appearance:
     """Return the parts without the one that is carried, and with those that have come or gone within the step."""
     opacity = look.opacity.copy()
-    for part in (moment.carried, moment.gone):
+    for part in (arm_poses.carried, arm_poses.gone):
         if part is not None:
             opacity[part] = 0.0
-    if moment.arrived is not None:
-        opacity[moment.arrived] = 1.0
+    if arm_poses.arrived is not None:
+        opacity[arm_poses.arrived] = 1.0
     return replace(look, opacity=opacity)
 
 
-def solids_of_arms(arms: Arms, moment: Moment, assembly: Assembly) -> list[Solid]:
+def solids_of_arms(arms: Arms, arm_poses: ArmPoses, assembly: Assembly) -> list[Solid]:
     """Return arms, and the part that they carry, as meshes.
 
     Args:
@@ -187,20 +187,20 @@ def solids_of_arms(arms: Arms, moment: Moment, assembly: Assembly) -> list[Solid
     """
     solids = [
         Solid(link.vertices @ pose[:3, :3].T + pose[:3, 3], link.faces, link.color)
-        for link, pose in zip(arms.links, moment.poses, strict=True)
+        for link, pose in zip(arms.links, arm_poses.poses, strict=True)
     ]
-    if moment.carried is not None:
-        mesh, pose = assembly.meshes[moment.carried], moment.carried_pose
+    if arm_poses.carried is not None:
+        mesh, pose = assembly.meshes[arm_poses.carried], arm_poses.carried_pose
         vertices = mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
-        solids.append(Solid(vertices, mesh.faces, unit_rgb(robot_color(moment.carrier))))
+        solids.append(Solid(vertices, mesh.faces, unit_rgb(robot_color(arm_poses.carrier))))
     return solids
 
 
 def bounds_with_arms(arms: Arms, box: Array) -> Array:
     """Lowest and highest coordinates of the structure and of the robots at the first keyframe, shape (2, 3)."""
-    moment = arms.at(0.0)
+    arm_poses = arms.at(0.0)
     points = [box]
-    for link, pose in zip(arms.links, moment.poses, strict=True):
+    for link, pose in zip(arms.links, arm_poses.poses, strict=True):
         points.append(link.vertices @ pose[:3, :3].T + pose[:3, 3])
     every = np.concatenate(points)
     return np.stack([every.min(axis=0), every.max(axis=0)])

@@ -1,4 +1,4 @@
-"""One call each: show a plan in the browser, draw it, play it as a film."""
+"""One call each: show a plan in the browser, draw it, play it as a video."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, check_robots
 from falsework.errors import InputError
 from falsework.stability.verdict import Criterion
-from falsework.viewer.page.viewer_state import Model
+from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.pictures.contact_sheet import caption, check_places, contact_sheet, legend, one_state, write_png
 from falsework.viewer.pictures.drawing import drawing, write_svg
 from falsework.viewer.pictures.render import Camera
@@ -31,7 +31,7 @@ AZIMUTH, ELEVATION = -58.0, 24.0
 
 @dataclass(frozen=True)
 class PictureReport:
-    """Contents of a picture or film."""
+    """Contents of a picture or video."""
 
     shows: str
     """In words."""
@@ -42,7 +42,7 @@ class PictureReport:
     visited: int | None = None
     """States of a graph that the policy visits; None without a policy."""
     pictures: int = 1
-    """Number of pictures of a film."""
+    """Number of pictures of a video."""
 
 
 def view(
@@ -190,7 +190,7 @@ def picture(
             words=title or caption(timeline, single, proof),
             marks=None if proof is None else proof.marks,
             arms=shown.arms,
-            chances=None if shown.policy is None else _model(shown, single).chances(),
+            action_probabilities=None if shown.policy is None else _model(shown, single).action_probabilities(),
         )
         write_png(path, image)
     else:
@@ -232,7 +232,7 @@ def animate(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> PictureReport:
-    """Play a plan as a film, MP4 or GIF, without a screen.
+    """Play a plan as a video, MP4 or GIF, without a screen.
 
     Args:
         subject: an object or a file as `open_file` takes it, with steps to play.
@@ -277,13 +277,13 @@ def animate(
 
 
 def check_film(width: int, seconds: float, rate: float) -> None:
-    """Refuse sizes of a film before anything is loaded.
+    """Refuse sizes of a video before anything is loaded.
 
     Raises:
         InputError: a number out of range.
     """
     if not 80 <= width <= 4000:
-        raise InputError(f"a film {width} pixels across cannot be drawn; give 80 to 4000")
+        raise InputError(f"a video {width} pixels across cannot be drawn; give 80 to 4000")
     frame_places(0, seconds, rate)
 
 
@@ -301,8 +301,10 @@ def _picture_graph(shown: Viewable, path: Path, title: str) -> PictureReport:
     return PictureReport(f"{shows}, {seen} of the states visited by the policy", visited=seen)
 
 
-def _model(shown: Viewable, place: int = 0, **options: Any) -> Model:
-    model = Model(shown.timeline, plan=shown.plan, policy=shown.policy, graph=shown.graph, arms=shown.arms, **options)
+def _model(shown: Viewable, place: int = 0, **options: Any) -> ViewerState:
+    model = ViewerState(
+        shown.timeline, plan=shown.plan, policy=shown.policy, graph=shown.graph, arms=shown.arms, **options
+    )
     model.go_to(place)
     return model
 

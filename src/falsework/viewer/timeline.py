@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-NOBODY = -1
+NO_ROBOT = -1
 EXACT_UP_TO = 150
 """Parts up to which ways out are taken from the clearance table; above, making the table takes too long for a look."""
 UPWARDS = 0.35
@@ -40,7 +40,7 @@ class Timeline:
     actions: NDArray[np.int64]
     """Of disassembly, shape (steps,)."""
     holders: NDArray[np.int64]
-    """Robot that holds each part in each state, `NOBODY` where none does, shape (steps + 1, parts)."""
+    """Robot that holds each part in each state, `NO_ROBOT` where none does, shape (steps + 1, parts)."""
     direction: Direction
     """Order in which it is shown."""
     robots: int
@@ -77,7 +77,7 @@ class Timeline:
         return cls(assembly, apart.states, apart.actions, who, shown, plan.robots, apart.forces)
 
     @classmethod
-    def still(cls, assembly: Assembly, state: ArrayLike, robots: int = 2) -> Timeline:
+    def from_state(cls, assembly: Assembly, state: ArrayLike, robots: int = 2) -> Timeline:
         """Return the timeline of one state, shape (parts,), in which nothing happens."""
         states = as_states(state, assembly.boundary)[:1]
         who = holders(states, assembly.boundary)
@@ -90,16 +90,16 @@ class Timeline:
         """Return the same, shown in the order of assembly or disassembly."""
         return Timeline(self.assembly, self.states, self.actions, self.holders, direction, self.robots, self.forces)
 
-    def at(self, place: float) -> float:
+    def at(self, position: float) -> float:
         """Return steps of disassembly done at a place in the order shown; whole numbers are states."""
-        place = min(max(float(place), 0.0), float(len(self)))
-        return place if self.direction is Direction.DISASSEMBLY else len(self) - place
+        position = min(max(float(position), 0.0), float(len(self)))
+        return position if self.direction is Direction.DISASSEMBLY else len(self) - position
 
-    def row(self, place: float) -> int:
+    def row(self, position: float) -> int:
         """State that is shown at a place: the last one that is reached."""
         if self.direction is Direction.DISASSEMBLY:
-            return int(np.floor(self.at(place)))
-        return int(np.ceil(self.at(place)))
+            return int(np.floor(self.at(position)))
+        return int(np.ceil(self.at(position)))
 
     def words(self, step: int) -> str:
         """Describe a step, counted from 0 in the order shown, such as `hold block-3`."""
@@ -132,18 +132,18 @@ class Timeline:
         if self.direction is Direction.ASSEMBLY:
             column = column[::-1]
         spans: list[tuple[int, int, int]] = []
-        for place, robot in enumerate(column.tolist()):
-            if robot == NOBODY:
+        for position, robot in enumerate(column.tolist()):
+            if robot == NO_ROBOT:
                 continue
-            if spans and spans[-1][0] == robot and spans[-1][2] == place - 1:
-                spans[-1] = (robot, spans[-1][1], place)
+            if spans and spans[-1][0] == robot and spans[-1][2] == position - 1:
+                spans[-1] = (robot, spans[-1][1], position)
             else:
-                spans.append((robot, place, place))
+                spans.append((robot, position, position))
         return spans
 
 
 def holders(states: States, boundary: Mask) -> NDArray[np.int64]:
-    """Robot that holds each part in each state, `NOBODY` where none does; a part keeps its robot while it is held.
+    """Robot that holds each part in each state, `NO_ROBOT` where none does; a part keeps its robot while it is held.
 
     Args:
         states: states one action apart, shape (steps + 1, parts).
@@ -152,13 +152,13 @@ def holders(states: States, boundary: Mask) -> NDArray[np.int64]:
     Returns:
         Shape (steps + 1, parts).
     """
-    robots = np.full(states.shape, NOBODY, dtype=np.int64)
+    robots = np.full(states.shape, NO_ROBOT, dtype=np.int64)
     for step, state in enumerate(states):
         held = np.flatnonzero((state == HELD) & ~boundary)
-        before = robots[step - 1] if step else np.full(len(state), NOBODY)
+        before = robots[step - 1] if step else np.full(len(state), NO_ROBOT)
         robots[step, held] = before[held]
         free = [robot for robot in range(len(held)) if robot not in robots[step, held]]
-        for part, robot in zip([part for part in held if robots[step, part] == NOBODY], free, strict=False):
+        for part, robot in zip([part for part in held if robots[step, part] == NO_ROBOT], free, strict=False):
             robots[step, part] = robot
     return robots
 
@@ -189,7 +189,9 @@ def interesting(timeline: Timeline, frames: int) -> Sequence[int]:
     """Return places spread evenly, each moved to a neighbour where the robots hold most."""
     steps = len(timeline)
     chosen = set()
-    for place in np.linspace(0, steps, min(frames, steps + 1)).round().astype(int).tolist():
-        near = [p for p in (place, place - 1, place + 1) if 0 < p < steps] if 0 < place < steps else [place]
-        chosen.add(max(near, key=lambda p: int((timeline.holders[timeline.row(p)] != NOBODY).sum())))
+    for position in np.linspace(0, steps, min(frames, steps + 1)).round().astype(int).tolist():
+        near = (
+            [p for p in (position, position - 1, position + 1) if 0 < p < steps] if 0 < position < steps else [position]
+        )
+        chosen.add(max(near, key=lambda p: int((timeline.holders[timeline.row(p)] != NO_ROBOT).sum())))
     return sorted(chosen)

@@ -159,7 +159,7 @@ def viewable_of(
 
 
 def _still(assembly: Assembly, state: ArrayLike, robots: int, direction: Direction | None) -> Timeline:
-    still = Timeline.still(assembly, state, robots)
+    still = Timeline.from_state(assembly, state, robots)
     return still if direction is None else still.turned(direction)
 
 

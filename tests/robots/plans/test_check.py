@@ -17,7 +17,7 @@ from falsework.robots.model.cell import Cell, Obstacle, cell_identity
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import block
 from falsework.robots.plans.check import CheckSettings, check_robot_plan
-from falsework.robots.plans.pinocchio_checker import Judge
+from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.robot_plan import RobotPlan, RobotStep, Trajectory
 
 
@@ -48,7 +48,7 @@ def test_a_plan_and_its_reverse_are_right(robot_plan: RobotPlan, column: Assembl
 
 def test_kinematics_of_both_libraries_agree(column: Assembly, cell: Cell) -> None:
     """Pinocchio and our own kernel put the flange at the same place."""
-    judge = Judge(cell, place_parts(column, cell.placement), 0.0005)
+    judge = PinocchioCollisionChecker(cell, place_parts(column, cell.placement), 0.0005)
     rng = np.random.default_rng(0)
     for robot, entry in enumerate(cell.robots):
         for _ in range(20):
@@ -147,7 +147,7 @@ def test_empty_hands_carry_nothing(robot_plan: RobotPlan, column: Assembly, cell
 def test_parts_that_overlap_in_the_model(make_boxes: Callable[..., Assembly], cell: Cell) -> None:
     """A part is shrunk by the tolerance, and by more for a neighbour only where the meshes overlap by more."""
     plain = make_boxes((-0.1, -0.1, 0.0), (0.1, -0.1, 0.0))
-    judge = Judge(cell, place_parts(plain, cell.placement), 0.0005)
+    judge = PinocchioCollisionChecker(cell, place_parts(plain, cell.placement), 0.0005)
     assert [len(others) for _, others in judge._loose(0)] == [2]
     assert judge.slack == 0.0005
 

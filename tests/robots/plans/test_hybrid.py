@@ -16,7 +16,7 @@ from falsework.robots.model.cell import Cell, Obstacle, Placement
 from falsework.robots.model.shapes import block
 from falsework.robots.planning.hybrid_planner import HybridResult, HybridSettings, plan_robots
 from falsework.robots.planning.keyframe_graph import KeyframeSettings
-from falsework.robots.planning.solvability import Proposals
+from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Direction, Task
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.guide import SupportGuide
@@ -213,13 +213,13 @@ def test_solvable_states_are_those_of_the_census(column: Assembly) -> None:
     oracle = Stability(column)
     task = Task.create(column.boundary, 1, clearance=column.clearance, identity=column.identity)
     graph = ExhaustiveSearch(task, oracle).run().graph
-    proposals = Proposals(column, task, oracle)
-    assert proposals.prepare().found
+    solvability = SolvabilityCheck(column, task, oracle)
+    assert solvability.prepare().found
     index = {state.tobytes(): row for row, state in enumerate(graph.states)}
     for row, state in enumerate(graph.states):
-        for action in proposals.legal(state):
+        for action in solvability.legal(state):
             after = task.follow(state[None], np.array([action]), Direction.DISASSEMBLY)[0]
             known = index.get(after.tobytes())
             truly = known is not None and bool(graph.solvable[known])
             if graph.solvable[row]:
-                assert proposals.solvable(state, action) == truly
+                assert solvability.solvable(state, action) == truly

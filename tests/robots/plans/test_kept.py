@@ -10,7 +10,7 @@ import pytest
 from falsework.assembly.model import Assembly
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import NO_CONTACT, Attached, Scene
-from falsework.robots.motion.motion_cache import Kept, _digest
+from falsework.robots.motion.motion_cache import MotionCache, _digest
 from falsework.robots.planning.keyframe_graph import KeyframeGraph
 
 
@@ -39,7 +39,7 @@ def test_scenes_that_differ_are_told_apart(graph: KeyframeGraph, cell: Cell) -> 
 
 
 def test_a_view_is_made_once(graph: KeyframeGraph, cell: Cell) -> None:
-    kept = Kept(graph.world, nodes=100, seed=0)
+    kept = MotionCache(graph.world, nodes=100, seed=0)
     home = Scene.at_home(cell, graph.parts)
     first = kept.view(home, 0, NO_CONTACT, 0.01)
     assert kept.view(home.with_configuration(0, home.configurations[0] + 0.1), 0, NO_CONTACT, 0.01) is first

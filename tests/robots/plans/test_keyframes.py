@@ -11,7 +11,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.exit_directions import Exits
+from falsework.robots.planning.exit_directions import ExitDirections
 from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
 
 
@@ -57,18 +57,18 @@ def test_an_edge_moves_one_robot_from_where_it_stands(graph: KeyframeGraph, colu
     hold = next(graph.edges(root, 1))
     assert hold.node.state[1] == 2
     assert hold.node.held[hold.robot] == 1
-    np.testing.assert_allclose(hold.legs[0].path[0], root.configurations[hold.robot])
-    np.testing.assert_allclose(hold.legs[0].path[-1], hold.legs[1].path[0], atol=1e-12)
-    np.testing.assert_allclose(hold.legs[1].path[-1], hold.node.configurations[hold.robot])
+    np.testing.assert_allclose(hold.segments[0].path[0], root.configurations[hold.robot])
+    np.testing.assert_allclose(hold.segments[0].path[-1], hold.segments[1].path[0], atol=1e-12)
+    np.testing.assert_allclose(hold.segments[1].path[-1], hold.node.configurations[hold.robot])
     other = 1 - hold.robot
     np.testing.assert_array_equal(hold.node.configurations[other], root.configurations[other])
     remove = next(graph.edges(hold.node, column.part_count + 1))
     assert remove.robot == hold.robot
     assert remove.node.state[1] == 0
     assert remove.node.held == (None, None)
-    assert all(leg.part == 1 for leg in remove.legs)
+    assert all(segment.part == 1 for segment in remove.segments)
     # The part leaves straight, and ends where the robot puts parts.
-    tools = tool_pose(cell.robots[remove.robot], remove.legs[0].path)
+    tools = tool_pose(cell.robots[remove.robot], remove.segments[0].path)
     ways = tools[1:, :3, 3] - tools[0, :3, 3]
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     np.testing.assert_allclose(ways @ ways[-1], 1.0, atol=1e-4)
@@ -84,7 +84,7 @@ def test_what_was_computed_is_kept(graph: KeyframeGraph, column: Assembly, cell:
     again = next(graph.edges(root, 2))
     assert (graph.motions, graph.views) == (computed, views)
     assert graph.motions_kept > 0
-    for one, other in zip(first.legs, again.legs, strict=True):
+    for one, other in zip(first.segments, again.segments, strict=True):
         np.testing.assert_array_equal(one.path, other.path)
 
 
@@ -98,7 +98,7 @@ def test_a_part_under_another_cannot_leave(graph: KeyframeGraph, column: Assembl
 
 def test_exits_agree_with_the_clearance_table(column: Assembly) -> None:
     """A fan of directions finds a way out only where the table finds one."""
-    exits = Exits(column, np.eye(3))
+    exits = ExitDirections(column, np.eye(3))
     rng = np.random.default_rng(0)
     free = ~column.boundary
     for _ in range(30):

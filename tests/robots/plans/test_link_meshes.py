@@ -18,7 +18,7 @@ from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import block, cylinder
 from falsework.robots.plans.check import check_robot_plan
-from falsework.robots.plans.pinocchio_checker import Judge
+from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.robot_plan import RobotPlan, cell_identity
 
 URDF = """<robot name="fork">
@@ -56,7 +56,7 @@ def meets(model: RobotModel, column: Assembly, low: tuple[float, ...], high: tup
     robot = CellRobot("fork", model, base, gripper, model.home, np.zeros((0, 4, 4)))
     obstacle = Obstacle("block", (block(np.add(low, [20, 0, 0]), np.add(high, [20, 0, 0])),))
     cell = Cell("test", (robot,), (obstacle,), floor=None)
-    judge = Judge(cell, place_parts(column, cell.placement), 0.0005)
+    judge = PinocchioCollisionChecker(cell, place_parts(column, cell.placement), 0.0005)
     return judge.prepare(0, [np.zeros(1)], np.zeros(column.part_count, bool)).hits(np.zeros(1)) is not None
 
 

@@ -9,11 +9,11 @@ from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.action_ranking import Ease
+from falsework.robots.planning.action_ranking import ExecutionHeuristic
 from falsework.robots.planning.keyframe_graph import KeyframeGraph
 from falsework.robots.planning.rollout import roll_out
 from falsework.search import Direction, Task
-from falsework.search.problem.guide import RememberingGuide, SupportGuide
+from falsework.search.problem.guide import MemoizedGuide, SupportGuide
 from falsework.stability import Stability
 
 ARCH = load_structure("arch:blocks=5")
@@ -83,7 +83,7 @@ def test_what_blocks_and_what_is_high(column: Assembly, cell: Cell) -> None:
     """A removal is easier than any hold, and the upper cube easier than the lower ones."""
     graph = KeyframeGraph(column, cell)
     state = complete_state(column.boundary)
-    plain = Ease(graph, None)
+    plain = ExecutionHeuristic(graph, None)
     assert plain.of(state, 1) > plain.of(state, 2) == plain.of(state, 0)
     state[2] = 2
     allowed = np.zeros((1, 2 * column.part_count), dtype=bool)
@@ -91,13 +91,13 @@ def test_what_blocks_and_what_is_high(column: Assembly, cell: Cell) -> None:
     scores = plain(state[None], allowed)[0]
     assert scores.argmax() == column.part_count + 2
     assert (scores[~allowed[0]] == 0).all()
-    guided = Ease(graph, lambda states, actions, direction: np.full(actions.shape, 0.5))
+    guided = ExecutionHeuristic(graph, lambda states, actions, direction: np.full(actions.shape, 0.5))
     np.testing.assert_allclose(guided(state[None], allowed)[0] - scores, 0.5)
 
 
 def test_a_guide_with_a_memory_says_the_same() -> None:
     base = SupportGuide(ARCH)
-    memory = RememberingGuide(base, limit=3)
+    memory = MemoizedGuide(base, limit=3)
     rng = np.random.default_rng(0)
     states = rng.integers(0, 3, (8, ARCH.part_count)).astype(np.uint8)
     actions = rng.random((8, 2 * ARCH.part_count)) < 0.5

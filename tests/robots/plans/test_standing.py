@@ -15,7 +15,7 @@ from falsework.assembly.state import HELD, complete_state
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.hybrid_planner import HybridResult, HybridSettings, plan_robots
 from falsework.robots.planning.rollout import roll_out
-from falsework.robots.planning.solvability import Proposals
+from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Route, Task
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability import Replay, Stability, StabilitySettings
@@ -92,12 +92,12 @@ def test_rollouts_go_around_what_is_forbidden() -> None:
 def test_what_is_solvable_under_contact_has_been_asked_about(criterion: str) -> None:
     """States that only the search for a way met count as solvable too, so their holds must have had a verdict."""
     oracle = Watched(ARCH, criterion)
-    proposals = Proposals(ARCH, TASK, oracle)
-    assert proposals.prepare().found
-    known = len(proposals)
+    solvability = SolvabilityCheck(ARCH, TASK, oracle)
+    assert solvability.prepare().found
+    known = len(solvability)
     state, found = complete_state(ARCH.boundary), []
-    for action in proposals.legal(state):
-        if not proposals.known(state, action) and proposals.solvable(state, action):
+    for action in solvability.legal(state):
+        if not solvability.known(state, action) and solvability.solvable(state, action):
             found.append(action)
     assert found
     assert all(action < ARCH.part_count for action in found)  # nothing is held that could be removed
@@ -106,26 +106,26 @@ def test_what_is_solvable_under_contact_has_been_asked_about(criterion: str) -> 
         after = state.copy()
         after[action] = HELD
         held.append(after.tobytes() in oracle.seen)
-    assert len(proposals) > known
+    assert len(solvability) > known
     assert held == [criterion == "contact"] * len(held)
 
 
 def test_a_forbidden_state_takes_its_only_ways_with_it() -> None:
     """One part at a time on one way: whatever comes before the forbidden state is not solvable any more."""
     oracle = Stability(ARCH)
-    proposals = Proposals(ARCH, TASK, oracle)
-    assert proposals.prepare().found
+    solvability = SolvabilityCheck(ARCH, TASK, oracle)
+    assert solvability.prepare().found
     route = roll_out(TASK, oracle, removals, TASK.start, GOAL)
     assert route is not None
     states, actions = route.states, route.actions
     row = len(states) - 3
-    assert proposals.forbid(Route(states, actions), row)
+    assert solvability.forbid(Route(states, actions), row)
     state = states[::-1][row + 1]  # the one before, in the order of disassembly
     action = int(actions[::-1][row])
-    assert not proposals.known(state, action)
-    assert not proposals.solvable(state, action)
+    assert not solvability.known(state, action)
+    assert not solvability.solvable(state, action)
     short = Route(states[:2], actions[:1])
-    assert not proposals.forbid(short, 1)
+    assert not solvability.forbid(short, 1)
 
 
 def test_a_plan_says_by_which_criterion_it_stands(column: Assembly, cell: Cell, result: HybridResult) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from falsework.utils.collectives import summed
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 
 _EPSILON = 1e-6
 """Added to the deviation of advantages, which may all be equal."""
@@ -44,7 +44,7 @@ def generalized_advantages(
     return found[::-1]
 
 
-def normalized(advantage: torch.Tensor, shards: Shards = Shards(), *, centered: bool) -> torch.Tensor:
+def normalized(advantage: torch.Tensor, shards: ProcessGroup = ProcessGroup(), *, centered: bool) -> torch.Tensor:
     """Divide advantages by their deviation over all processes.
 
     Args:

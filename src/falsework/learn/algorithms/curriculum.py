@@ -10,7 +10,7 @@ from falsework.learn.algorithms.start_states import StartBatch
 from falsework.learn.config.ppo import CurriculumSettings
 from falsework.search.device.rules import TensorRules
 from falsework.utils.collectives import gather_rows
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 
 _FAR = 0.75
 """Share of the horizon beyond which rollouts decide whether the horizon moves on."""
@@ -35,7 +35,7 @@ class Curriculum:
         settings: CurriculumSettings = CurriculumSettings(),
         *,
         targets: torch.Tensor | None = None,
-        shards: Shards = Shards(),
+        shards: ProcessGroup = ProcessGroup(),
     ) -> None:
         """Begin.
 

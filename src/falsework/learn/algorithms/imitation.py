@@ -15,7 +15,7 @@ from falsework.learn.data.random_walks import GoalSampler
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.policy import Policy, masked_log_probabilities
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 
 _LOW = -1e30
 """Stands for minus infinity where one would make NaN of a gradient."""
@@ -62,7 +62,7 @@ class Imitation:
         seed: int = 0,
         precision: str = "float32",
         compiled: bool = False,
-        shards: Shards = Shards(),
+        shards: ProcessGroup = ProcessGroup(),
         folder: Path | str | None = None,
         copies: Sequence[Policy] = (),
     ) -> None:

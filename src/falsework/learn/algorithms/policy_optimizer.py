@@ -10,7 +10,7 @@ import torch
 
 from falsework.learn.algorithms.nan_guard import NanGuard
 from falsework.utils.collectives import average_gradients
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 
 _MAX_GRADIENT_NORM = 1.0
 """Norm to which longer gradients are cut."""
@@ -28,7 +28,7 @@ class PolicyOptimizer:
         only_matrices: bool = False,
         betas: tuple[float, float] = (0.9, 0.999),
         epsilon: float = 1e-8,
-        shards: Shards = Shards(),
+        shards: ProcessGroup = ProcessGroup(),
         folder: Path | str | None = None,
     ) -> None:
         """Begin with the weights that the policy has.

@@ -12,7 +12,7 @@ import torch
 from falsework.learn.algorithms.policy_beam import policy_beam_search
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import Policy, roll_out
-from falsework.replanning.result import Decider
+from falsework.replanning.result import Stage
 from falsework.search.planner import Planner
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.task import Task
@@ -29,7 +29,7 @@ class SolveReport:
     """States from which a proven plan was found, and the stage that found it."""
 
     decided_by: np.ndarray
-    """Name of a `Decider` for each start, `Decider.NOBODY` where no plan was found. Shape (starts,)."""
+    """Name of a `Stage` for each start, `Stage.NONE` where no plan was found. Shape (starts,)."""
     seconds: float
     verdicts: int
     stages: dict[str, float] = field(default_factory=dict)
@@ -38,11 +38,11 @@ class SolveReport:
     @property
     def share(self) -> float:
         """Of the starts with a proven plan, between 0 and 1."""
-        return float((self.decided_by != Decider.NOBODY).mean()) if len(self.decided_by) else 1.0
+        return float((self.decided_by != Stage.NONE).mean()) if len(self.decided_by) else 1.0
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        count = {decider.value: int((self.decided_by == decider).sum()) for decider in Decider}
+        count = {decider.value: int((self.decided_by == decider).sum()) for decider in Stage}
         own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "decided_by"}
         return {"states": len(self.decided_by), "share": self.share, "decided_by": count, **own}
 
@@ -73,10 +73,10 @@ def solve_all(
         generator: of drawn actions.
     """
     begun, asked = time.perf_counter(), environment.counters.states_asked
-    decided = np.full(len(starts), Decider.NOBODY, dtype=object)
+    decided = np.full(len(starts), Stage.NONE, dtype=object)
     stages: dict[str, float] = {}
 
-    def settle(rows: torch.Tensor, good: torch.Tensor, by: Decider, since: float) -> torch.Tensor:
+    def settle(rows: torch.Tensor, good: torch.Tensor, by: Stage, since: float) -> torch.Tensor:
         decided[rows[good].cpu().numpy()] = by
         stages[by.value] = stages.get(by.value, 0.0) + time.perf_counter() - since
         return rows[~good]
@@ -85,14 +85,14 @@ def solve_all(
         return None if targets is None else targets[rows]
 
     left, since = torch.arange(len(starts), device=starts.device), time.perf_counter()
-    left = settle(left, roll_out(environment, policy, starts, targets, keep="ends").success, Decider.GREEDY, since)
+    left = settle(left, roll_out(environment, policy, starts, targets, keep="ends").success, Stage.GREEDY, since)
     if len(left) and samples:
         since, rows = time.perf_counter(), left.repeat_interleave(samples)
         options: dict[str, Any] = {"greedy": False, "generator": generator, "keep": "ends"}
         good = [
             roll_out(environment, policy, starts[piece], goals(piece), **options).success for piece in rows.split(_ROWS)
         ]
-        left = settle(left, torch.cat(good).view(len(left), samples).any(dim=1), Decider.SAMPLED, since)
+        left = settle(left, torch.cat(good).view(len(left), samples).any(dim=1), Stage.SAMPLED, since)
     for width in widths:
         if len(left) == 0:
             break
@@ -101,11 +101,11 @@ def solve_all(
             policy_beam_search(environment, policy, starts[piece], goals(piece), width=width).found
             for piece in left.split(max(_ROWS // width, 1))
         ]
-        left = settle(left, torch.cat(good), Decider.GUIDED, since)
+        left = settle(left, torch.cat(good), Stage.GUIDED, since)
     if len(left) and plain_limit:
         since, rows = time.perf_counter(), left[:plain_limit]
         good = [_plain(environment, starts[row], None if targets is None else targets[row]) for row in rows]
-        settle(rows, torch.tensor(good, device=starts.device), Decider.SEARCH, since)
+        settle(rows, torch.tensor(good, device=starts.device), Stage.SEARCH, since)
     verdicts = environment.counters.states_asked - asked
     return SolveReport(decided, time.perf_counter() - begun, verdicts, stages)
 

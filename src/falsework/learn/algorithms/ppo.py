@@ -26,7 +26,7 @@ from falsework.learn.env.environment import Environment
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.policy import Policy
 from falsework.utils.collectives import summed
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 
 _IMITATED = 0.25
 """States imitated per step, as a share of the batch."""
@@ -60,7 +60,7 @@ class PPO:
         seed: int = 0,
         precision: str = "float32",
         compiled: bool = False,
-        shards: Shards = Shards(),
+        shards: ProcessGroup = ProcessGroup(),
         folder: Path | str | None = None,
     ) -> None:
         """Begin with the weights that the policy has.

@@ -16,13 +16,13 @@ from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.beam import DeviceBeam
-from falsework.search.device.oracle import TensorOracle, oracle_on
+from falsework.search.device.oracle import TensorOracle, tensor_oracle
 from falsework.search.problem.hashing import StateIndex
 from falsework.search.problem.state_graph import criterion_of, read_criterion
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Criterion
 from falsework.utils.archive import read_archive, write_archive
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import choose_device
 
 if TYPE_CHECKING:
@@ -175,7 +175,7 @@ def search_states(
     seed: int,
     *,
     device: torch.device | str = "cpu",
-    shards: Shards = Shards(),
+    shards: ProcessGroup = ProcessGroup(),
     direction: Direction = Direction.ASSEMBLY,
     report: Report | None = None,
     stop: Callable[[], bool] | None = None,
@@ -217,7 +217,7 @@ def build_dataset(
     *,
     oracle: TensorOracle | None = None,
     device: str = "auto",
-    shards: Shards = Shards(),
+    shards: ProcessGroup = ProcessGroup(),
     report: Report | None = None,
 ) -> Dataset:
     """Run the searches of the paper's protocol and, if asked for, wider ones.
@@ -238,7 +238,7 @@ def build_dataset(
     from falsework.stability import Stability
 
     where = choose_device(device)
-    asked = oracle_on(Stability(assembly), where) if oracle is None else oracle
+    asked = tensor_oracle(Stability(assembly), where) if oracle is None else oracle
     task = task.judged_by(asked)
     seconds: dict[str, float] = {}
     found: list[States] = []

@@ -15,13 +15,13 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.learn.data.dataset import Report, check_states, search_states
 from falsework.learn.data.goal_pairs import Pairs, PairSource, joined_pairs, unsolved_at_random
-from falsework.search.device.oracle import TensorOracle, oracle_on, without_exact
+from falsework.search.device.oracle import TensorOracle, tensor_oracle, without_fallback
 from falsework.search.device.parallel_beams import parallel_beam_search
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.state_graph import StateGraph, criterion_of, read_criterion
 from falsework.search.problem.task import Direction, Task
 from falsework.utils.archive import read_archive, write_archive
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import choose_device
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ class SearchStates:
         oracle: TensorOracle,
         *,
         device: torch.device,
-        shards: Shards = Shards(),
+        shards: ProcessGroup = ProcessGroup(),
         report: Report | None = None,
         enough: Callable[[], bool] | None = None,
     ) -> SearchStates:
@@ -141,7 +141,7 @@ class SearchStates:
             seed, way = settings.seed + number, Direction.DISASSEMBLY
             first.append(search_states(task, oracle, width, seed, device=device, shards=shards, direction=way)[0])
         # States to test on are judged to the last one; of those to learn from a few may be missing.
-        judge, together = without_exact(oracle), _TOGETHER if device.type == "cuda" else _FEW
+        judge, together = without_fallback(oracle), _TOGETHER if device.type == "cuda" else _FEW
         more, done, way = [first[0][:0]], 0, Direction.DISASSEMBLY
         while done < len(settings.widths) and not (enough is not None and enough()):
             width = settings.widths[done]
@@ -186,7 +186,7 @@ def _several(
     direction: Direction,
     seed: int,
     device: torch.device,
-    shards: Shards,
+    shards: ProcessGroup,
 ) -> tuple[States, float]:
     """States of some searches, each process doing its share of them, and how many came through."""
     import torch
@@ -215,7 +215,7 @@ def build_goal_dataset(
     *,
     oracle: TensorOracle | None = None,
     device: str = "auto",
-    shards: Shards = Shards(),
+    shards: ProcessGroup = ProcessGroup(),
     searched: SearchStates | None = None,
 ) -> GoalDataset:
     """Run the searches of the protocol of Table 4 and draw the pairs.
@@ -241,7 +241,7 @@ def build_goal_dataset(
     from falsework.stability import Stability
 
     where = choose_device(device)
-    asked = oracle_on(Stability(assembly), where) if oracle is None else oracle
+    asked = tensor_oracle(Stability(assembly), where) if oracle is None else oracle
     task = task.judged_by(asked)
     if searched is None:
         searched = SearchStates.find(task, settings, asked, device=where, shards=shards)

@@ -12,7 +12,7 @@ import torch
 from falsework.assembly.model import Assembly
 from falsework.errors import StateError
 from falsework.learn.env.verdict_cache import VerdictTable
-from falsework.search.device.oracle import HostOracle, TensorOracle, oracle_on, without_exact
+from falsework.search.device.oracle import HostOracle, TensorOracle, tensor_oracle, without_fallback
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Task
@@ -179,7 +179,7 @@ class Environment:
 
         def ask(asked: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
             self.counters.states_asked += len(asked)
-            oracle = self._on_device if self.exact else without_exact(self._on_device)
+            oracle = self._on_device if self.exact else without_fallback(self._on_device)
             if parents is not None:
                 return oracle(asked.contiguous(), parents[rows].contiguous())
             if isinstance(oracle, HostOracle):
@@ -253,5 +253,5 @@ def _tensor_oracle(oracle: Oracle, device: torch.device) -> TensorOracle:
     leave the device at every step, and a GPU would wait for two cores.
     """
     if device.type == "cuda" and isinstance(oracle, Stability) and oracle.settings.solver in ("auto", "cpu", "gpu"):
-        return oracle_on(oracle, device)
+        return tensor_oracle(oracle, device)
     return HostOracle(oracle)

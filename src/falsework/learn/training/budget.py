@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from falsework.utils.collectives import decided, summed
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 
 _LONGEST = 0.05
 """Share of a run that one block may take."""
@@ -24,7 +24,12 @@ class TrainingBudget:
     """Progress between 0 and 1, alike in all processes; survives interruptions."""
 
     def __init__(
-        self, *, minutes: float, steps: int, shards: Shards = Shards(), device: torch.device = torch.device("cpu")
+        self,
+        *,
+        minutes: float,
+        steps: int,
+        shards: ProcessGroup = ProcessGroup(),
+        device: torch.device = torch.device("cpu"),
     ) -> None:
         """Start the clock.
 

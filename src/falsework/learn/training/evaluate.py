@@ -14,7 +14,7 @@ from falsework.assembly.state import States
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import Policy, roll_out
 from falsework.utils.collectives import summed
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import put
 
 Sets = Mapping[str, tuple[States, States | None]]
@@ -70,7 +70,7 @@ def greedy_success(
     states: torch.Tensor,
     targets: torch.Tensor | None = None,
     *,
-    shards: Shards = Shards(),
+    shards: ProcessGroup = ProcessGroup(),
 ) -> tuple[Success, torch.Tensor]:
     """Follow the most probable action from every state.
 
@@ -91,7 +91,7 @@ def greedy_success(
     return Success(len(states), int(success.sum())), success
 
 
-def throughput(environment: Environment, seconds: float, shards: Shards = Shards()) -> dict[str, Any]:
+def throughput(environment: Environment, seconds: float, shards: ProcessGroup = ProcessGroup()) -> dict[str, Any]:
     """Steps of the environment a second over all processes, and what share of the time went into what."""
     counters = environment.counters.as_dict()
     steps, asked = summed([float(counters["steps"]), float(counters["states_asked"])], shards, environment.device)
@@ -122,7 +122,7 @@ def evaluate(
     sets: Sets,
     settings: EvaluateSettings = EvaluateSettings(),
     *,
-    shards: Shards = Shards(),
+    shards: ProcessGroup = ProcessGroup(),
     report: Report | None = None,
 ) -> dict[str, Any]:
     """Greedy success on sets of states and, if asked for, what verified search on top of it finds.

@@ -19,7 +19,7 @@ from falsework.learn.env.environment import Environment
 from falsework.learn.networks.policy import Policy
 from falsework.learn.training.training_data import TrainingData
 from falsework.utils.collectives import gather_rows
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 
 
 class Learner(Protocol):
@@ -69,7 +69,7 @@ class LearnerContext:
     data: TrainingData
     settings: TrainSettings
     """Resolved."""
-    shards: Shards
+    shards: ProcessGroup
     folder: Path | None
     """For the batch of a step that is not finite."""
 
@@ -103,7 +103,7 @@ class LearnerContext:
         return PPO(self.environment, self.policy, sampler, phase, solved=self.solved, begin=begin, **options)
 
 
-def share_solved(solved: SolvableStates, known: int, shards: Shards) -> None:
+def share_solved(solved: SolvableStates, known: int, shards: ProcessGroup) -> None:
     """Tell all processes what each has found solvable since it knew `known` states."""
     if shards.size > 1:
         solved.add(gather_rows(solved.states[known:], shards))
@@ -111,7 +111,7 @@ def share_solved(solved: SolvableStates, known: int, shards: Shards) -> None:
         solved.sort()
 
 
-def gather_local(local: dict[str, torch.Tensor], shards: Shards, device: torch.device) -> dict[str, torch.Tensor]:
+def gather_local(local: dict[str, torch.Tensor], shards: ProcessGroup, device: torch.device) -> dict[str, torch.Tensor]:
     """Gather the local state of all processes, under names with the rank of each."""
     if shards.size == 1:
         return {f"process.0.{name}": tensor for name, tensor in local.items()}
@@ -124,7 +124,7 @@ def gather_local(local: dict[str, torch.Tensor], shards: Shards, device: torch.d
     return whole
 
 
-def local_of(tensors: dict[str, torch.Tensor], shards: Shards) -> dict[str, torch.Tensor] | None:
+def local_of(tensors: dict[str, torch.Tensor], shards: ProcessGroup) -> dict[str, torch.Tensor] | None:
     """Return what `gather_local` kept for this process; None if there were more or fewer of them."""
     ranks = {int(name.split(".")[1]) for name in tensors if name.startswith("process.")}
     return below(f"process.{shards.rank}.", tensors) if len(ranks) == shards.size else None

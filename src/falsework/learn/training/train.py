@@ -21,7 +21,7 @@ from falsework.learn.training.checkpoint import FILE, check_structure, read_run,
 from falsework.learn.training.trainer import Report, Trainer
 from falsework.learn.training.trainer import TrainResult as TrainResult
 from falsework.utils.collectives import summed
-from falsework.utils.distributed import joined
+from falsework.utils.distributed import init_distributed
 
 
 def train(
@@ -55,7 +55,7 @@ def train(
         DependencyError: a package is missing that the device or a log needs.
         InputError: no such device, a folder that holds another run, nothing to resume, or no room to write.
     """
-    with joined(device) as (shards, where):
+    with init_distributed(device) as (shards, where):
         place = None if folder is None else Path(folder)
         begun = time.perf_counter()
         kept = _begin(place, assembly, settings, where, resume)

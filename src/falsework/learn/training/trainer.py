@@ -35,11 +35,11 @@ from falsework.learn.training.learners import (
 )
 from falsework.learn.training.logger import Journal
 from falsework.learn.training.training_data import collect_training_data
-from falsework.search.device.oracle import oracle_on
+from falsework.search.device.oracle import tensor_oracle
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.collectives import decided, same_weights
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import put
 
 Report = Callable[[float, str], None]
@@ -112,7 +112,7 @@ class Trainer:
         folder: Path | None,
         source: dict[str, Any],
         device: torch.device,
-        shards: Shards,
+        shards: ProcessGroup,
     ) -> None:
         self.assembly, self.settings, self.folder = assembly, settings, folder
         self.device, self.shards = device, shards
@@ -148,13 +148,13 @@ class Trainer:
         saved = None
         if resume and self._checkpoint is not None and self._checkpoint.exists():
             saved = self._checkpoint.load()
-        if self.shards.first and self.folder is not None:
+        if self.shards.is_main_process and self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_run(self.folder, self._metadata())
         self._data = collect_training_data(
             self.assembly,
             self.settings,
-            oracle_on(self._oracle, self.device),
+            tensor_oracle(self._oracle, self.device),
             device=self.device,
             shards=self.shards,
             folder=self.folder,
@@ -180,7 +180,7 @@ class Trainer:
         if saved is not None:
             self._load(learner, *saved)
         journal = None
-        if self.shards.first and self.folder is not None:
+        if self.shards.is_main_process and self.folder is not None:
             at = self.steps if saved is not None else None
             journal = Journal(self.folder, logs, configuration=self._metadata()["settings"], resumed_at=at)
             self.notes += journal.notes
@@ -225,7 +225,7 @@ class Trainer:
         self._results = result.to_dict()
         self._save(learner)
         learner.export_policy(self._best)
-        if self.shards.first and self.folder is not None:
+        if self.shards.is_main_process and self.folder is not None:
             save_run(self.folder, self._best, self._metadata())
         return replace(result, notes=tuple(self.notes))
 
@@ -290,7 +290,7 @@ class Trainer:
             return
         local = gather_local(learner.local_state_dict(), self.shards, self.device)
         self._saved = time.perf_counter()
-        if not self.shards.first:
+        if not self.shards.is_main_process:
             return
         tensors = {f"learner.{name}": tensor for name, tensor in learner.state_dict().items()}
         tensors |= {f"solved.{name}": tensor for name, tensor in self._solved.tensors().items()}
@@ -334,7 +334,7 @@ class Trainer:
             throughput(self._environment, seconds, self.shards),
             self._best,
             tuple(self._curve),
-            first=self.shards.first,
+            first=self.shards.is_main_process,
         )
 
     def _metadata(self) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from falsework.learn.training.checkpoint import DATA, SEARCHED
 from falsework.learn.training.evaluate import Sets, sample
 from falsework.search.device.oracle import TensorOracle
 from falsework.search.problem.hashing import StateIndex
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import put
 
 
@@ -54,7 +54,7 @@ def collect_training_data(
     oracle: TensorOracle,
     *,
     device: torch.device,
-    shards: Shards = Shards(),
+    shards: ProcessGroup = ProcessGroup(),
     folder: Path | None = None,
     kept: bool = False,
     dataset: Dataset | None = None,
@@ -92,7 +92,7 @@ def collect_training_data(
             searched = SearchStates.find(
                 task, searches, oracle, device=device, shards=shards, report=report, enough=enough
             )
-            if shards.first:
+            if shards.is_main_process:
                 _keep(path, lambda where: searched.save(where, task), note)
         pairs = find_pairs(assembly, settings, oracle, device=device, shards=shards, searched=searched)
         held_out = symmetric_images(pairs.held_out, images)
@@ -128,7 +128,7 @@ def collect_training_data(
             f"the states to learn from are stable under the criterion {data.criterion}, and the run is of "
             f"{settings.criterion}; choose one of them for both"
         )
-    if fresh and shards.first:
+    if fresh and shards.is_main_process:
         _keep(path, lambda where: save_dataset(data, where), note)
     held_out = symmetric_images(np.concatenate([data.test, data.validation]), images)
     held = StateIndex(held_out)
@@ -150,7 +150,7 @@ def find_pairs(
     oracle: TensorOracle,
     *,
     device: torch.device,
-    shards: Shards = Shards(),
+    shards: ProcessGroup = ProcessGroup(),
     searched: SearchStates | None = None,
 ) -> GoalDataset:
     """Pairs of states and targets that a run with targets learns from and is tested on; always the same ones."""

@@ -75,7 +75,7 @@ class Rules(NamedTuple):
     """Distance to keep from obstacles and floor, metres."""
 
 
-class Work(NamedTuple):
+class CollisionScratch(NamedTuple):
     """Scratch memory of one caller: not to be shared between threads."""
 
     frames: Array
@@ -93,10 +93,10 @@ class Work(NamedTuple):
     """How far the two bodies of every self pair move against each other at most, metres, shape (pairs,)."""
 
 
-def make_work(chain: Chain, bodies: Bodies, obstacles: Obstacles, rules: Rules) -> Work:
+def make_work(chain: Chain, bodies: Bodies, obstacles: Obstacles, rules: Rules) -> CollisionScratch:
     """Return scratch for a query."""
     joints, count = len(chain.origin), len(bodies.frame)
-    return Work(
+    return CollisionScratch(
         frames=np.empty((joints + 1, 3, 4)),
         vertices=np.empty_like(bodies.vertices),
         center=np.empty((count, 3)),

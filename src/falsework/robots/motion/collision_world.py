@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import InputError
-from falsework.robots.kernels.collision import CLEAR, Bodies, Chain, Obstacles, Rules, Work, make_work
+from falsework.robots.kernels.collision import CLEAR, Bodies, Chain, CollisionScratch, Obstacles, Rules, make_work
 from falsework.robots.kernels.kernel_arrays import Carried, make_bodies, make_chain, make_obstacles, self_pairs
 from falsework.robots.kernels.rrt_connect import check_many
 from falsework.robots.kinematics.forward import link_poses
@@ -90,7 +90,7 @@ NO_CONTACT = Contact()
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class CollisionQuery:
     """Collision queries for one moving robot in a static scene; made by `CollisionWorld.view`.
 
     Not to be shared between threads, since queries reuse scratch arrays; make one view a thread.
@@ -106,7 +106,7 @@ class View:
     rules: Rules
     body_names: tuple[str, ...]
     obstacle_names: tuple[str, ...]
-    work: Work = field(repr=False)
+    work: CollisionScratch = field(repr=False)
 
     @property
     def model(self):
@@ -197,7 +197,9 @@ class CollisionWorld:
             found += [(name, entry.model.joints + 2, move(flange, piece)) for piece in held.pieces]
         return found
 
-    def view(self, scene: Scene, robot: int, *, contact: Contact = NO_CONTACT, margin: float | None = None) -> View:
+    def view(
+        self, scene: Scene, robot: int, *, contact: Contact = NO_CONTACT, margin: float | None = None
+    ) -> CollisionQuery:
         """Prepare collision queries for one moving robot in a static scene.
 
         Args:
@@ -255,7 +257,7 @@ class CollisionWorld:
             margin=float(self.cell.margins.free if margin is None else margin),
         )
         chain = make_chain(entry.model, entry.base)
-        return View(
+        return CollisionQuery(
             world=self,
             scene=scene,
             robot=robot,

@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.robots.motion.collision_world import NO_CONTACT, CollisionWorld, Contact, Scene, View
+from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
 from falsework.robots.motion.path_planner import Motion, MotionSettings, plan_free
 
 Array = NDArray[np.float64]
@@ -16,7 +16,7 @@ _CACHED_VIEWS = 256
 """Views that are kept; the oldest goes first."""
 
 
-class Kept:
+class MotionCache:
     """Cache of the views and free motions of one collision world."""
 
     def __init__(self, world: CollisionWorld, *, nodes: int, seed: int) -> None:
@@ -31,7 +31,7 @@ class Kept:
         self.motions = self.motions_kept = self.views = 0
         self._settings, self._seed = MotionSettings(nodes=nodes), seed
         self._motions: dict[bytes, Motion] = {}
-        self._views: dict[bytes, View] = {}
+        self._views: dict[bytes, CollisionQuery] = {}
 
     def motion(self, scene: Scene, robot: int, start: Array, goal: Array) -> Motion:
         """Return a free motion of one robot; its seed depends on what is asked alone.
@@ -52,7 +52,7 @@ class Kept:
             self.motions_kept += 1
         return self._motions[key]
 
-    def view(self, scene: Scene, robot: int, contact: Contact, margin: float) -> View:
+    def view(self, scene: Scene, robot: int, contact: Contact, margin: float) -> CollisionQuery:
         """Return the collision queries of one robot in a scene.
 
         Args:

@@ -15,7 +15,7 @@ from falsework.robots.kernels.numeric_ik import reach_poses
 from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free, grow, shorten
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import tail_of
-from falsework.robots.motion.collision_world import View
+from falsework.robots.motion.collision_world import CollisionQuery
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ class Motion:
 
 
 def plan_free(
-    view: View,
+    view: CollisionQuery,
     start: ArrayLike,
     goal: ArrayLike,
     *,
@@ -149,12 +149,12 @@ def plan_free(
     return Motion("found", room[:count].copy(), samples=int(sizes[0] + sizes[1]))
 
 
-def resolution_of(view: View) -> float:
+def resolution_of(view: CollisionQuery) -> float:
     """Return the motion of the farthest point within half an interval at which halving ends, metres."""
     return max(BLOCKED_MARGIN_SHARE * view.margin, BLOCKED_LENGTH)
 
 
-def follow_line(view: View, start: ArrayLike, direction: ArrayLike, distance: float) -> Motion:
+def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, distance: float) -> Motion:
     """Move the tool along a straight line without turning it, on one branch of the inverse kinematics.
 
     What may touch is said by the contact rule of the view, the distance to everything else by its margin. The path is
@@ -226,7 +226,7 @@ def _branch(tree: Array, parents: NDArray[np.int64], leaf: int) -> list[Array]:
     return found
 
 
-def _blocked(view: View, path: Array, edge: int, travelled: float) -> Motion:
+def _blocked(view: CollisionQuery, path: Array, edge: int, travelled: float) -> Motion:
     """Say what is in the way on an edge that is not free."""
     for share in np.linspace(0, 1, 9):
         values = path[edge] + share * (path[edge + 1] - path[edge])

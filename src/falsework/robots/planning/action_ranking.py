@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.robots.planning.keyframe_graph import KeyframeGraph, Node
-from falsework.robots.planning.solvability import Proposals
+from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
 
 
-class Ease:
+class ExecutionHeuristic:
     """Score of the actions of a state: ease of execution by arms, plus an action heuristic.
 
     Removals first: they set a robot free. Then parts that nothing blocks, and high up. A guide knows what stands, not
@@ -51,10 +51,10 @@ class Ease:
         return 2.0 * height - 5.0 * min(self.graph.blocked_by(action, state), 4)
 
 
-class Ranking:
+class ActionRanking:
     """Order of the legal actions of keyframes."""
 
-    def __init__(self, graph: KeyframeGraph, ease: Ease, proposals: Proposals) -> None:
+    def __init__(self, graph: KeyframeGraph, ease: ExecutionHeuristic, solvability: SolvabilityCheck) -> None:
         """Rank actions.
 
         Args:
@@ -62,7 +62,7 @@ class Ranking:
             ease: how easy actions are, wherever the robots are.
             proposals: which actions are legal, and which are known to keep the way open.
         """
-        self.graph, self.ease, self.proposals = graph, ease, proposals
+        self.graph, self.ease, self.solvability = graph, ease, solvability
 
     def actions(self, node: Node, attempt: int, rng: np.random.Generator) -> list[int]:
         """Return the legal actions in order of trial: easy ones near a free robot and far from busy ones.
@@ -72,7 +72,7 @@ class Ranking:
             attempt: number of the search; later ones are shaken more.
             rng: shakes the order.
         """
-        actions = self.proposals.legal(node.state)
+        actions = self.solvability.legal(node.state)
         if not actions:
             return []
         allowed: Mask = np.zeros((1, 2 * len(node.state)), dtype=bool)
@@ -84,7 +84,7 @@ class Ranking:
 
     def _score(self, node: Node, action: int) -> float:
         # What is known costs nothing to judge; a part with its way blocked is worse than an unknown answer.
-        score = 3.0 * self.proposals.preferred(node.state, action) + self.proposals.known(node.state, action)
+        score = 3.0 * self.solvability.preferred(node.state, action) + self.solvability.known(node.state, action)
         score += self.ease.of(node.state, action)
         if action >= len(node.state):
             return score

@@ -19,7 +19,7 @@ _HEADINGS = 6
 _LOWEST_SLOPE = -1e-6
 
 
-class Exits:
+class ExitDirections:
     """Fan of exit directions for every part, none downwards, with the parts that block each.
 
     The clearance table answers whether a part can leave, for which one free way is as good as another. A robot has

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Reason:
+class LoggedFailure:
     """One failure."""
 
     action: str
@@ -27,11 +27,11 @@ class Reason:
 
 
 @dataclass
-class Reasons:
+class FailureLog:
     """Failure counts of a search; one configuration of each kind is kept as an example."""
 
-    counts: Counter[Reason] = field(default_factory=Counter)
-    examples: dict[Reason, Array] = field(default_factory=dict)
+    counts: Counter[LoggedFailure] = field(default_factory=Counter)
+    examples: dict[LoggedFailure, Array] = field(default_factory=dict)
 
     def add(
         self,
@@ -43,12 +43,12 @@ class Reasons:
         at: Array | None = None,
     ) -> None:
         """Take note of a failure."""
-        reason = Reason(action, int(part), int(robot), what, pair)
+        reason = LoggedFailure(action, int(part), int(robot), what, pair)
         self.counts[reason] += 1
         if at is not None:
             self.examples.setdefault(reason, np.asarray(at))
 
-    def of(self, part: int) -> list[tuple[Reason, int]]:
+    def of(self, part: int) -> list[tuple[LoggedFailure, int]]:
         """Return failures with one part, most frequent first."""
         return [(reason, count) for reason, count in self.counts.most_common() if reason.part == part]
 
@@ -89,7 +89,7 @@ def explain(
     outcome: str,
     reached: int,
     steps: int,
-    reasons: Reasons,
+    reasons: FailureLog,
     tried: Mapping[tuple[str, int], int],
     robots: Sequence[str],
     names: Sequence[str],

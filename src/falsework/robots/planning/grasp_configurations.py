@@ -16,14 +16,14 @@ from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.motion.collision_world import Contact, Scene
-from falsework.robots.motion.motion_cache import Kept
-from falsework.robots.planning.failure_report import Reasons
+from falsework.robots.motion.motion_cache import MotionCache
+from falsework.robots.planning.failure_report import FailureLog
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Grip:
+class GraspConfiguration:
     """Grasp of a part by one robot, with its configuration."""
 
     robot: int
@@ -32,11 +32,11 @@ class Grip:
     """Shape (joints,)."""
 
 
-class Grips:
+class GraspConfigurations:
     """Grasp configurations of the robots of a cell, computed on demand."""
 
     def __init__(
-        self, assembly: Assembly, cell: Cell, parts: PartShapes, kept: Kept, reasons: Reasons, *, limit: int
+        self, assembly: Assembly, cell: Cell, parts: PartShapes, cache: MotionCache, reasons: FailureLog, *, limit: int
     ) -> None:
         """Nothing is found yet.
 
@@ -44,16 +44,16 @@ class Grips:
             assembly: the structure.
             cell: the robots and what is around them.
             parts: the parts as bodies in the cell.
-            kept: views of its scenes.
+            cache: views of its scenes.
             reasons: takes note of why a part cannot be held.
             limit: number of grasps of a part that are looked at, best first.
         """
         self.assembly, self.cell, self.parts = assembly, cell, parts
-        self.kept, self.reasons, self.limit = kept, reasons, limit
-        self._grips: dict[tuple[int, int, bytes], list[Grip]] = {}
+        self.cache, self.reasons, self.limit = cache, reasons, limit
+        self._grips: dict[tuple[int, int, bytes], list[GraspConfiguration]] = {}
         self._places: dict[int, Array] = {}
 
-    def of(self, robot: int, part: int, state: States) -> list[Grip]:
+    def of(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
         """Return all ways in which a robot can hold a part among the parts of a state; other robots do not count."""
         present = state != REMOVED
         key = (robot, part, np.packbits(present).tobytes())
@@ -69,7 +69,9 @@ class Grips:
             self._places[robot] = np.concatenate(found) if found else np.zeros((0, entry.model.joints))
         return self._places[robot]
 
-    def best(self, grips: list[Grip], robot: int, scene: Scene, held: tuple[int | None, ...], count: int) -> list[Grip]:
+    def best(
+        self, grips: list[GraspConfiguration], robot: int, scene: Scene, held: tuple[int | None, ...], count: int
+    ) -> list[GraspConfiguration]:
         """Return the grips to try, best first: near to where the robot is, and out of the way of others.
 
         Args:
@@ -85,7 +87,7 @@ class Grips:
         return _spread([grips[row] for row in np.argsort(0.1 * way - room, kind="stable")], count)
 
     def _room(
-        self, grips: list[Grip], robot: int, configurations: Sequence[Array], held: tuple[int | None, ...]
+        self, grips: list[GraspConfiguration], robot: int, configurations: Sequence[Array], held: tuple[int | None, ...]
     ) -> Array:
         """Return the distance between grips and other arms, in approach margins, shape (grips,).
 
@@ -106,7 +108,7 @@ class Grips:
                 room = room + np.minimum(np.linalg.norm(flanges - flange[:2, 3], axis=1), 0.3)
         return room / self.cell.margins.approach
 
-    def _find(self, robot: int, part: int, present: NDArray[np.bool_]) -> list[Grip]:
+    def _find(self, robot: int, part: int, present: NDArray[np.bool_]) -> list[GraspConfiguration]:
         entry = self.cell.robots[robot]
         name = self.parts.names[part]
         if self.parts.mass[part] > entry.payload:
@@ -123,12 +125,12 @@ class Grips:
             return []
         # One robot among parts, all others at home.
         alone = Scene(self.cell.homes, present, (None,) * self.cell.robot_count)
-        view = self.kept.view(alone, robot, Contact(gripper=frozenset({part})), self.cell.margins.line)
+        view = self.cache.view(alone, robot, Contact(gripper=frozenset({part})), self.cell.margins.line)
         grips = []
         pair = None
         for grasp, solutions in zip(found, branches, strict=True):
             hits = view.hits(solutions) if len(solutions) else np.empty(0, int)
-            grips += [Grip(robot, grasp, solutions[row]) for row in np.flatnonzero(hits < 0)]
+            grips += [GraspConfiguration(robot, grasp, solutions[row]) for row in np.flatnonzero(hits < 0)]
             if (hits >= 0).any():
                 pair = view.pair(int(hits[hits >= 0][0]))
         if not grips:
@@ -136,7 +138,7 @@ class Grips:
         return grips
 
 
-def _spread(grips: list[Grip], count: int) -> list[Grip]:
+def _spread(grips: list[GraspConfiguration], count: int) -> list[GraspConfiguration]:
     """Return the first grips, of each grasp one at a time, so that a single grasp does not use up all tries."""
     rank: dict[int, int] = {}
     keyed = []

@@ -22,14 +22,14 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.action_ranking import Ease, Ranking
-from falsework.robots.planning.failure_report import Explanation, Reasons, explain
+from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic
+from falsework.robots.planning.failure_report import Explanation, FailureLog, explain
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
 from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
-from falsework.robots.planning.solvability import Proposals
+from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.planning.trajectory_assembly import make_robot_plan
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search.problem.guide import Guide, RememberingGuide
+from falsework.search.problem.guide import Guide, MemoizedGuide
 from falsework.search.problem.result import Outcome, Route, SearchResult
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
@@ -156,15 +156,15 @@ class _Search:
         self.began = time.perf_counter()
         self.assembly, self.cell, self.oracle = assembly, cell, oracle
         self.settings, self.progress = settings, progress
-        self.reasons = Reasons() if graph is None else graph.reasons
+        self.reasons = FailureLog() if graph is None else graph.reasons
         self.graph = graph or KeyframeGraph(
             assembly, cell, settings=settings.keyframes, seed=settings.seed, reasons=self.reasons
         )
         self.task = task_in_cell(assembly, cell, task, self.graph.exits)
-        ease = Ease(self.graph, None if guide is None else RememberingGuide(guide))
-        taste = None if guide is None else ease
-        self.proposals = Proposals(assembly, self.task, oracle, guide=guide, taste=taste, seed=settings.seed)
-        self.ranking = Ranking(self.graph, ease, self.proposals)
+        ease = ExecutionHeuristic(self.graph, None if guide is None else MemoizedGuide(guide))
+        score = None if guide is None else ease
+        self.solvability = SolvabilityCheck(assembly, self.task, oracle, guide=guide, score=score, seed=settings.seed)
+        self.ranking = ActionRanking(self.graph, ease, self.solvability)
         self.abstract: SearchResult | None = None
         self.best: list[Edge] = []
         self.tried: Counter[tuple[str, int]] = Counter()
@@ -179,29 +179,29 @@ class _Search:
 
     def run(self, root: Node) -> HybridResult:
         """Find an abstract plan, then motions for it or for one near it."""
-        self.abstract = self.proposals.prepare(self.late)
+        self.abstract = self.solvability.prepare(self.deadline_passed)
         if not self.abstract.found:
-            if self.proposals.fallen is not None:
-                place = self._place(*self.proposals.fallen)
+            if self.solvability.fallen is not None:
+                place = self._place(*self.solvability.fallen)
                 self.fallen = f"every state of a plan stood, but built up in order it fell {place}"
             return self.failed(root, self._abstract_outcome(), self.fallen)
         if self.task.steps == 0:
             return self.solved(root, [])
         limit = ""
         # Where parts are missing, they may have to come sooner than stability asks for, so that the arms get them in.
-        shares = _POSTPONED_SHARES if any(self.proposals.postponed) else (1.0,)
+        shares = _POSTPONED_SHARES if any(self.solvability.postponed) else (1.0,)
         for share in shares:
-            self.proposals.relax(share)
+            self.solvability.relax(share)
             self.dead.clear()
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
                 if turn:
-                    self.proposals.vary(self.attempt)
+                    self.solvability.perturb(self.attempt)
                 chain = self.standing(root)
                 if chain is not None:
                     return self.solved(root, chain)
                 if self.counts["replays_fallen"] == _MAX_FALLEN_REPLAYS:
                     return self.failed(root, "not_found", self.fallen)
-                if self.late():
+                if self.deadline_passed():
                     limit = f"the deadline of {self.settings.deadline:g} s has passed"
                     return self.failed(root, "interrupted", limit)
                 if self._hopeless():
@@ -212,12 +212,12 @@ class _Search:
     def standing(self, root: Node) -> list[Edge] | None:
         """Return the edges of a plan whose replay stands, or None after too many dead ends or plans that fall."""
         while self.counts["replays_fallen"] < _MAX_FALLEN_REPLAYS:
-            chain = self.dive(root, np.random.default_rng([self.settings.seed, self.attempt]))
+            chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]))
             self.attempt += 1
             if chain is None:
                 return None
             route = self._route(root, chain)
-            row = self.proposals.falls(route)
+            row = self.solvability.falls(route)
             if row is None:
                 return chain
             self.counts["replays_fallen"] += 1
@@ -225,11 +225,11 @@ class _Search:
                 f"every state of a plan with motions stood, but built up in order it fell {self._place(route, row)} "
                 f"({self.counts['replays_fallen']} such plans)"
             )
-            if not self.proposals.forbid(route, row):
+            if not self.solvability.forbid(route, row):
                 return None
             self.best = []  # what falls is not handed back as a part of a plan either
             self.dead.clear()
-            self.proposals.vary(self.attempt)
+            self.solvability.perturb(self.attempt)
         return None
 
     def _place(self, route: Route, row: int) -> str:
@@ -240,14 +240,14 @@ class _Search:
         doing = "inserting" if action >= parts else "releasing"
         return f"at step {row} of assembly, {doing} {self.assembly.names[action % parts]}"
 
-    def dive(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
+    def depth_first_pass(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
         """Return one search in depth; the edges of a plan, or None after too many dead ends."""
         nodes, chain = [root], []
         options = [self._options(root, rng)]
         dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
         target = self.task.target
         while nodes:
-            if self.late():
+            if self.deadline_passed():
                 return None
             edge = next(options[-1], None)
             if edge is None:
@@ -277,14 +277,14 @@ class _Search:
         """Yield edges out of a keyframe in the order in which to try them."""
         tried, probes, worked = 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         for action in self.ranking.actions(node, self.attempt, rng):
-            if (node.key, action) in self.impossible or self.late():
+            if (node.key, action) in self.impossible or self.deadline_passed():
                 continue
-            if not self.proposals.known(node.state, action):
+            if not self.solvability.known(node.state, action):
                 # Where nothing has worked yet, there is no cheaper way on than to ask.
                 if probes <= 0 and worked:
                     continue
                 probes -= 1
-            if not self.proposals.solvable(node.state, action):
+            if not self.solvability.solvable(node.state, action):
                 self.counts["unsolvable"] += 1
                 continue
             self.counts["actions"] += 1
@@ -308,7 +308,7 @@ class _Search:
         if depth < len(self.best):
             return
         parts = self.assembly.part_count
-        for action in self.proposals.legal(node.state):
+        for action in self.solvability.legal(node.state):
             if (node.key, action) in self.impossible:
                 self.tried["hold" if action < parts else "remove", action % parts] += 1
 
@@ -319,7 +319,7 @@ class _Search:
             self.unreachable = [part for part in leaving.tolist() if not self.graph.reachable(part)]
         return bool(self.unreachable)
 
-    def late(self) -> bool:
+    def deadline_passed(self) -> bool:
         """Return whether the deadline has passed."""
         limit = self.settings.deadline
         return limit is not None and time.perf_counter() - self.began > limit
@@ -328,7 +328,7 @@ class _Search:
         assert self.abstract is not None
         if self.abstract.outcome is Outcome.PROVED_IMPOSSIBLE:
             return "proved_impossible"
-        return "interrupted" if self.late() else "not_found"
+        return "interrupted" if self.deadline_passed() else "not_found"
 
     def _report(self, dead_ends: int) -> None:
         now = time.perf_counter()
@@ -356,7 +356,7 @@ class _Search:
             abstract=self.abstract is not None and not self.abstract.found,
         )
         partial = None
-        if self.best and self.proposals.falls(self._route(root, self.best)) is None:
+        if self.best and self.solvability.falls(self._route(root, self.best)) is None:
             partial = self._plan(root, self.best, why)
         statistics = self._statistics() if partial is None else partial.statistics
         return HybridResult(None, partial, why, statistics)
@@ -367,7 +367,7 @@ class _Search:
         return Route(states, np.array([edge.action for edge in chain], dtype=np.int64))
 
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
-        route, task = self._route(root, chain), self.proposals.task
+        route, task = self._route(root, chain), self.solvability.task
         statistics = self._statistics()
         if why is not None:
             statistics["failure"] = why.to_dict()
@@ -390,7 +390,7 @@ class _Search:
             "rejected": self.counts["rejected"],
             "unsolvable": self.counts["unsolvable"],
             "replays_fallen": self.counts["replays_fallen"],
-            "solvable_states": len(self.proposals),
+            "solvable_states": len(self.solvability),
             "free_motions": self.graph.motions,
             "free_motions_used_again": self.graph.motions_kept,
             "verdicts": self.oracle.counters.asked,

@@ -11,12 +11,12 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD
 from falsework.errors import InputError, StateError
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.exit_directions import Exits
+from falsework.robots.planning.exit_directions import ExitDirections
 from falsework.robots.planning.keyframe_graph import KeyframeGraph, Node
 from falsework.search.problem.task import Task
 
 
-def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: Exits) -> Task:
+def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitDirections) -> Task:
     """Return a task with as many robots as the cell has, and with clear ways out, none of them downwards.
 
     Raises:

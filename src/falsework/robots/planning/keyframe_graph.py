@@ -19,12 +19,12 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
-from falsework.robots.motion.collision_world import NO_CONTACT, CollisionWorld, Contact, Scene, View
-from falsework.robots.motion.motion_cache import Kept
+from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
+from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
-from falsework.robots.planning.exit_directions import Exits
-from falsework.robots.planning.failure_report import Reasons
-from falsework.robots.planning.grasp_configurations import Grip, Grips
+from falsework.robots.planning.exit_directions import ExitDirections
+from falsework.robots.planning.failure_report import FailureLog
+from falsework.robots.planning.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.robots.planning.withdrawal import Withdrawal
 
 Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ class Node:
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
+class PathSegment:
     """Path of one robot without timing."""
 
     kind: str
@@ -94,7 +94,7 @@ class Edge:
 
     action: int
     robot: int
-    legs: tuple[Leg, ...]
+    segments: tuple[PathSegment, ...]
     node: Node
     """Where it leads."""
 
@@ -109,7 +109,7 @@ class KeyframeGraph:
         *,
         settings: KeyframeSettings = KeyframeSettings(),
         seed: int = 0,
-        reasons: Reasons | None = None,
+        reasons: FailureLog | None = None,
         parts: PartShapes | None = None,
     ) -> None:
         """Nothing is computed yet.
@@ -125,11 +125,11 @@ class KeyframeGraph:
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
         self.parts = parts or place_parts(assembly, cell.placement)
         self.world = CollisionWorld(cell, self.parts)
-        self.reasons = Reasons() if reasons is None else reasons
-        self._kept = Kept(self.world, nodes=settings.nodes, seed=seed)
-        self._grips = Grips(assembly, cell, self.parts, self._kept, self.reasons, limit=settings.grasps)
-        self._withdrawal = Withdrawal(cell, self._kept, self.reasons, directions=settings.directions)
-        self.exits = Exits(assembly, self.parts.turn)
+        self.reasons = FailureLog() if reasons is None else reasons
+        self._cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
+        self._grips = GraspConfigurations(assembly, cell, self.parts, self._cache, self.reasons, limit=settings.grasps)
+        self._withdrawal = Withdrawal(cell, self._cache, self.reasons, directions=settings.directions)
+        self.exits = ExitDirections(assembly, self.parts.turn)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
         """Return a node to begin with."""
@@ -159,7 +159,7 @@ class KeyframeGraph:
                 if all(self._stands(node, robot) for robot in robots):
                     yield node
 
-    def grips(self, robot: int, part: int, state: States) -> list[Grip]:
+    def grips(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
         """Return all ways in which a robot can hold a part among the parts of a state; other robots do not count."""
         return self._grips.of(robot, part, state)
 
@@ -184,17 +184,17 @@ class KeyframeGraph:
     @property
     def motions(self) -> int:
         """Free motions that were planned."""
-        return self._kept.motions
+        return self._cache.motions
 
     @property
     def motions_kept(self) -> int:
         """Times that a free motion was asked for and known."""
-        return self._kept.motions_kept
+        return self._cache.motions_kept
 
     @property
     def views(self) -> int:
         """Views of scenes that were made."""
-        return self._kept.views
+        return self._cache.views
 
     @cached_property
     def lowest(self) -> float:
@@ -216,7 +216,7 @@ class KeyframeGraph:
         part = node.held[robot]
         contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
         # At the start of a plan robots stand as they stand: what does not touch is good enough.
-        return self._kept.view(node.scene, robot, contact, 0.0).explain(node.configurations[robot])
+        return self._cache.view(node.scene, robot, contact, 0.0).explain(node.configurations[robot])
 
     # Holding
 
@@ -239,7 +239,7 @@ class KeyframeGraph:
         if not grips:
             return
         contact = Contact(gripper=frozenset({part}))
-        view = self._kept.view(node.scene, robot, contact, self.cell.margins.line)
+        view = self._cache.view(node.scene, robot, contact, self.cell.margins.line)
         values = np.array([grip.configuration for grip in grips])
         hits = view.hits(values)
         for row in np.flatnonzero(hits >= 0)[:1]:
@@ -250,9 +250,9 @@ class KeyframeGraph:
             if edge is not None:
                 yield edge
 
-    def _try_grip(self, node: Node, part: int, grip: Grip, view: View) -> Edge | None:
+    def _try_grip(self, node: Node, part: int, grip: GraspConfiguration, view: CollisionQuery) -> Edge | None:
         robot, margins = grip.robot, self.cell.margins
-        clear = self._kept.view(node.scene, robot, NO_CONTACT, margins.free)
+        clear = self._cache.view(node.scene, robot, NO_CONTACT, margins.free)
         outside: Array | None = None
         for share in _APPROACH_LENGTHS:
             retreat = follow_line(view, grip.configuration, -grip.grasp.approach, share * margins.approach)
@@ -269,17 +269,17 @@ class KeyframeGraph:
         # A robot cannot grip anew later: the part must be able to leave in this grip, when its way is free.
         if not self._can_leave_later(node, part, grip):
             return None
-        free = self._kept.motion(node.scene, robot, node.configurations[robot], outside)
+        free = self._cache.motion(node.scene, robot, node.configurations[robot], outside)
         if not free:
             self.reasons.add("hold", part, robot, f"way to the part: {free.reason}", free.pair, free.at)
             return None
         state = node.state.copy()
         state[part] = HELD
         after = _replaced(node, state, robot, grip.configuration, part)
-        legs = (Leg("free", free.path), Leg("line", retreat.path[::-1].copy(), touches=part))  # type: ignore[index]
-        return Edge(part, robot, legs, after)
+        segments = (PathSegment("free", free.path), PathSegment("line", retreat.path[::-1].copy(), touches=part))  # type: ignore[index]
+        return Edge(part, robot, segments, after)
 
-    def _can_leave_later(self, node: Node, part: int, grip: Grip) -> bool:
+    def _can_leave_later(self, node: Node, part: int, grip: GraspConfiguration) -> bool:
         later, ways = self.way_out(part, node.state)
         values = tuple(
             np.asarray(grip.configuration)
@@ -307,7 +307,7 @@ class KeyframeGraph:
 
     def _carry(self, node: Node, part: int, robot: int, paths: tuple[Array, ...], scene: Scene) -> Edge | None:
         entry = self.cell.robots[robot]
-        view = self._kept.view(scene, robot, NO_CONTACT, self.cell.margins.free)
+        view = self._cache.view(scene, robot, NO_CONTACT, self.cell.margins.free)
         end = paths[-1][-1]
         places = self._grips.places(robot)
         if not len(places):
@@ -320,15 +320,15 @@ class KeyframeGraph:
                 "remove", part, robot, "every place to put it collides", view.pair(int(hits[0])), places[0]
             )
         for goal in clear[np.argsort(np.abs(clear - end).max(axis=1), kind="stable")][: self.settings.places]:
-            free = self._kept.motion(scene, robot, end, goal)
+            free = self._cache.motion(scene, robot, end, goal)
             if free:
                 state = node.state.copy()
                 state[part] = REMOVED
                 after = _replaced(node, state, robot, goal, None)
-                lines = tuple(Leg("line", path, part=part) for path in paths)
+                lines = tuple(PathSegment("line", path, part=part) for path in paths)
                 assert free.path is not None
-                legs = (*lines, Leg("free", free.path, part=part))
-                return Edge(self.assembly.part_count + part, robot, legs, after)
+                segments = (*lines, PathSegment("free", free.path, part=part))
+                return Edge(self.assembly.part_count + part, robot, segments, after)
             self.reasons.add("remove", part, robot, f"way to {entry.name}'s place: {free.reason}", free.pair, free.at)
         return None
 
@@ -337,7 +337,7 @@ class KeyframeGraph:
     def _stands(self, node: Node, robot: int) -> bool:
         part = node.held[robot]
         contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
-        view = self._kept.view(node.scene, robot, contact, self.cell.margins.line)
+        view = self._cache.view(node.scene, robot, contact, self.cell.margins.line)
         return not bool(view.collides(node.configurations[robot])[0])
 
 

@@ -12,14 +12,14 @@ from falsework.search.problem.result import Route, Stop
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import Stability
 
-Taste = Callable[[States, Mask], NDArray[np.floating]]
+ActionScore = Callable[[States, Mask], NDArray[np.floating]]
 """Scores the actions that lead out of states, as a `falsework.search.problem.guide.Guide` in disassembly."""
 
 
 def roll_out(
     task: Task,
     oracle: Stability,
-    taste: Taste,
+    score: ActionScore,
     start: States,
     known: Container[bytes],
     *,
@@ -35,7 +35,7 @@ def roll_out(
     Args:
         task: rules.
         oracle: decides stability.
-        taste: scores actions.
+        score: scores actions.
         start: where to begin, shape (parts,).
         known: states, as bytes, at which a rollout has arrived.
         rng: adds noise to the scores, so that rows differ; with scores that are logarithms of probabilities, actions
@@ -61,7 +61,7 @@ def roll_out(
         if not alive.any():
             return None
         scores = np.full(legal.shape, -np.inf)
-        scores[alive] = np.where(legal[alive], taste(states[alive], legal[alive]), -np.inf)
+        scores[alive] = np.where(legal[alive], score(states[alive], legal[alive]), -np.inf)
         if rng is not None:
             scores += rng.gumbel(size=scores.shape)
         actions = np.zeros(rows, dtype=np.int64)

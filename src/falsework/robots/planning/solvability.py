@@ -1,6 +1,6 @@
 """Solvability check: states from which the target is known to be reachable, and a search that joins others to them.
 
-One abstract plan is found first: by a rollout where there is a taste to follow, else by a search. Its states are
+One abstract plan is found first: by a rollout where there is a score to follow, else by a search. Its states are
 solvable, and so is every state from which a short search, forwards and narrow, meets one that is. The set grows with
 every answer, so that alternatives near a plan are cheap to judge.
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, Mask, States
-from falsework.robots.planning.rollout import Taste, roll_out
+from falsework.robots.planning.rollout import ActionScore, roll_out
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.planner import Planner
 from falsework.search.problem.guide import Guide, SupportGuide
@@ -42,7 +42,7 @@ _MAX_FALLEN_REPLAYS = 40
 """Plans of one search whose replay may fall before it is given up."""
 
 
-class Proposals:
+class SolvabilityCheck:
     """Abstract actions for the hybrid planner that provably keep the target reachable."""
 
     def __init__(
@@ -52,7 +52,7 @@ class Proposals:
         oracle: Stability,
         *,
         guide: Guide | None = None,
-        taste: Taste | None = None,
+        score: ActionScore | None = None,
         seed: int = 0,
     ) -> None:
         """Nothing is known yet but the target.
@@ -62,12 +62,12 @@ class Proposals:
             task: rules, with clear ways out.
             oracle: decides stability.
             guide: ranks actions in the search for the first plan; by default parts with much support go in first.
-            taste: scores actions for rollouts, which are tried before a search for a plan.
+            score: scores actions for rollouts, which are tried before a search for a plan.
             seed: of that search.
         """
         self.task, self.oracle = task.judged_by(oracle), oracle
         self._guide = guide or SupportGuide(assembly)
-        self._taste = taste
+        self._score = score
         self._assembly, self._seed = assembly, seed
         self.postponed: tuple[int, ...] = ()
         self.fallen: tuple[Route, int] | None = None
@@ -97,8 +97,8 @@ class Proposals:
             self._follow(planner.routes)
         return result
 
-    def vary(self, seed: int) -> None:
-        """Find another abstract plan to follow, with the guide's taste disturbed; the old one stays known."""
+    def perturb(self, seed: int) -> None:
+        """Find another abstract plan to follow, with the guide's score disturbed; the old one stays known."""
         rng = np.random.default_rng([self._seed, seed])
         route = self._roll_out(rng)
         if route is not None:
@@ -170,14 +170,14 @@ class Proposals:
 
     def _roll_out(self, rng: np.random.Generator | None, stop: Stop | None = None) -> Route | None:
         """Roll out the action score to the target, greedily or sampled; None without a score or a complete rollout."""
-        if self._taste is None or self.task.steps == 0:
+        if self._score is None or self.task.steps == 0:
             return None
         target, rows = {self.task.target.tobytes()}, 1 if rng is None else _ROLLOUTS
         for _ in range(_MAX_FALLEN_REPLAYS):
             route = roll_out(
                 self.task,
                 self.oracle,
-                self._taste,
+                self._score,
                 self.task.start,
                 target,
                 rng=rng,
@@ -265,7 +265,7 @@ class Proposals:
         return False
 
     def _stable_few(self, before: States, after: States, actions: np.ndarray) -> np.ndarray:
-        """Return the most promising successors that stand: few held, then the guide's taste."""
+        """Return the most promising successors that stand: few held, then the guide's score."""
         removal = actions >= self.task.part_count
         asked = self.task.needs_verdict(actions, Direction.DISASSEMBLY)
         mask = np.zeros((len(before), 2 * self.task.part_count), dtype=bool)

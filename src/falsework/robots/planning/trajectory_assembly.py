@@ -12,7 +12,7 @@ from falsework.assembly.model import Assembly
 from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.timing import time_path
-from falsework.robots.planning.keyframe_graph import Edge, Leg, Node
+from falsework.robots.planning.keyframe_graph import Edge, Node, PathSegment
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory, records_of
 from falsework.search.find import plan_of
 from falsework.search.problem.result import Route
@@ -58,7 +58,7 @@ def make_robot_plan(
     steps = []
     for edge in chain:
         model = cell.robots[edge.robot].model
-        timed = (timed_leg(model, leg, cell.speed) for leg in edge.legs)
+        timed = (timed_leg(model, segment, cell.speed) for segment in edge.segments)
         steps.append(RobotStep(edge.robot, tuple(trajectory for trajectory in timed if trajectory is not None)))
     nodes = (root, *(edge.node for edge in chain))
     return RobotPlan(
@@ -71,19 +71,19 @@ def make_robot_plan(
     )
 
 
-def timed_leg(model: RobotModel, leg: Leg, speed: float) -> Trajectory | None:
+def timed_leg(model: RobotModel, segment: PathSegment, speed: float) -> Trajectory | None:
     """Return a path as fast as the limits of the arm allow, at a share of them; None if it leads nowhere."""
-    if np.abs(np.diff(leg.path, axis=0)).sum() < _STANDSTILL:
+    if np.abs(np.diff(segment.path, axis=0)).sum() < _STANDSTILL:
         return None
-    timed = time_path(model, leg.path, speed)
+    timed = time_path(model, segment.path, speed)
     knots = _enough(timed.times, timed.positions, timed.velocities, model.acceleration * speed**2)
     made = Trajectory(
-        "line" if leg.kind == "line" else "free",
+        "line" if segment.kind == "line" else "free",
         timed.times[knots],
         timed.positions[knots],
         timed.velocities[knots],
-        leg.part,
-        leg.touches,
+        segment.part,
+        segment.touches,
     )
     # Where the push changes between two samples, the cubic between them needs a little more of it: slow down for that.
     fastest, strongest = made.peaks()

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
-from falsework.robots.motion.collision_world import NO_CONTACT, Contact, Scene, View
-from falsework.robots.motion.motion_cache import Kept
+from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Contact, Scene
+from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
-from falsework.robots.planning.failure_report import Reasons
+from falsework.robots.planning.failure_report import FailureLog
 
 Array = NDArray[np.float64]
 
@@ -23,16 +23,16 @@ _LENGTHS = (1.0, 2.0, 4.0)
 class Withdrawal:
     """Straight withdrawal lines for parts that robots hold."""
 
-    def __init__(self, cell: Cell, kept: Kept, reasons: Reasons, *, directions: int) -> None:
+    def __init__(self, cell: Cell, cache: MotionCache, reasons: FailureLog, *, directions: int) -> None:
         """Nothing is computed yet.
 
         Args:
             cell: the robots and what is around them.
-            kept: views of its scenes.
+            cache: views of its scenes.
             reasons: takes note of why a part cannot leave.
             directions: ways out that are tried for a part.
         """
-        self.cell, self.kept, self.reasons = cell, kept, reasons
+        self.cell, self.cache, self.reasons = cell, cache, reasons
         self.directions = directions
 
     def lines(
@@ -52,15 +52,15 @@ class Withdrawal:
         scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
         around = frozenset(np.flatnonzero(scene.present).tolist())
         contact = Contact(carried=around, carried_floor=True)
-        line = self.kept.view(scene, robot, contact, self.cell.margins.line)
-        free: View | None = None
+        line = self.cache.view(scene, robot, contact, self.cell.margins.line)
+        free: CollisionQuery | None = None
         for way in self._ordered(ways, tool):
             for times in _LENGTHS:
                 out = follow_line(line, here, way, times * self.cell.margins.approach)
                 if not out:
                     self.reasons.add("remove", part, robot, f"{what}: {out.reason}", out.pair, out.at)
                     break
-                free = free or self.kept.view(scene, robot, NO_CONTACT, self.cell.margins.free)
+                free = free or self.cache.view(scene, robot, NO_CONTACT, self.cell.margins.free)
                 path = out.path
                 assert path is not None
                 hit = int(free.hits(path[-1])[0])
@@ -73,9 +73,9 @@ class Withdrawal:
                     break
                 self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), path[-1])
 
-    def _lift(self, scene: Scene, robot: int, here: Array, free: View) -> Array | None:
+    def _lift(self, scene: Scene, robot: int, here: Array, free: CollisionQuery) -> Array | None:
         """Return a part that has been drawn out over the floor is lifted off it before it is carried away."""
-        view = self.kept.view(scene, robot, Contact(carried_floor=True), self.cell.margins.line)
+        view = self.cache.view(scene, robot, Contact(carried_floor=True), self.cell.margins.line)
         up = follow_line(view, here, (0.0, 0.0, 1.0), 0.3 * self.cell.margins.approach)
         if up.path is None or free.collides(up.path[-1])[0]:
             return None

@@ -15,7 +15,7 @@ from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.plans.pinocchio_checker import Judge
+from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.search.problem.task import Direction
 
@@ -101,7 +101,7 @@ class _Checker:
     def __init__(self, plan: RobotPlan, assembly: Assembly, cell: Cell, settings: CheckSettings) -> None:
         self.plan, self.cell, self.settings = plan, cell, settings
         parts = place_parts(assembly, cell.placement)
-        self.judge = Judge(cell, parts, settings.tolerance)
+        self.judge = PinocchioCollisionChecker(cell, parts, settings.tolerance)
         self.boundary = assembly.boundary
         self.problems: list[PlanProblem] = []
         self.samples = self.trajectories = 0

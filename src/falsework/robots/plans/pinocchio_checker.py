@@ -63,7 +63,7 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False)
-class Move:
+class PreparedQuery:
     """A check prepared: one robot moves, everything else stands."""
 
     model: Any
@@ -90,7 +90,7 @@ class Move:
         return None
 
 
-class Judge:
+class PinocchioCollisionChecker:
     """A cell and the parts of a structure in it, as Pinocchio and Coal see them."""
 
     def __init__(self, cell: Cell, parts: PartShapes, tolerance: float) -> None:
@@ -129,7 +129,7 @@ class Judge:
         grip: Array | None = None,
         touches: int | None = None,
         at_place: bool = False,
-    ) -> Move:
+    ) -> PreparedQuery:
         """One robot moves.
 
         Args:
@@ -178,7 +178,7 @@ class Judge:
         found = self._pin.GeometryData(geometry)
         manager = self._pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.model, geometry, found)
         names = tuple(body.name for body in bodies)
-        return Move(self.model, data, geometry, found, manager, names, values, self.slots[robot])
+        return PreparedQuery(self.model, data, geometry, found, manager, names, values, self.slots[robot])
 
     def grip_distance(self, robot: int, configuration: Array, part: int) -> float:
         """Distance between a gripper and a part at its place, metres; 0 where they touch."""

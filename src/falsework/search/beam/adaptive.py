@@ -37,14 +37,14 @@ class AdaptiveSettings:
     seed: int = 0
     """Same seed, same machine, same result."""
 
-    def beam(self, strikes: int) -> BeamSettings:
+    def beam(self, failures: int) -> BeamSettings:
         """Return settings of the beam after so many deaths in a row at one place."""
-        width = self.width * _WIDENING_FACTOR**strikes
+        width = self.width * _WIDENING_FACTOR**failures
         return BeamSettings(
             width=width,
             direction=self.direction,
             diversity="none",
-            ahead=max(_LOOKAHEAD_STATES, _LOOKAHEAD_PER_WIDTH * width),
+            lookahead=max(_LOOKAHEAD_STATES, _LOOKAHEAD_PER_WIDTH * width),
             commit=width == 1,
             retries=0,
             seed=self.seed,
@@ -63,12 +63,12 @@ class AdaptiveBeam:
         """Begin narrow, at the origin of the direction."""
         self.settings = settings
         self.search = BeamSearch(task, oracle, settings.beam(0), guide=guide)
-        self._strikes = 0
+        self._failures = 0
         self._farthest = -1
         self._easy_from = -1
 
     @property
-    def hopeless(self) -> bool:
+    def infeasible(self) -> bool:
         """Whether the search is dead with no state left out: there is no plan."""
         return self.search.done and not self.search.found and self.search.exhaustive
 
@@ -91,9 +91,9 @@ class AdaptiveBeam:
             eased = False
             result = self.search.run(progress=progress, stop=halt)
             if eased:
-                self._strikes = 0
+                self._failures = 0
                 self.search.rewind(len(self.search.levels) - 1, self.settings.beam(0))
-            elif result.interrupted or result.found or self.hopeless:
+            elif result.interrupted or result.found or self.infeasible:
                 return result
             elif not self._widen(widest):
                 if not result.undecided and not result.sliding:
@@ -106,7 +106,7 @@ class AdaptiveBeam:
     def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return the search as it stands: plain values, and arrays."""
         header, arrays = self.search.pack()
-        own = {"strikes": self._strikes, "farthest": self._farthest, "easy_from": self._easy_from}
+        own = {"failures": self._failures, "farthest": self._farthest, "easy_from": self._easy_from}
         return header | {"adaptive": own, "base": self.settings.width, "base_seed": self.settings.seed}, arrays
 
     @classmethod
@@ -128,22 +128,22 @@ class AdaptiveBeam:
         beam = cls(task, oracle, AdaptiveSettings(direction, int(header["base"]), int(header["base_seed"])))
         beam.search = BeamSearch.unpack(header, arrays, task, oracle, guide=guide)
         own = header["adaptive"]
-        beam._strikes, beam._farthest = int(own["strikes"]), int(own["farthest"])
+        beam._failures, beam._farthest = int(own["failures"]), int(own["farthest"])
         beam._easy_from = int(own["easy_from"])
         return beam
 
     def _eased(self) -> bool:
         """Return whether the beam is wide and well past the place where it died."""
-        return self._strikes > 0 and len(self.search.levels) - 1 > self._easy_from and not self.search.done
+        return self._failures > 0 and len(self.search.levels) - 1 > self._easy_from and not self.search.done
 
     def _widen(self, widest: int) -> bool:
         """Go back and come again wider; False if that would be too wide."""
         level = len(self.search.levels) - 1
-        strikes = 1 if level > self._farthest + 2 else self._strikes + 1
-        settings = self.settings.beam(strikes)
+        failures = 1 if level > self._farthest + 2 else self._failures + 1
+        settings = self.settings.beam(failures)
         if settings.width > widest:
             return False
-        self._strikes, self._farthest = strikes, max(self._farthest, level)
+        self._failures, self._farthest = failures, max(self._farthest, level)
         self._easy_from = self._farthest + 2 * _RETREAT_LEVELS
-        self.search.rewind(max(level - _RETREAT_LEVELS * _RETREAT_FACTOR ** (strikes - 1), 0), settings)
+        self.search.rewind(max(level - _RETREAT_LEVELS * _RETREAT_FACTOR ** (failures - 1), 0), settings)
         return True

@@ -18,7 +18,7 @@ from falsework.search.beam.selection import Selector
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.hashing import StateHash
-from falsework.search.problem.oracle import Judge, Oracle
+from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.result import (
     Outcome,
     Progress,
@@ -32,7 +32,7 @@ from falsework.search.problem.result import (
 from falsework.search.problem.task import Direction, Task
 from falsework.utils.archive import read_archive, write_archive
 
-FORMAT = "falsework.beam/1"
+FORMAT = "falsework.beam/2"
 
 _RETREAT_LEVELS = 8
 """Levels that a beam goes back when it is tried again ..."""
@@ -61,7 +61,7 @@ class BeamSearch:
         self.levels: list[Level] = []
         self._whole: list[bool] = []
         """For each level after the first, and for the attempt at the next if dead: no stable state was left out."""
-        self._judge = Judge(oracle)
+        self._judge = CountingOracle(oracle)
         replayer = getattr(oracle, "replayer", None) if settings.direction is Direction.ASSEMBLY else None
         self._histories = None if replayer is None else Histories(replayer, self.levels)
         self._guide = guide
@@ -127,7 +127,7 @@ class BeamSearch:
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
         selector = Selector(frontier, score, settings.diversity == "k-means", settings.pool, rng)
         doubt = False
-        if settings.ahead > 0:
+        if settings.lookahead > 0:
 
             def confirmed(rows: NDArray[np.int64]) -> Mask:
                 nonlocal doubt
@@ -136,7 +136,7 @@ class BeamSearch:
                 return good
 
             choice = selector.most_promising(
-                self._judge, settings.width, settings.ahead, confirmed, commit=settings.commit
+                self._judge, settings.width, settings.lookahead, confirmed, commit=settings.commit
             )
         else:
             choice = selector.all_judged(self._judge, settings.width)
@@ -151,7 +151,7 @@ class BeamSearch:
         if self._dead:
             return False
         kept = choice.kept
-        waits = frontier.fixing[kept] & ~frontier.free[kept] & (settings.ahead > 0)
+        waits = frontier.fixing[kept] & ~frontier.free[kept] & (settings.lookahead > 0)
         columns = (frontier.states(kept), frontier.parent[kept], frontier.action[kept], score[kept])
         self.levels.append(Level(*columns, np.where(waits, 0, 1).astype(np.int8)))
         if self.found and not self._ground(np.arange(len(kept))).any():

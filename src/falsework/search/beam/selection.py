@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import Mask
 from falsework.search.beam.frontier import Frontier
 from falsework.search.beam.k_means import k_means
-from falsework.search.problem.oracle import Judge
+from falsework.search.problem.oracle import CountingOracle
 
 Rows = NDArray[np.int64]
 Confirmed = Callable[[Rows], Mask]
@@ -66,7 +66,7 @@ class Selector:
         rank = np.arange(len(sample)) - np.repeat(begin, np.diff(np.append(begin, len(sample))))
         return np.concatenate([sample[order[np.argsort(rank, kind="stable")]], rows[room:]])
 
-    def all_judged(self, judge: Judge, width: int) -> Choice:
+    def all_judged(self, judge: CountingOracle, width: int) -> Choice:
         """Ask for every candidate, then keep `width` stable ones; the way of the paper."""
         frontier = self.frontier
         stable = frontier.free.copy()
@@ -76,8 +76,10 @@ class Selector:
         kept = self.order(np.flatnonzero(stable), self.score, width)[:width]
         return self._choice(kept, asked[~stable[asked]])
 
-    def most_promising(self, judge: Judge, width: int, ahead: int, confirmed: Confirmed, *, commit: bool) -> Choice:
-        """Ask only until `width` states are found stable; keep `ahead` more that a fixed part leads to.
+    def most_promising(
+        self, judge: CountingOracle, width: int, lookahead: int, confirmed: Confirmed, *, commit: bool
+    ) -> Choice:
+        """Ask only until `width` states are found stable; keep `lookahead` more that a fixed part leads to.
 
         States that leave more robots free come first, then the better scored.
 
@@ -96,12 +98,14 @@ class Selector:
         promise = self.score - held * (np.ptp(self.score) + 1.0 if len(held) else 1.0)
         loose = self.order(np.flatnonzero(~frontier.fixing), promise, width)
         proven, rejected = self._stable_ones(judge, loose, width, confirmed)
-        fixed = self.order(np.flatnonzero(frontier.fixing), promise, ahead)
+        fixed = self.order(np.flatnonzero(frontier.fixing), promise, lookahead)
         if commit and len(proven) >= width:
             fixed = fixed[held[fixed] <= held[proven].max()]
-        return self._choice(np.concatenate([proven, fixed[:ahead]]), rejected)
+        return self._choice(np.concatenate([proven, fixed[:lookahead]]), rejected)
 
-    def _stable_ones(self, judge: Judge, waiting: Rows, wanted: int, confirmed: Confirmed) -> tuple[Rows, Rows]:
+    def _stable_ones(
+        self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmed
+    ) -> tuple[Rows, Rows]:
         """The first stable candidates of a list, about `wanted` of them, and those found not stable on the way."""
         frontier = self.frontier
         kept: list[Rows] = [waiting[:0]]

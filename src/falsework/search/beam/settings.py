@@ -21,12 +21,12 @@ class BeamSettings:
     """Which end to begin at."""
     diversity: Diversity = "k-means"
     """How states are chosen where there are too many: one from each of `width` clusters, or the best scored."""
-    ahead: int = 0
+    lookahead: int = 0
     """0: ask for all verdicts of a level, then choose `width` among the stable states, as the paper does.
     Above 0: ask in the order of promise (robots free, then score) until `width` states are found stable, and keep this
     many more that need no verdict, so that the next level has a choice. Narrow beams then go far with few verdicts."""
     commit: bool = False
-    """With `ahead`: drop states that keep more robots busy than the `width` states found stable."""
+    """With `lookahead`: drop states that keep more robots busy than the `width` states found stable."""
     retries: int = 3
     """Times that a beam which died goes back some levels to choose again with other random numbers."""
     seed: int = 0
@@ -37,8 +37,8 @@ class BeamSettings:
     def __post_init__(self) -> None:
         if self.width < 1:
             raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
-        if self.ahead < 0:
-            raise InputError(f"a beam cannot keep {self.ahead} states ahead; give 0 or more")
+        if self.lookahead < 0:
+            raise InputError(f"a beam cannot keep {self.lookahead} states ahead; give 0 or more")
         if self.retries < 0:
             raise InputError(f"a beam cannot be tried again {self.retries} times; give 0 or more")
         if self.pool < 1:

@@ -14,7 +14,7 @@ from falsework.errors import InputError
 from falsework.search.beam.frontier import Level
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.k_means import find_centers
-from falsework.search.device.oracle import TensorJudge, TensorOracle
+from falsework.search.device.oracle import BatchedTensorOracle, TensorOracle
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.result import (
     Outcome,
@@ -28,7 +28,7 @@ from falsework.search.problem.result import (
 )
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import import_torch, mix, place_in_group
 
 if TYPE_CHECKING:
@@ -93,14 +93,14 @@ class DeviceBeam:
         *,
         device: torch.device | str = "cpu",
         guide: TensorGuide | None = None,
-        shards: Shards = Shards(),
+        shards: ProcessGroup = ProcessGroup(),
     ) -> None:
         """Begin at the origin of the direction; the start and the target are taken as stable.
 
         Args:
             task: rules between start and target.
             oracle: verdicts on tensors; it says too which moves need one, see `Task.judged_by`.
-            settings: width, direction, diversity and seed; levels are always judged whole (`ahead` is 0).
+            settings: width, direction, diversity and seed; levels are always judged whole (`lookahead` is 0).
             device: where the search lives.
             guide: scores actions.
             shards: the processes that search together; all must be given the same task, settings and guide.
@@ -109,8 +109,8 @@ class DeviceBeam:
             DependencyError: torch is not installed.
             InputError: settings that ask for verdicts one after the other.
         """
-        if settings.ahead:
-            raise InputError("a beam on a device judges whole levels; set ahead to 0, or use BeamSearch")
+        if settings.lookahead:
+            raise InputError("a beam on a device judges whole levels; set lookahead to 0, or use BeamSearch")
         torch = import_torch()
         self.task = task = task.judged_by(oracle)
         self.settings = settings
@@ -119,7 +119,7 @@ class DeviceBeam:
         self.exhaustive = True
         """No state was left out so far: if the search dies now, there is no plan."""
         self._rules = TensorRules(task, self.device, settings.direction)
-        self._judge = TensorJudge(oracle, shards)
+        self._judge = BatchedTensorOracle(oracle, shards)
         self._guide = guide
         self._candidates = self._asked = 0
         self._refused = torch.zeros(3, dtype=torch.int64, device=self.device)

@@ -6,7 +6,7 @@ from copy import copy
 from typing import TYPE_CHECKING, Protocol
 
 from falsework.search.problem.oracle import Oracle
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import import_torch, put
 
 if TYPE_CHECKING:
@@ -84,31 +84,31 @@ class DeviceOracle:
             verdict[rest] = put(decided, states.device)
         return verdict
 
-    def without_exact(self) -> DeviceOracle:
+    def without_fallback(self) -> DeviceOracle:
         """Return the same solver alone: nothing waits, and the few states that it leaves open stay so."""
         alone = copy(self)
         alone._settle = None
         return alone
 
 
-def without_exact(oracle: TensorOracle) -> TensorOracle:
+def without_fallback(oracle: TensorOracle) -> TensorOracle:
     """Return an oracle for states that may be given up, such as those of rollouts that are learned from.
 
     On a GPU, states that stand by a hair are left open. They are some in ten thousand of dome-72, and the exact solver
     needs a sixth of a second for each, while thousands of others wait.
     """
-    return oracle.without_exact() if isinstance(oracle, DeviceOracle) else oracle
+    return oracle.without_fallback() if isinstance(oracle, DeviceOracle) else oracle
 
 
-def oracle_on(oracle: Stability, device: torch.device) -> TensorOracle:
+def tensor_oracle(oracle: Stability, device: torch.device) -> TensorOracle:
     """Return the oracle for states on a device: the GPU solver, or the CPU oracle behind copies."""
     return DeviceOracle(oracle, device) if device.type == "cuda" else HostOracle(oracle)
 
 
-class TensorJudge:
+class BatchedTensorOracle:
     """Oracle that splits batches between the processes of a search and into pieces that fit into memory."""
 
-    def __init__(self, oracle: TensorOracle, shards: Shards, *, batch: int = 1 << 20) -> None:
+    def __init__(self, oracle: TensorOracle, shards: ProcessGroup, *, batch: int = 1 << 20) -> None:
         """Begin with pieces of `batch` states; they are halved whenever memory runs out."""
         self.notes: list[str] = []
         self._oracle = oracle
@@ -119,7 +119,7 @@ class TensorJudge:
         """Return verdicts of all states from the share of each process.
 
         Args:
-            states: this process's share, `Shards.interleaved`, shape (share, parts).
+            states: this process's share, `ProcessGroup.interleaved`, shape (share, parts).
             parents: stable states one move away, shape (share, parts).
             count: number of states of all shares.
 

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.search.device.oracle import TensorJudge, TensorOracle
+from falsework.search.device.oracle import BatchedTensorOracle, TensorOracle
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
-from falsework.utils.distributed import Shards
+from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import import_torch, mix, place_in_group, uniform
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ class _Beams:
         self.device = device
         self._width, self._seed, self._steps = width, seed, task.steps
         self._rules = TensorRules(task, device, direction)
-        self._judge = TensorJudge(oracle, Shards())
+        self._judge = BatchedTensorOracle(oracle, ProcessGroup())
         self._dead = not task.contains(task.origin(direction)[None])[0]
 
     def run(self, owners: torch.Tensor) -> list[Level]:

@@ -14,7 +14,7 @@ from falsework.errors import PlanError
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.certificate import Claim
+from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.verdict import Verdicts
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ WORDS = {
 
 
 @dataclass(frozen=True)
-class Need:
+class PartDeadline:
     """When a part that was missing is needed."""
 
     part: int
@@ -40,7 +40,7 @@ class Need:
 
 def needs_of(
     actions: NDArray[np.int64], direction: Direction, parts: int, missing: tuple[int, ...]
-) -> tuple[Need, ...]:
+) -> tuple[PartDeadline, ...]:
     """When each missing part goes in, the first first; parts that no action inserts are left out.
 
     Args:
@@ -55,7 +55,7 @@ def needs_of(
     for part in missing:
         step = np.flatnonzero(in_order == parts + part)
         if len(step):
-            needs.append(Need(part, int(step[0]), int(placed[step[0]]) - 1))
+            needs.append(PartDeadline(part, int(step[0]), int(placed[step[0]]) - 1))
     return tuple(sorted(needs, key=lambda need: need.after_steps))
 
 
@@ -86,7 +86,7 @@ class Plan:
     """Shape (parts,)."""
     friction: float
     robots: int
-    claim: Claim = field(default_factory=Claim)
+    claim: StabilityCriterion = field(default_factory=StabilityCriterion)
     """What stable means here: cone, gravity, tolerance, bound on forces."""
     direction: Direction = Direction.DISASSEMBLY
     fixed: tuple[int, ...] = ()
@@ -106,7 +106,14 @@ class Plan:
     """How the plan went when it was replayed in the order of assembly; None if it was not."""
 
     @classmethod
-    def of(cls, route: Route, assembly: Assembly, task: Task, verdicts: Verdicts, claim: Claim = Claim()) -> Plan:
+    def of(
+        cls,
+        route: Route,
+        assembly: Assembly,
+        task: Task,
+        verdicts: Verdicts,
+        claim: StabilityCriterion = StabilityCriterion(),
+    ) -> Plan:
         """Plan for disassembly along a route.
 
         Args:
@@ -152,7 +159,7 @@ class Plan:
         return Route(plan.states, plan.actions)
 
     @property
-    def needs(self) -> tuple[Need, ...]:
+    def needs(self) -> tuple[PartDeadline, ...]:
         """When each missing part is needed, the first needed first; parts that the plan does not touch are left out."""
         return needs_of(self.actions, self.direction, len(self.boundary), self.missing)
 

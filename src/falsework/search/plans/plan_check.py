@@ -14,7 +14,12 @@ from falsework.assembly.state import HELD, States, action_mask, apply_actions, h
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
-from falsework.stability.certificate import Claim, residual_of_displacement, residual_of_forces, verify_certificates
+from falsework.stability.certificate import (
+    StabilityCriterion,
+    residual_of_displacement,
+    residual_of_forces,
+    verify_certificates,
+)
 from falsework.stability.oracle import Stability
 from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.settings import StabilitySettings
@@ -33,7 +38,7 @@ class PlanReport:
     """What is wrong with the first bad state; empty if all are good."""
     residual: float = 0.0
     """Largest residual of a good state, a share of gravity."""
-    claim: Claim = field(default_factory=Claim)
+    claim: StabilityCriterion = field(default_factory=StabilityCriterion)
     """What stable means here: the caller's criterion, cone, gravity, tolerance and force bound."""
     verdict: Verdicts | None = None
     """Verdict on the first bad state, with the velocity that proves it unstable; None if it broke a rule."""
@@ -101,7 +106,7 @@ def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str]
     return None
 
 
-def weaker_claim(claimed: Claim, asked: Claim) -> str:
+def weaker_claim(claimed: StabilityCriterion, asked: StabilityCriterion) -> str:
     """Why a plan that claims this much is no answer to what is asked; empty if it is.
 
     Args:
@@ -195,7 +200,9 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
     return _end(plan, broken, float(residual.max(initial=0.0)), claim, time.perf_counter() - begun)
 
 
-def _end(plan: Plan, broken: tuple[int, str] | None, residual: float, claim: Claim, seconds: float) -> PlanReport:
+def _end(
+    plan: Plan, broken: tuple[int, str] | None, residual: float, claim: StabilityCriterion, seconds: float
+) -> PlanReport:
     if broken is None:
         return PlanReport(len(plan.states), len(plan.states), "", residual, claim, None, seconds)
     return PlanReport(len(plan.states), broken[0], broken[1], residual, claim, None, seconds)

@@ -19,7 +19,7 @@ from falsework.errors import PlanError, StateError
 from falsework.search.plans.plan import Plan, needs_of
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.task import Direction
-from falsework.stability.certificate import Claim
+from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import Reader, write_json
@@ -192,7 +192,7 @@ class _Reader(Reader):
         if not isinstance(stability["criterion"], str) or stability["criterion"] not in _PROOF_WORDS:
             self._fail(f"stability.criterion is {stability['criterion']!r}", "it must be contact or equilibrium")
         numbers = ("gravity", "tolerance", "force_bound", "stiffness_ratio")
-        claim = Claim(
+        claim = StabilityCriterion(
             cone=stability["cone"],
             criterion=stability["criterion"],
             **{key: self._number(stability[key], f"stability.{key}") for key in numbers},

@@ -85,7 +85,7 @@ class NoveltyGuide:
         return score
 
 
-class RememberingGuide:
+class MemoizedGuide:
     """Memoized heuristic; all new queries of a call are evaluated together.
 
     A network takes hardly longer for many states than for one. What was learned first is forgotten first.

@@ -24,7 +24,7 @@ class Oracle(Protocol):
         ...
 
 
-class Judge:
+class CountingOracle:
     """Oracle wrapper that queries in batches of bounded size and counts."""
 
     def __init__(self, oracle: Oracle, *, batch: int = 1024) -> None:

@@ -13,7 +13,7 @@ from falsework.stability.contact.newton import (
     MOVES_AWAY,
     OPEN,
     RESTS,
-    ContactStructure,
+    ContactArrays,
     find_rest,
 )
 from falsework.stability.cpu.layout import restrict, set_gravity
@@ -37,7 +37,7 @@ class ContactOptions(NamedTuple):
 
 def build_contact_structure(
     assembly: Assembly, problem: Problem, gravity: float, ratio: float = TANGENTIAL_RATIO
-) -> ContactStructure:
+) -> ContactArrays:
     """Lay the stiffness of a structure out for the kernel.
 
     Args:
@@ -48,7 +48,7 @@ def build_contact_structure(
     """
     stiffness = normal_stiffness(assembly, gravity) / problem.force_scale**2
     scale = 1.0 / float(np.median(stiffness)) if len(stiffness) else 1.0
-    return ContactStructure(
+    return ContactArrays(
         normal=stiffness * scale,
         tangential=ratio * stiffness * scale,
         # Copies even where there is no pair: a read-only view is another type, for which numba would compile all anew.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from falsework.stability.contact.law import contact_force, gauge, gauge_gradient
 from falsework.stability.contact.lu import add_pair, factor_lu, solve_lu
-from falsework.stability.cpu.layout import FAST, clear_matrix, pair_strain, pair_stress, point_strain
+from falsework.stability.cpu.layout import FAST, add_pair_wrench, clear_matrix, pair_velocity, point_velocity
 
 RESTS, MOVES_AWAY, OPEN = 1, -1, 0
 
@@ -34,7 +34,7 @@ _FAR = 10.0
 """Times the limit on movement at which iterations end: on the way to rest they may overshoot."""
 
 
-class ContactStructure(NamedTuple):
+class ContactArrays(NamedTuple):
     """Arrays that the criterion adds to a `Structure`: scaled stiffness, and units of displacement."""
 
     normal: NDArray[np.float64]
@@ -51,7 +51,7 @@ class ContactStructure(NamedTuple):
     """Movement of a part beyond which the structure counts as falling, m."""
 
 
-class ContactWork(NamedTuple):
+class ContactScratch(NamedTuple):
     """Scratch of one thread, beside `Work`; points in the compact order of the state at hand."""
 
     normal: NDArray[np.float64]
@@ -75,11 +75,11 @@ class ContactWork(NamedTuple):
 
 
 @nb.njit(cache=True)
-def make_contact_work(structure):
+def make_contact_scratch(structure):
     """Return scratch large enough for every state of a structure."""
     n, blocks = len(structure.elimination.order), len(structure.elimination.row)
     points = len(structure.basis)
-    return ContactWork(
+    return ContactScratch(
         np.zeros(points),
         np.zeros(points),
         np.zeros((points, 3)),
@@ -107,10 +107,10 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
                 out[j, r] = load[j, r]
     for p in range(pairs):
         q, a, b = pair[p], slot_a[p], slot_b[p]
-        s0, s1, s2, s3, s4, s5 = pair_strain(ta, tb, q, a, b, displacement)
+        s0, s1, s2, s3, s4, s5 = pair_velocity(ta, tb, q, a, b, displacement)
         a0, a1, a2, a3, a4, a5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(start[p], start[p + 1]):
-            d0, d1, d2 = point_strain(basis, j, s0, s1, s2, s3, s4, s5)
+            d0, d1, d2 = point_velocity(basis, j, s0, s1, s2, s3, s4, s5)
             t0, t1, t2 = offset[j, 0] - kn[j] * d0, offset[j, 1] - kt[j] * d1, offset[j, 2] - kt[j] * d2
             trial[j, 0], trial[j, 1], trial[j, 2] = t0, t1, t2
             f0, f1, f2 = contact_force(cone, mu, t0, t1, t2)
@@ -120,7 +120,7 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
             a3 += basis[j, 3, 0] * f0 + basis[j, 3, 1] * f1 + basis[j, 3, 2] * f2
             a4 += basis[j, 4, 0] * f0 + basis[j, 4, 1] * f1 + basis[j, 4, 2] * f2
             a5 += basis[j, 5, 0] * f0 + basis[j, 5, 1] * f1 + basis[j, 5, 2] * f2
-        pair_stress(ta, tb, q, a, b, a0, a1, a2, a3, a4, a5, out)
+        add_pair_wrench(ta, tb, q, a, b, a0, a1, a2, a3, a4, a5, out)
     total = 0.0
     for j in range(len(free)):
         if free[j]:

@@ -11,8 +11,8 @@ import numba as nb
 
 from falsework.stability.contact.kernel import lacks_contact
 from falsework.stability.contact.law import contact_force
-from falsework.stability.contact.newton import MOVES_AWAY, RESTS, evaluate, find_rest, make_contact_work
-from falsework.stability.cpu.layout import make_work, restrict, set_gravity
+from falsework.stability.contact.newton import MOVES_AWAY, RESTS, evaluate, find_rest, make_contact_scratch
+from falsework.stability.cpu.layout import make_scratch, restrict, set_gravity
 
 
 @nb.njit(cache=True)
@@ -164,7 +164,7 @@ def replay_range(
             (steps + 1, points, 3); the first entry is given, the others are written.
         result, residual, iterations, part, movement: out, one entry a state.
     """
-    work, contact = make_work(structure), make_contact_work(structure)
+    work, contact = make_scratch(structure), make_contact_scratch(structure)
     for i in range(len(states)):
         settles = fresh
         if i > 0:

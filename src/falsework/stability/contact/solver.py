@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, States
 from falsework.stability.contact.kernel import ContactOptions, build_contact_structure, solve_contact_state
-from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, RESTS, make_contact_work
+from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, RESTS, make_contact_scratch
 from falsework.stability.cpu.kernel import solve_state
-from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure, make_work
+from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure, make_scratch
 from falsework.stability.cpu.neighbourhood import RINGS, fall_near
 from falsework.stability.cpu.solver import Workers, kernel_options
 from falsework.stability.cpu.termination import STABLE, UNDECIDED, UNSTABLE
@@ -139,7 +139,7 @@ def _judge_range(
 
     With `keep_sliding` the displacement of a state that slides is left as it is; it must not become a guess.
     """
-    work, contact = make_work(structure), make_contact_work(structure)
+    work, contact = make_scratch(structure), make_contact_scratch(structure)
     no_forces, no_velocity = np.zeros((0, 3)), np.zeros((0, 6))
     cold = len(no_forces) > 0  # not a literal, for which numba would compile the solver anew
     for i in range(len(states)):

@@ -13,11 +13,11 @@ from falsework.stability.cpu.cones import project
 from falsework.stability.cpu.elimination import factor, solve
 from falsework.stability.cpu.layout import (
     FAST,
+    add_pair_wrench,
     add_wrenches,
     clear_matrix,
-    pair_strain,
-    pair_stress,
-    point_strain,
+    pair_velocity,
+    point_velocity,
     set_gravity,
 )
 from falsework.stability.cpu.termination import UNDECIDED, judge
@@ -67,10 +67,10 @@ def run_admm(structure, work, pairs, options):
         set_gravity(structure, work, rhs)
         for p in range(pairs):
             q, a, b = pair[p], slot_a[p], slot_b[p]
-            s0, s1, s2, s3, s4, s5 = pair_strain(transfer_a, transfer_b, q, a, b, w)
+            s0, s1, s2, s3, s4, s5 = pair_velocity(transfer_a, transfer_b, q, a, b, w)
             a0, a1, a2, a3, a4, a5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for j in range(start[p], start[p + 1]):
-                t0, t1, t2 = point_strain(basis, j, s0, s1, s2, s3, s4, s5)
+                t0, t1, t2 = point_velocity(basis, j, s0, s1, s2, s3, s4, s5)
                 u0 = u[j, 0] + alpha * (z[j, 0] - u[j, 0] - t0)
                 u1 = u[j, 1] + alpha * (z[j, 1] - u[j, 1] - t1)
                 u2 = u[j, 2] + alpha * (z[j, 2] - u[j, 2] - t2)
@@ -84,7 +84,7 @@ def run_admm(structure, work, pairs, options):
                 a3 += basis[j, 3, 0] * v0 + basis[j, 3, 1] * v1 + basis[j, 3, 2] * v2
                 a4 += basis[j, 4, 0] * v0 + basis[j, 4, 1] * v1 + basis[j, 4, 2] * v2
                 a5 += basis[j, 5, 0] * v0 + basis[j, 5, 1] * v1 + basis[j, 5, 2] * v2
-            pair_stress(transfer_a, transfer_b, q, a, b, a0, a1, a2, a3, a4, a5, rhs)
+            add_pair_wrench(transfer_a, transfer_b, q, a, b, a0, a1, a2, a3, a4, a5, rhs)
         if iteration % options.check_every == 0:
             verdict, residual = judge(structure, work, pairs, w, options)
             if verdict != UNDECIDED:

@@ -22,12 +22,12 @@ from falsework.stability.cpu.cones import OCTAGON
 from falsework.stability.cpu.elimination import factor, solve
 from falsework.stability.cpu.layout import (
     FAST,
+    add_pair_wrench,
     add_wrenches,
     clear_matrix,
     dot,
-    pair_strain,
-    pair_stress,
-    point_strain,
+    pair_velocity,
+    point_velocity,
     set_gravity,
 )
 from falsework.stability.cpu.termination import UNDECIDED, judge
@@ -166,9 +166,9 @@ def _strains(structure, work, pairs, velocity):
     basis, start, pair, slot_a, slot_b, v = work.basis, work.start, work.pair, work.slot_a, work.slot_b, work.v
     transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
     for p in range(pairs):
-        s0, s1, s2, s3, s4, s5 = pair_strain(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], velocity)
+        s0, s1, s2, s3, s4, s5 = pair_velocity(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], velocity)
         for j in range(start[p], start[p + 1]):
-            v[j, 0], v[j, 1], v[j, 2] = point_strain(basis, j, s0, s1, s2, s3, s4, s5)
+            v[j, 0], v[j, 1], v[j, 2] = point_velocity(basis, j, s0, s1, s2, s3, s4, s5)
 
 
 @nb.njit(fastmath=FAST, cache=True)
@@ -215,7 +215,7 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
                     for k in range(i + 1):
                         local[i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
         q, a, b_ = pair[p], slot_a[p], slot_b[p]
-        pair_stress(ta, tb, q, a, b_, a0, a1, a2, a3, a4, a5, rhs)
+        add_pair_wrench(ta, tb, q, a, b_, a0, a1, a2, a3, a4, a5, rhs)
         if not matrix:
             continue
         for i in range(6):

@@ -10,7 +10,7 @@ import numpy as np
 
 from falsework.stability.cpu.admm import factor_admm, run_admm
 from falsework.stability.cpu.interior_point import run_interior
-from falsework.stability.cpu.layout import make_work, restrict
+from falsework.stability.cpu.layout import make_scratch, restrict
 from falsework.stability.cpu.termination import STABLE, UNDECIDED
 
 
@@ -67,7 +67,7 @@ def solve_range(structure, states, options, forces, velocity, warm, verdict, res
     """
     nothing_f = np.zeros((0, 3))
     nothing_v = np.zeros((0, 6))
-    work = make_work(structure)
+    work = make_scratch(structure)
     for i in range(len(states)):
         force = forces[i] if len(forces) else nothing_f
         motion = velocity[i] if len(velocity) else nothing_v

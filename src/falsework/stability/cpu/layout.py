@@ -18,7 +18,7 @@ COMPILED_LAYOUT = ("C", "W")
 """Contiguous and writable, for `np.require`: for other arrays of states numba would compile the kernels anew."""
 
 
-class Structure(NamedTuple):
+class KernelArrays(NamedTuple):
     """Arrays of a `Problem` in the layout of the kernel; fields as there."""
 
     elimination: Elimination
@@ -45,7 +45,7 @@ class Structure(NamedTuple):
     cone: int
 
 
-def build_structure(problem: Problem) -> Structure:
+def build_structure(problem: Problem) -> KernelArrays:
     """Lay a problem out for the kernel and eliminate its pattern once."""
     pattern = eliminate(problem)
     pair_of_point = np.repeat(np.arange(problem.pairs), np.diff(problem.pair_start))
@@ -56,7 +56,7 @@ def build_structure(problem: Problem) -> Structure:
     later_is_b = pattern.position[problem.pair_parts[:, 1]] > pattern.position[problem.pair_parts[:, 0]]
     ends = np.concatenate([problem.pair_parts[:, 0], problem.pair_parts[:, 1]])
     by_part = np.argsort(ends, kind="stable")
-    return Structure(
+    return KernelArrays(
         elimination=pattern,
         pair_parts=problem.pair_parts,
         pair_start=problem.pair_start,
@@ -79,7 +79,7 @@ def build_structure(problem: Problem) -> Structure:
     )
 
 
-class Work(NamedTuple):
+class Scratch(NamedTuple):
     """Scratch memory of one thread; pairs and points are in the compact order of the current state."""
 
     free: NDArray[np.bool_]
@@ -114,13 +114,13 @@ class Work(NamedTuple):
 
 
 @nb.njit(cache=True)
-def make_work(structure):
+def make_scratch(structure):
     """Return scratch large enough for every state of a structure."""
     n = len(structure.elimination.order)
     blocks = len(structure.elimination.row)
     pairs = len(structure.pair_parts)
     points = len(structure.basis)
-    return Work(
+    return Scratch(
         np.zeros(n, dtype=np.bool_),
         np.zeros(pairs, dtype=np.int32),
         np.zeros(pairs, dtype=np.int32),
@@ -181,7 +181,7 @@ def restrict(structure, state, work):
 
 
 @nb.njit(inline="always", fastmath=FAST)
-def pair_strain(transfer_a, transfer_b, q, a, b, velocity):
+def pair_velocity(transfer_a, transfer_b, q, a, b, velocity):
     """Compute the relative velocity and rotation at the middle of pair `q`, six numbers.
 
     `a` and `b` are the positions of its parts, -1 where a part is held or boundary.
@@ -209,7 +209,7 @@ def pair_strain(transfer_a, transfer_b, q, a, b, velocity):
 
 
 @nb.njit(inline="always", fastmath=FAST)
-def pair_stress(transfer_a, transfer_b, q, a, b, f0, f1, f2, f3, f4, f5, out):
+def add_pair_wrench(transfer_a, transfer_b, q, a, b, f0, f1, f2, f3, f4, f5, out):
     """Add the six numbers of a force and moment at the middle of pair `q` to its parts that can move."""
     if a >= 0:
         for r in range(6):
@@ -234,7 +234,7 @@ def pair_stress(transfer_a, transfer_b, q, a, b, f0, f1, f2, f3, f4, f5, out):
 
 
 @nb.njit(inline="always", fastmath=FAST)
-def point_strain(basis, j, s0, s1, s2, s3, s4, s5):
+def point_velocity(basis, j, s0, s1, s2, s3, s4, s5):
     """Return relative velocity of contact point `j` in its frame, given what its pair feels."""
     return (
         basis[j, 0, 0] * s0 + basis[j, 1, 0] * s1 + basis[j, 2, 0] * s2
@@ -272,7 +272,7 @@ def add_wrenches(structure, work, pairs, forces, out):
             a3 += basis[j, 3, 0] * f0 + basis[j, 3, 1] * f1 + basis[j, 3, 2] * f2
             a4 += basis[j, 4, 0] * f0 + basis[j, 4, 1] * f1 + basis[j, 4, 2] * f2
             a5 += basis[j, 5, 0] * f0 + basis[j, 5, 1] * f1 + basis[j, 5, 2] * f2
-        pair_stress(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], a0, a1, a2, a3, a4, a5, out)
+        add_pair_wrench(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], a0, a1, a2, a3, a4, a5, out)
 
 
 @nb.njit(fastmath=FAST, cache=True)

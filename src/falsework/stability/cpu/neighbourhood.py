@@ -13,7 +13,7 @@ import numba as nb
 import numpy as np
 
 from falsework.stability.cpu.kernel import solve_state
-from falsework.stability.cpu.layout import make_work
+from falsework.stability.cpu.layout import make_scratch
 from falsework.stability.cpu.termination import UNDECIDED, UNSTABLE
 
 RINGS = (1, 3)
@@ -99,7 +99,7 @@ def solve_range_near(
     """Judge states one after another, each near its parent first; arrays as in `solve_range`."""
     nothing_f = np.zeros((0, 3))
     nothing_v = np.zeros((0, 6))
-    work = make_work(structure)
+    work = make_scratch(structure)
     for i in range(len(states)):
         force = forces[i] if len(forces) else nothing_f
         motion = velocity[i] if len(velocity) else nothing_v

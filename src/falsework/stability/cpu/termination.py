@@ -11,7 +11,7 @@ import numba as nb
 import numpy as np
 
 from falsework.stability.cpu.cones import support
-from falsework.stability.cpu.layout import FAST, add_wrenches, pair_strain, point_strain, set_gravity
+from falsework.stability.cpu.layout import FAST, add_wrenches, pair_velocity, point_velocity, set_gravity
 
 STABLE, UNSTABLE, UNDECIDED = 1, -1, 0
 MARGIN = 1e-3
@@ -31,7 +31,7 @@ class Options(NamedTuple):
 
 
 @nb.njit(fastmath=FAST, cache=True)
-def judge_forces(structure, work, pairs, forces, options, residual):
+def check_primal(structure, work, pairs, forces, options, residual):
     """Return the residual that forces of the cone leave, or infinity if they exceed the force bound.
 
     Leaves the whitened residual in `residual`.
@@ -59,7 +59,7 @@ def judge_forces(structure, work, pairs, forces, options, residual):
 
 
 @nb.njit(fastmath=FAST, cache=True)
-def judge_velocity(structure, work, pairs, velocity, options):
+def check_dual(structure, work, pairs, velocity, options):
     """Return the residual that every force of the cone below the bound leaves at least, as proven by a velocity.
 
     For forces `f` of the cone with sum of normals at most `U W`, `velocity . (G f + g)` is at least
@@ -88,9 +88,9 @@ def judge_velocity(structure, work, pairs, velocity, options):
     transfer_a, transfer_b, scale = structure.transfer_a, structure.transfer_b, work.force_scale
     worst = 0.0
     for p in range(pairs):
-        s0, s1, s2, s3, s4, s5 = pair_strain(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], velocity)
+        s0, s1, s2, s3, s4, s5 = pair_velocity(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], velocity)
         for j in range(start[p], start[p + 1]):
-            n, x, y = point_strain(basis, j, s0, s1, s2, s3, s4, s5)
+            n, x, y = point_velocity(basis, j, s0, s1, s2, s3, s4, s5)
             worst = max(worst, support(structure.cone, -n, -x, -y, structure.friction) / scale[j])
         if worst > allowed:
             return 0.0
@@ -100,10 +100,10 @@ def judge_velocity(structure, work, pairs, velocity, options):
 @nb.njit(fastmath=FAST, cache=True)
 def judge(structure, work, pairs, velocity, options):
     """Return the verdict on the current forces `work.z` and a velocity, with the residual that it rests on."""
-    worst = judge_forces(structure, work, pairs, work.z, options, work.residual)
+    worst = check_primal(structure, work, pairs, work.z, options, work.residual)
     if worst < (1.0 - MARGIN) * options.tolerance:
         return STABLE, worst
-    least = judge_velocity(structure, work, pairs, velocity, options)
+    least = check_dual(structure, work, pairs, velocity, options)
     if least > (1.0 + MARGIN) * options.tolerance:
         return UNSTABLE, least
     return UNDECIDED, worst

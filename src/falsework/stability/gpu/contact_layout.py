@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from falsework.stability.contact.newton import ContactStructure
+from falsework.stability.contact.newton import ContactArrays
 from falsework.stability.gpu.layout import Layout
 
 
-def add_contact(layout: Layout, structure: ContactStructure, gravity: float, ratio: float) -> Layout:
+def add_contact(layout: Layout, structure: ContactArrays, gravity: float, ratio: float) -> Layout:
     """Add stiffness and units of displacement to a layout.
 
     The kernel measures lengths in `layout.length`, masses in the mean mass and accelerations in gravity. With
-    displacements in `scale * gravity` metres, `scale` as in `ContactStructure`, the stiffness of a point is the same
+    displacements in `scale * gravity` metres, `scale` as in `ContactArrays`, the stiffness of a point is the same
     number as on the processor.
 
     Args:

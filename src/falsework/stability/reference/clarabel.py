@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states
-from falsework.stability.certificate import Claim, residual_bound_of_velocity, residual_of_forces
+from falsework.stability.certificate import StabilityCriterion, residual_bound_of_velocity, residual_of_forces
 from falsework.stability.problem import Problem, build_problem
 from falsework.stability.reference.conic_program import (
     Program,
@@ -29,7 +29,7 @@ from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 Array = NDArray[np.float64]
-ProgramOf = Callable[[Problem, NDArray[np.bool_], NDArray[np.bool_], Claim], Program]
+ProgramOf = Callable[[Problem, NDArray[np.bool_], NDArray[np.bool_], StabilityCriterion], Program]
 
 _ROUGH = 1e4
 """Friction above which the slip that rounding leaves in a velocity can spoil its proof."""

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from falsework.stability.certificate import Claim
+from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.problem import Problem
 
 Array = NDArray[np.float64]
@@ -56,7 +56,7 @@ def block_diagonal(blocks: Array) -> sp.csc_matrix:
     return matrix
 
 
-def least_squares(problem: Problem, free: Mask, active: Mask, claim: Claim) -> Program:
+def least_squares(problem: Problem, free: Mask, active: Mask, claim: StabilityCriterion) -> Program:
     """`min 1/2 |y|^2` with `y = L^-1 (G f + g)` up to a factor, `f` in the cones (paper, equation 6).
 
     Args:
@@ -90,7 +90,7 @@ def least_squares(problem: Problem, free: Mask, active: Mask, claim: Claim) -> P
     )
 
 
-def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: Claim) -> Program:
+def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: StabilityCriterion) -> Program:
     """`min t` with `|D M^-1 (G f + g)| <= t`, `f` in the cones, sum of normals below the bound; `D` is `measure`.
 
     Its multipliers are the best virtual velocity there is: by duality they prove the very residual that its

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
 
 
-class Tool(StrEnum):
+class ClickMode(StrEnum):
     """Effect of a click on a part."""
 
     LOOK = "look at it"
@@ -40,22 +40,27 @@ class Disruption:
     """Parts that the target has otherwise than usual: in assembly they are left out, in disassembly they stay."""
     robots: int = 2
 
-    def toggled(self, tool: Tool, part: int, assembly: Assembly) -> Disruption:
+    def toggled(self, tool: ClickMode, part: int, assembly: Assembly) -> Disruption:
         """Return the same with one mark set, or taken away where it was set.
 
         Raises:
             InputError: the part is boundary, which nothing can happen to.
         """
-        if tool is Tool.LOOK:
+        if tool is ClickMode.LOOK:
             return self
         if assembly.boundary[part]:
             raise InputError(f"{assembly.names[part]} is boundary, which never changes; click another part")
-        field = {Tool.MISSING: "missing", Tool.THERE: "there", Tool.FIXED: "fixed", Tool.TARGET: "target"}[tool]
+        field = {
+            ClickMode.MISSING: "missing",
+            ClickMode.THERE: "there",
+            ClickMode.FIXED: "fixed",
+            ClickMode.TARGET: "target",
+        }[tool]
         marked: frozenset[int] = getattr(self, field)
         changed = replace(self, **{field: marked ^ {part}})
-        if tool is Tool.MISSING:  # what is missing is not there, and the other way round
+        if tool is ClickMode.MISSING:  # what is missing is not there, and the other way round
             return replace(changed, there=changed.there - changed.missing)
-        if tool is Tool.THERE:
+        if tool is ClickMode.THERE:
             return replace(changed, missing=changed.missing - changed.there)
         return changed
 

@@ -17,11 +17,11 @@ from falsework.search.problem.task import Direction
 from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import bounds_with_arms
 from falsework.viewer.arrows import KINDS
-from falsework.viewer.page.disruption import Tool
+from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.origin_guard import LOCAL, WILDCARDS, OriginGuard, start_server
 from falsework.viewer.page.page_text import about_text, legend_text, marked_text, where_text
 from falsework.viewer.page.scene import SIZE, Scene
-from falsework.viewer.page.viewer_state import Model
+from falsework.viewer.page.viewer_state import ViewerState
 
 FRAMES = 15.0
 """Frames a second of a plan that is played."""
@@ -54,7 +54,7 @@ class Page:
     """Browser page of one model, shared by all clients."""
 
     def __init__(
-        self, model: Model, *, host: str = "127.0.0.1", port: int = 8080, allowed_hosts: Iterable[str] = ()
+        self, model: ViewerState, *, host: str = "127.0.0.1", port: int = 8080, allowed_hosts: Iterable[str] = ()
     ) -> None:
         """Start to serve.
 
@@ -120,9 +120,9 @@ class Page:
 
     def _draw(self) -> None:
         model = self.model
-        look = model.look()
-        self.scene.show(look, missing=model.disruption.missing, pale=model.pale, labels=model.labels(look))
-        self.scene.show_arms(model.arms, model.moment())
+        appearance = model.appearance()
+        self.scene.show(appearance, missing=model.disruption.missing, pale=model.pale, labels=model.labels(appearance))
+        self.scene.show_arms(model.arms, model.arm_poses())
 
     # What the page is made of.
 
@@ -175,13 +175,13 @@ class Page:
                 self._toggles[kind] = gui.add_checkbox(name, initial_value=False)
                 self._toggles[kind].on_update(lambda event: self._guard(event, self.refresh))
             if model.policy is not None:
-                self._chances = gui.add_checkbox("Probabilities of the policy", initial_value=model.show_chances)
+                self._chances = gui.add_checkbox("Probabilities of the policy", initial_value=model.show_probabilities)
                 self._chances.on_update(lambda event: self._guard(event, self._chances_changed))
             self._about = gui.add_html("")
             self._legend = gui.add_html("")
         with tabs.add_tab("Disrupt"):
             self._tool = gui.add_dropdown(
-                "A click will", tuple(str(tool) for tool in Tool), initial_value=str(Tool.LOOK)
+                "A click will", tuple(str(tool) for tool in ClickMode), initial_value=str(ClickMode.LOOK)
             )
             self._tool.on_update(lambda event: self._guard(event, self._tool_changed))
             self._robots = gui.add_number("Robots", model.disruption.robots, min=1, max=NO_MORE_THAN, step=1)
@@ -266,13 +266,13 @@ class Page:
         if self._playing.is_set():
             self._playing.clear()
         else:
-            if self.model.place >= len(self.model.timeline):
+            if self.model.position >= len(self.model.timeline):
                 self.model.go_to(0)
             self._playing.set()
         self._play_button.label = "Pause" if self._playing.is_set() else "Play"
 
     def _tool_changed(self) -> None:
-        self.model.tool = Tool(self._tool.value)
+        self.model.tool = ClickMode(self._tool.value)
         self.refresh()
 
     def _robots_changed(self) -> None:
@@ -280,7 +280,7 @@ class Page:
         self.refresh()
 
     def _chances_changed(self) -> None:
-        self.model.show_chances = bool(self._chances.value)
+        self.model.show_probabilities = bool(self._chances.value)
         self.refresh()
 
     def _cleared(self) -> None:
@@ -322,7 +322,7 @@ class Page:
     def _set_slider(self) -> None:
         self._quiet = True
         try:
-            self._slider.value = round(self.model.place)
+            self._slider.value = round(self.model.position)
         finally:
             self._quiet = False
 
@@ -332,15 +332,15 @@ class Page:
                 continue
             begun = time.perf_counter()
             model = self.model
-            before = int(model.place)
-            model.go_to(model.place + float(self._speed.value) / FRAMES)
-            if int(model.place) != before:
+            before = int(model.position)
+            model.go_to(model.position + float(self._speed.value) / FRAMES)
+            if int(model.position) != before:
                 self._set_slider()
                 self.refresh()
             else:
                 with self._lock, self.server.atomic():
                     self._draw()
-            if model.place >= len(model.timeline):
+            if model.position >= len(model.timeline):
                 self._playing.clear()
                 self._play_button.label = "Play"
             time.sleep(max(1 / FRAMES - (time.perf_counter() - begun), 0.005))

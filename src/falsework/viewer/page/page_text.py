@@ -8,12 +8,12 @@ from collections.abc import Collection
 import numpy as np
 
 from falsework.viewer.arrows import KINDS
-from falsework.viewer.page.viewer_state import Model
+from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, SLIDING, robot_color
-from falsework.viewer.timeline import NOBODY
+from falsework.viewer.timeline import NO_ROBOT
 
 
-def where_text(model: Model, *, ask: bool) -> str:
+def where_text(model: ViewerState, *, ask: bool) -> str:
     """Return the step and what it does, in Markdown.
 
     Args:
@@ -21,22 +21,22 @@ def where_text(model: Model, *, ask: bool) -> str:
         ask: say also whether the state is stable; it is said anyway where no plan has proven it.
     """
     steps = len(model.timeline)
-    place = int(np.ceil(model.place))  # between two states the step that is under way
-    doing = f": **{model.timeline.words(place - 1)}**" if place and steps else ""
-    lines = [f"step {place} of {steps}{doing}" if steps else f"**{model.assembly.name}**"]
+    position = int(np.ceil(model.position))  # between two states the step that is under way
+    doing = f": **{model.timeline.words(position - 1)}**" if position and steps else ""
+    lines = [f"step {position} of {steps}{doing}" if steps else f"**{model.assembly.name}**"]
     # A plan has proven its states; what is marked on top has not been asked about yet.
     if ask or not model.disruption.empty or not steps:
         lines.append(f"*{model.proof().words}*")
     return "<br/>".join(lines)
 
 
-def marked_text(model: Model) -> str:
+def marked_text(model: ViewerState) -> str:
     """Describe the parts marked as missing, already there or not to be touched."""
     words = model.disruption.words(model.assembly)
     return f"Marked {words}." if words else "Nothing is marked: choose what a click does."
 
 
-def about_text(model: Model) -> str:
+def about_text(model: ViewerState) -> str:
     """Return a table of what is known of the part that was clicked, in HTML."""
     if model.selected is None:
         return "<div style='margin:0.5em 1em;color:#666'>Click a part to learn about it.</div>"
@@ -48,7 +48,7 @@ def about_text(model: Model) -> str:
     return f"<table id='falsework-part' style='margin:0.5em 1em;font-size:0.85em'>{rows}</table>"
 
 
-def legend_text(model: Model, shown: Collection[str]) -> str:
+def legend_text(model: ViewerState, shown: Collection[str]) -> str:
     """Return the legend of the colours in use, in HTML.
 
     Args:
@@ -56,7 +56,7 @@ def legend_text(model: Model, shown: Collection[str]) -> str:
         shown: kinds of arrows that are.
     """
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "stands by itself")]
-    holding = int(model.timeline.holders.max(initial=NOBODY)) + 1
+    holding = int(model.timeline.holders.max(initial=NO_ROBOT)) + 1
     entries += [(robot_color(robot), f"held by robot {robot + 1} (R{robot + 1})") for robot in range(holding)]
     if holding > len(ROBOTS):
         entries.append(("#ffffff", "colours repeat: labels say which robot"))
@@ -69,7 +69,7 @@ def legend_text(model: Model, shown: Collection[str]) -> str:
         f"border:1px solid #999;margin-right:0.5em'></span>{html.escape(words)}</div>"
         for color, words in entries
     )
-    if model.show_chances:
+    if model.show_probabilities:
         scale = f"linear-gradient(to right,{','.join(RAMP)})"
         boxes += (
             f"<div style='height:0.8em;margin-top:0.5em;background:{scale}'></div>"

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.viewer.appearance import Look, bounds_of, diagonal
-from falsework.viewer.arms import Arms, Moment, wxyz_of
+from falsework.viewer.appearance import Appearance, bounds_of, diagonal
+from falsework.viewer.arms import ArmPoses, Arms, wxyz_of
 from falsework.viewer.arrows import KINDS, Arrows
 from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, rgb, robot_color
 from falsework.viewer.timeline import Timeline
@@ -88,7 +88,7 @@ class Scene:
 
     def show(
         self,
-        look: Look,
+        appearance: Appearance,
         *,
         missing: Iterable[int] = (),
         pale: Iterable[int] = (),
@@ -107,13 +107,13 @@ class Scene:
         """
         wanted: dict[str, list[int]] = {}
         base = np.array(rgb(INSTALLED), dtype=np.uint8)
-        solid = np.flatnonzero(look.solid)
-        plain = (look.color == base).all(axis=1)
+        solid = np.flatnonzero(appearance.solid)
+        plain = (appearance.color == base).all(axis=1)
         for part in solid.tolist():
             if plain[part]:
                 wanted.setdefault(f"/parts/standing/{self._chunk[part]}", []).append(part)
             else:
-                red, green, blue = look.color[part].tolist()
+                red, green, blue = appearance.color[part].tolist()
                 wanted.setdefault(f"/parts/colour/{red:02x}{green:02x}{blue:02x}", []).append(part)
         for name, parts in (("/parts/missing", missing), ("/parts/pale", pale)):
             if chosen := sorted(int(part) for part in parts):
@@ -123,8 +123,8 @@ class Scene:
             sent += self._merge(name, parts)
         for name in [name for name in self._shown if name.startswith("/parts/") and name not in wanted]:
             self._hide(name)
-        sent += self._show_ghosts(look)
-        self._show_labels(look, labels or {})
+        sent += self._show_ghosts(appearance)
+        self._show_labels(appearance, labels or {})
         return sent
 
     def show_arrows(self, arrows: Mapping[str, Arrows], moved: Mapping[int, Array], color: str = MOTION) -> None:
@@ -165,14 +165,14 @@ class Scene:
             )  # fmt: skip
             self._keep("/motion", key, node)
 
-    def show_arms(self, arms: Arms | None, moment: Moment | None) -> None:
+    def show_arms(self, arms: Arms | None, arm_poses: ArmPoses | None) -> None:
         """Bring the arms, and the part that one of them carries, up to date.
 
         Args:
             arms: the robots; None if there are none any more.
             moment: where they are.
         """
-        if arms is None or moment is None:
+        if arms is None or arm_poses is None:
             for node in (*self._arms, *(node for _, node in self._carried)):
                 node.remove()
             self._arms, self._carried, self._robots = [], [], None
@@ -188,24 +188,24 @@ class Scene:
                         f"/arms/{number}", vertices, link.faces.astype(np.uint32), color=color, flat_shading=True
                     )
                 )
-        for node, pose in zip(self._arms, moment.poses, strict=True):
+        for node, pose in zip(self._arms, arm_poses.poses, strict=True):
             node.position = self.place(pose[:3, 3])
             node.wxyz = wxyz_of(pose[:3, :3])
-        if self._carried and self._carried[0][0] != moment.carried:
+        if self._carried and self._carried[0][0] != arm_poses.carried:
             self._carried.pop()[1].remove()
-        if moment.carried is None:
+        if arm_poses.carried is None:
             return
         if not self._carried:
-            part = moment.carried
+            part = arm_poses.carried
             node = self._scene.add_mesh_simple(
                 "/carried",
                 self._vertices[part],
                 self._faces[part],
-                color=rgb(robot_color(moment.carrier)),
+                color=rgb(robot_color(arm_poses.carrier)),
                 flat_shading=True,
             )
             self._carried.append((part, node))
-        turn, shift = moment.carried_pose[:3, :3], moment.carried_pose[:3, 3]
+        turn, shift = arm_poses.carried_pose[:3, :3], arm_poses.carried_pose[:3, 3]
         self._carried[0][1].wxyz = wxyz_of(turn)
         self._carried[0][1].position = self.place(turn @ self.origin + shift)
 
@@ -252,20 +252,20 @@ class Scene:
         self._keep(name, key, *nodes)
         return 1
 
-    def _show_ghosts(self, look: Look) -> int:
+    def _show_ghosts(self, appearance: Appearance) -> int:
         sent = 0
-        wanted = set(look.ghosts.tolist())
+        wanted = set(appearance.ghosts.tolist())
         for part in [part for part in self._ghosts if part not in wanted]:
             self._ghosts.pop(part)[1].remove()
         for part in wanted:
-            color = look.color[part].tobytes()
-            position = look.shift[part] * self.scale
-            opacity = float(look.opacity[part])
+            color = appearance.color[part].tobytes()
+            position = appearance.shift[part] * self.scale
+            opacity = float(appearance.opacity[part])
             known = self._ghosts.get(part)
             if known is None or known[0] != color:
                 node = self._scene.add_mesh_simple(
                     f"/ghosts/{part}", self._vertices[part], self._faces[part],
-                    color=tuple(int(channel) for channel in look.color[part]), flat_shading=True,
+                    color=tuple(int(channel) for channel in appearance.color[part]), flat_shading=True,
                     opacity=opacity, position=position, cast_shadow=False,
                 )  # fmt: skip
                 self._ghosts[part] = (color, node)
@@ -275,12 +275,12 @@ class Scene:
                 known[1].opacity = opacity
         return sent
 
-    def _show_labels(self, look: Look, labels: Mapping[int, str]) -> None:
+    def _show_labels(self, appearance: Appearance, labels: Mapping[int, str]) -> None:
         for part in [part for part in self._labels if labels.get(part) != self._labels[part][0]]:
             self._labels.pop(part)[1].remove()
         for part, words in labels.items():
             if part not in self._labels:
-                at = self.place(self.assembly.mass.center[part] + look.shift[part])
+                at = self.place(self.assembly.mass.center[part] + appearance.shift[part])
                 self._labels[part] = (words, self._scene.add_label(f"/labels/{part}", words, position=at))
 
     def _fresh(self, name: str, key: bytes) -> bool:

@@ -17,12 +17,12 @@ from falsework.search.problem.task import Direction
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
-from falsework.viewer.appearance import Look, look_at, pick
-from falsework.viewer.arms import Arms, Moment, look_with_arms
-from falsework.viewer.page.disruption import Disruption, Tool, chance_of_parts
+from falsework.viewer.appearance import Appearance, appearance_at, pick
+from falsework.viewer.arms import ArmPoses, Arms, look_with_arms
+from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
 from falsework.viewer.palette import FIXED, SELECTED
 from falsework.viewer.proof import StateProof, proof_of_state
-from falsework.viewer.timeline import NOBODY, Timeline
+from falsework.viewer.timeline import NO_ROBOT, Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -46,7 +46,7 @@ class NewPlan:
     plan: Plan | None = None
 
 
-class Model:
+class ViewerState:
     """State of one page. Its methods are thread-safe: each takes the lock."""
 
     def __init__(
@@ -78,11 +78,11 @@ class Model:
         self.policy = policy
         self.graph = graph
         self.arms = arms
-        self.place = 0.0
-        self.tool = Tool.LOOK
+        self.position = 0.0
+        self.tool = ClickMode.LOOK
         self.selected: int | None = None
         self.disruption = Disruption(robots=timeline.robots)
-        self.show_chances = policy is not None
+        self.show_probabilities = policy is not None
         self.deadline = deadline
         self.lock = threading.RLock()
         self._oracle = oracle
@@ -112,17 +112,17 @@ class Model:
     @property
     def state(self) -> States:
         """State that the plan has reached, shape (parts,)."""
-        return self.timeline.states[self.timeline.row(self.place)]
+        return self.timeline.states[self.timeline.row(self.position)]
 
     @property
     def site(self) -> States:
         """State as it is marked to be on site, shape (parts,)."""
         return self.disruption.on(self.state)
 
-    def go_to(self, place: float) -> None:
+    def go_to(self, position: float) -> None:
         """Show another place; beyond the ends is the end."""
         with self.lock:
-            self.place = min(max(float(place), 0.0), float(len(self.timeline)))
+            self.position = min(max(float(position), 0.0), float(len(self.timeline)))
 
     def turn(self, direction: Direction) -> None:
         """Show the other order; the state that is shown stays."""
@@ -130,41 +130,43 @@ class Model:
             if direction is not self.direction:
                 self.timeline = self.timeline.turned(direction)
                 self.arms = None if self.arms is None else self.arms.turned(direction)
-                self.place = len(self.timeline) - self.place
+                self.position = len(self.timeline) - self.position
 
-    def look(self) -> Look:
+    def appearance(self) -> Appearance:
         """Return the present appearance of all parts."""
         with self.lock:
             disrupted = bool(self.disruption.missing or self.disruption.there)
             marks = self.sliding | dict.fromkeys(self.disruption.fixed, FIXED)
             if self.selected is not None:
                 marks[self.selected] = SELECTED
-            look = look_at(
+            appearance = appearance_at(
                 self.timeline,
-                self.place,
+                self.position,
                 state=self.site if disrupted else None,
-                chances=self.chances() if self.show_chances else None,
+                action_probabilities=self.action_probabilities() if self.show_probabilities else None,
                 marks=marks,
                 travelling=self.arms is None,
             )
-            moment = self.moment()
-            return look if moment is None or disrupted else look_with_arms(look, moment)
+            arm_poses = self.arm_poses()
+            return appearance if arm_poses is None or disrupted else look_with_arms(appearance, arm_poses)
 
-    def moment(self) -> Moment | None:
+    def arm_poses(self) -> ArmPoses | None:
         """Return the present arm poses; None where there are no arms."""
         with self.lock:
-            return None if self.arms is None else self.arms.at(self.place)
+            return None if self.arms is None else self.arms.at(self.position)
 
     @property
     def pale(self) -> Sequence[int]:
         """Absent parts that are shown all the same, palely, so that they can be clicked."""
-        if self.tool is Tool.LOOK:
+        if self.tool is ClickMode.LOOK:
             return ()
         return [int(part) for part in np.flatnonzero(self.site == REMOVED) if part not in self.disruption.missing]
 
-    def labels(self, look: Look) -> dict[int, str]:
+    def labels(self, appearance: Appearance) -> dict[int, str]:
         """Return short words at parts: who holds them, which one is selected, and what is marked."""
-        labels = {int(part): f"R{look.holder[part] + 1}" for part in np.flatnonzero(look.holder != NOBODY)}
+        labels = {
+            int(part): f"R{appearance.holder[part] + 1}" for part in np.flatnonzero(appearance.holder != NO_ROBOT)
+        }
         if self.selected is not None:
             name = self.assembly.names[self.selected]
             labels[self.selected] = f"{name}, {labels[self.selected]}" if self.selected in labels else name
@@ -188,16 +190,16 @@ class Model:
             InputError: the part cannot be marked.
         """
         with self.lock:
-            look = self.look()
-            opacity = look.opacity.copy()
+            appearance = self.appearance()
+            opacity = appearance.opacity.copy()
             opacity[list(self.disruption.missing)] = 1.0
             opacity[list(self.pale)] = 1.0
-            if self.tool is Tool.THERE:  # what stands already needs no such mark
+            if self.tool is ClickMode.THERE:  # what stands already needs no such mark
                 opacity[self.state != REMOVED] = 0.0
-            part = pick(self.assembly, replace(look, opacity=opacity), origin, ray)
+            part = pick(self.assembly, replace(appearance, opacity=opacity), origin, ray)
             if part is not None:
                 self.click_part(part)
-            elif self.tool is Tool.LOOK:
+            elif self.tool is ClickMode.LOOK:
                 self.selected = None
             return part
 
@@ -231,8 +233,8 @@ class Model:
         touching += f" and {len(others) - 8} more" if len(others) > 8 else ""
         value = int(self.site[part])
         now = "boundary" if assembly.boundary[part] else ("not there", "stands by itself", "held")[value]
-        who = self.look().holder[part]
-        if who != NOBODY:
+        who = self.appearance().holder[part]
+        if who != NO_ROBOT:
             now = f"held by robot {who + 1}"
         spans = [
             f"robot {robot + 1}, " + (f"state {first}" if first == last else f"states {first} to {last}")
@@ -245,7 +247,7 @@ class Model:
             ("contacts", f"{len(mine)}, {contacts.areas[mine].sum():.3g} m2, with {touching or 'nothing'}"),
             ("held by", "; ".join(spans) if spans else "nobody"),
         ]
-        chance = self.chances()[part] if self.policy is not None else np.nan
+        chance = self.action_probabilities()[part] if self.policy is not None else np.nan
         if np.isfinite(chance):
             verb = "remove" if self.state[part] == HELD else "hold"
             facts.append(("policy", f"{verb} it with {100 * chance:.1f} %"))
@@ -271,7 +273,7 @@ class Model:
             known = self._proofs.get(self.site.tobytes())
             return {} if known is None else known.marks
 
-    def chances(self) -> NDArray[np.float64]:
+    def action_probabilities(self) -> NDArray[np.float64]:
         """Probability that the policy takes the action that concerns each part in the state shown; shape (parts,).
 
         NaN where no action is legal; all NaN without a policy.
@@ -295,7 +297,7 @@ class Model:
         from falsework.viewer.page.coverage import visited_states
 
         assert self._guide is not None or self.policy is not None
-        self.chances()
+        self.action_probabilities()
         assert self._guide is not None
         return visited_states(self._guide, self.oracle, self.timeline.states[0], self.timeline.robots, rollouts)
 
@@ -323,11 +325,11 @@ class Model:
         words = f"{len(answer.plan)} steps in {seconds:.2f} s, decided by {decided}. "
         words += self._compare(old, answer.plan)
         with self.lock:
-            self._before.append((self.timeline, self.plan, self.disruption, self.place, self.arms))
+            self._before.append((self.timeline, self.plan, self.disruption, self.position, self.arms))
             self.arms = None  # the new plan has no motions yet
             self.timeline = Timeline.of(answer.plan, self.assembly)
             self.plan = answer.plan
-            self.place = 0.0
+            self.position = 0.0
             # What has been planned around is no longer marked: the states of the new plan show it.
             self.disruption = Disruption(fixed=self.disruption.fixed, robots=self.disruption.robots)
         return NewPlan(True, words, seconds, decided, answer.plan)
@@ -341,7 +343,7 @@ class Model:
         """Show the plan before the last one again, with the marks that were set then."""
         with self.lock:
             if self._before:
-                self.timeline, self.plan, self.disruption, self.place, self.arms = self._before.pop()
+                self.timeline, self.plan, self.disruption, self.position, self.arms = self._before.pop()
 
     def _compare(self, old: Plan | None, new: Plan) -> str:
         if old is None:

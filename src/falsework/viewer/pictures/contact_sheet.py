@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
 from falsework.utils.archive import write_whole
-from falsework.viewer.appearance import TRAVEL, Look, bounds_of, diagonal, look_at
+from falsework.viewer.appearance import TRAVEL, Appearance, appearance_at, bounds_of, diagonal
 from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms
 from falsework.viewer.arrows import Arrows
 from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, ROBOTS, SLIDING, hex_of, ramp, robot_color
 from falsework.viewer.pictures.render import Camera, Image, Solid, render
 from falsework.viewer.proof import StateProof
-from falsework.viewer.timeline import NOBODY, Timeline, interesting
+from falsework.viewer.timeline import NO_ROBOT, Timeline, interesting
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -35,19 +35,19 @@ _ARROW = 0.006
 """Thickness of arrows, in diagonals of the structure."""
 
 
-def solids_of(assembly: Assembly, look: Look) -> list[Solid]:
+def solids_of(assembly: Assembly, appearance: Appearance) -> list[Solid]:
     """Return all parts that are seen, as meshes with their colours."""
     solids = []
-    for part in np.flatnonzero(look.opacity > 0):
+    for part in np.flatnonzero(appearance.opacity > 0):
         mesh = assembly.meshes[part]
-        color = tuple(float(channel) / 255 for channel in look.color[part])
-        solids.append(Solid(mesh.vertices + look.shift[part], mesh.faces, color, float(look.opacity[part])))
+        color = tuple(float(channel) / 255 for channel in appearance.color[part])
+        solids.append(Solid(mesh.vertices + appearance.shift[part], mesh.faces, color, float(appearance.opacity[part])))
     return solids
 
 
 def draw(
     assembly: Assembly,
-    look: Look,
+    appearance: Appearance,
     camera: Camera = WHOLE,
     *,
     bounds: NDArray[np.float64] | None = None,
@@ -66,7 +66,7 @@ def draw(
         extra: other meshes, such as arms.
         samples: pixels are averaged over `samples` squared.
     """
-    solids = [*solids_of(assembly, look), *extra]
+    solids = [*solids_of(assembly, appearance), *extra]
     box = bounds_of(assembly) if bounds is None else bounds
     image = render(solids, camera, box, samples=samples)
     if not any(len(some) for some in arrows):
@@ -112,31 +112,31 @@ def contact_sheet(
     rows = -(-len(chosen) // columns)
     head, cell = (_LINE + 6 if title else 0), camera.height + _LINE
     proofs = proofs or {}
-    entries = legend(timeline, any(proofs[place].slides for place in chosen if place in proofs))
+    entries = legend(timeline, any(proofs[position].slides for position in chosen if position in proofs))
     sheet = pillow.Image.new("RGB", (columns * camera.width, head + rows * cell + _LINE + 14), "white")
     pen = pillow.ImageDraw.Draw(sheet)
     if title:
         _write(pen, pillow, (sheet.width / 2, head / 2 + 2), title, 18)
-    for number, place in enumerate(chosen):
+    for number, position in enumerate(chosen):
         left, top = (number % columns) * camera.width, head + (number // columns) * cell
-        proof = proofs.get(place)
-        look = look_at(timeline, place, marks=None if proof is None else proof.marks, travelling=False)
-        picture = to_pixels(draw(timeline.assembly, look, camera))
+        proof = proofs.get(position)
+        appearance = appearance_at(timeline, position, marks=None if proof is None else proof.marks, travelling=False)
+        picture = to_pixels(draw(timeline.assembly, appearance, camera))
         sheet.paste(pillow.Image.fromarray(picture), (left, top + _LINE))
-        _write(pen, pillow, (left + camera.width / 2, top + _LINE / 2 + 4), caption(timeline, place, proof), 14)
+        _write(pen, pillow, (left + camera.width / 2, top + _LINE / 2 + 4), caption(timeline, position, proof), 14)
     _write_legend(pen, pillow, sheet.width, sheet.height - _LINE / 2 - 5, entries)
     return np.asarray(sheet)
 
 
 def one_state(
     timeline: Timeline,
-    place: float,
+    position: float,
     camera: Camera = WHOLE,
     *,
     arrows: Sequence[Arrows] = (),
     key: Sequence[tuple[str, str]] | None = None,
     arms: Arms | None = None,
-    chances: NDArray[np.float64] | None = None,
+    action_probabilities: NDArray[np.float64] | None = None,
     bounds: NDArray[np.float64] | None = None,
     words: str | None = None,
     marks: Mapping[int, str] | None = None,
@@ -159,26 +159,30 @@ def one_state(
     """
     pillow = import_pillow()
     extra: Sequence[Solid] = ()
-    look = look_at(timeline, place, chances=chances, marks=marks, travelling=arms is None)
+    appearance = appearance_at(
+        timeline, position, action_probabilities=action_probabilities, marks=marks, travelling=arms is None
+    )
     box = bounds_with_ways(timeline) if bounds is None else bounds
     if arms is not None:
-        moment = arms.at(place)
-        look, extra = look_with_arms(look, moment), solids_of_arms(arms, moment, timeline.assembly)
+        arm_poses = arms.at(position)
+        appearance, extra = look_with_arms(appearance, arm_poses), solids_of_arms(arms, arm_poses, timeline.assembly)
         box = bounds_with_arms(arms, bounds_of(timeline.assembly)) if bounds is None else bounds
     tips = [some.ends.reshape(-1, 3) for some in arrows if len(some)]
     if tips:
         points = np.concatenate([box, *tips])
         box = np.stack([points.min(axis=0), points.max(axis=0)])
         box[0, 2] = bounds_of(timeline.assembly)[0, 2]
-    picture = to_pixels(draw(timeline.assembly, look, camera, bounds=box, arrows=arrows, extra=extra, samples=samples))
+    picture = to_pixels(
+        draw(timeline.assembly, appearance, camera, bounds=box, arrows=arrows, extra=extra, samples=samples)
+    )
     height = camera.height + 2 * _LINE + 14
     image = pillow.Image.new("RGB", (camera.width, height + height % 2), "white")
     image.paste(pillow.Image.fromarray(picture), (0, _LINE + 4))
     pen = pillow.ImageDraw.Draw(image)
-    text = caption(timeline, round(place)) if words is None else words
+    text = caption(timeline, round(position)) if words is None else words
     _write(pen, pillow, (camera.width / 2, _LINE / 2 + 4), text, 18)
     entries = list(legend(timeline) if key is None else key)
-    if chances is not None:
+    if action_probabilities is not None:
         shares = (0.0, 0.25, 0.5, 0.75, 1.0)
         entries = entries[:1] + [(hex_of(ramp(share)), f"{share:.0%}") for share in shares]
     _write_legend(pen, pillow, camera.width, camera.height + 1.5 * _LINE + 4, entries)
@@ -188,20 +192,20 @@ def one_state(
 def legend(timeline: Timeline, sliding: bool = False) -> list[tuple[str, str]]:
     """Return the colour and words of all that a timeline shows; `sliding` if parts are marked that slide."""
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "stands by itself")]
-    for robot in range(min(int(timeline.holders.max(initial=NOBODY)) + 1, len(ROBOTS))):
+    for robot in range(min(int(timeline.holders.max(initial=NO_ROBOT)) + 1, len(ROBOTS))):
         entries.append((robot_color(robot), f"held by robot {robot + 1}"))
     if sliding:
         entries.append((SLIDING, "would slide"))
     return entries
 
 
-def caption(timeline: Timeline, place: int, proof: StateProof | None = None) -> str:
+def caption(timeline: Timeline, position: int, proof: StateProof | None = None) -> str:
     """Return the caption of a state, such as `step 3 of 90: hold block-7`, with its verdict if it is not stable."""
     verdict = "" if proof is None else f" ({proof.verdict})" if not proof.stable else ""
     if len(timeline) == 0:
         return timeline.assembly.name + verdict
-    doing = f": {timeline.words(place - 1)}" if place else ""
-    return f"step {place} of {len(timeline)}{doing}{verdict}"
+    doing = f": {timeline.words(position - 1)}" if position else ""
+    return f"step {position} of {len(timeline)}{doing}{verdict}"
 
 
 def check_places(timeline: Timeline, places: Sequence[int]) -> None:
@@ -210,9 +214,9 @@ def check_places(timeline: Timeline, places: Sequence[int]) -> None:
     Raises:
         InputError: one of them.
     """
-    for place in places:
-        if not 0 <= place <= len(timeline):
-            raise InputError(f"step {place} is not there; the plan has steps 0 (the beginning) to {len(timeline)}")
+    for position in places:
+        if not 0 <= position <= len(timeline):
+            raise InputError(f"step {position} is not there; the plan has steps 0 (the beginning) to {len(timeline)}")
 
 
 def bounds_with_ways(timeline: Timeline) -> NDArray[np.float64]:
@@ -260,8 +264,8 @@ def import_pillow() -> Any:
     return PIL
 
 
-def _write(pen: Any, pillow: Any, place: tuple[float, float], text: str, size: int, anchor: str = "mm") -> None:
-    pen.text(place, text, fill=INK, font=pillow.ImageFont.load_default(size), anchor=anchor)
+def _write(pen: Any, pillow: Any, position: tuple[float, float], text: str, size: int, anchor: str = "mm") -> None:
+    pen.text(position, text, fill=INK, font=pillow.ImageFont.load_default(size), anchor=anchor)
 
 
 def _write_legend(pen: Any, pillow: Any, width: int, middle: float, entries: Sequence[tuple[str, str]]) -> None:

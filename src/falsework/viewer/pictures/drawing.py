@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.utils.archive import write_whole
-from falsework.viewer.appearance import look_at
+from falsework.viewer.appearance import appearance_at
 from falsework.viewer.arrows import Arrows
 from falsework.viewer.palette import INK
 from falsework.viewer.pictures.contact_sheet import caption, check_places, legend
@@ -121,7 +121,7 @@ def drawing(
             return " ".join(f"{u:.2f},{v:.2f}" for u, v in zip(across, down, strict=True))
 
         proof = proofs.get(place)
-        look = look_at(timeline, place, marks=None if proof is None else proof.marks, travelling=False)
+        look = appearance_at(timeline, place, marks=None if proof is None else proof.marks, travelling=False)
         body.append(_text(x + width / 2, y + _LINE - 8, caption(timeline, place, proof)))
         for part in np.flatnonzero(look.opacity > 0):
             red, green, blue = look.color[part].tolist()

@@ -12,7 +12,7 @@ from falsework.assembly.state import States
 from falsework.errors import DependencyError
 from falsework.search.problem.state_graph import StateGraph
 from falsework.utils.archive import write_whole
-from falsework.viewer.appearance import look_at
+from falsework.viewer.appearance import appearance_at
 from falsework.viewer.palette import INK, ROBOTS
 from falsework.viewer.timeline import Timeline
 
@@ -166,7 +166,7 @@ def _draw_icons(
     low, high = points.min(axis=0), points.max(axis=0)
     scale = np.array([0.54, 0.8]) / (high - low).max() * np.array([1.0, 1.0])
     for node, state in enumerate(graph.states):
-        look = look_at(Timeline.still(assembly, state, graph.task.robots), 0)
+        look = appearance_at(Timeline.from_state(assembly, state, graph.task.robots), 0)
         for part in np.flatnonzero(look.opacity > 0):
             moved = (lines[part][0] - (low + high) / 2) * scale + place[node]
             axis.fill(

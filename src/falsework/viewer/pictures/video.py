@@ -37,7 +37,7 @@ def frames_of(
     proofs: Mapping[int, StateProof] | None = None,
     samples: int = 2,
 ) -> Iterator[Pixels]:
-    """Yield pictures of a film, one after the other.
+    """Yield pictures of a video, one after the other.
 
     Args:
         timeline: what is shown, in its order.
@@ -52,13 +52,13 @@ def frames_of(
     sliding = any(proof.slides for proof in (proofs or {}).values())
     # The step is written as soon as it begins.
     still = max(round(HOLD * rate), 1)
-    for place in frame_places(len(timeline), seconds, rate):
-        step = int(np.ceil(place)) if place % 1 else int(place)
+    for position in frame_places(len(timeline), seconds, rate):
+        step = int(np.ceil(position)) if position % 1 else int(position)
         proof = (proofs or {}).get(step)
         marks = None if proof is None else proof.marks
         picture = one_state(
             timeline,
-            place,
+            position,
             camera,
             bounds=box,
             words=caption(timeline, step, proof),
@@ -67,7 +67,7 @@ def frames_of(
             marks=marks,
             samples=samples,
         )
-        repeat = still if place in (0.0, float(len(timeline))) else 1
+        repeat = still if position in (0.0, float(len(timeline))) else 1
         for _ in range(repeat):
             yield picture
 
@@ -81,7 +81,7 @@ def frame_places(steps: int, seconds: float, rate: float) -> list[float]:
     if not (np.isfinite(seconds) and seconds > 0):
         raise InputError(f"a step of {seconds:g} seconds cannot be seen; give a number above zero")
     if not (np.isfinite(rate) and 1 <= rate <= 120):
-        raise InputError(f"{rate:g} pictures a second make no film; give 1 to 120")
+        raise InputError(f"{rate:g} pictures a second make no video; give 1 to 120")
     each = max(round(seconds * rate), 1)
     return [min(number / each, float(steps)) for number in range(steps * each + 1)]
 
@@ -97,7 +97,7 @@ def write_film(
     proofs: Mapping[int, StateProof] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> int:
-    """Write a film, whole or not at all.
+    """Write a video, whole or not at all.
 
     Args:
         path: file that ends in .mp4 or .gif.
@@ -119,7 +119,7 @@ def write_film(
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in KINDS:
-        raise InputError(f"{path} ends in {kind or 'nothing'}; films are written as {' or '.join(KINDS)}")
+        raise InputError(f"{path} ends in {kind or 'nothing'}; videos are written as {' or '.join(KINDS)}")
     even = replace(camera, width=camera.width + camera.width % 2)
     total = len(frame_places(len(timeline), seconds, rate)) + 2 * (max(round(HOLD * rate), 1) - 1)
     pictures = frames_of(timeline, seconds=seconds, rate=rate, camera=even, arms=arms, proofs=proofs)
@@ -179,7 +179,7 @@ def _write_mp4(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
         ) from None
     count = 0
     with tempfile.TemporaryDirectory() as folder:
-        draft = Path(folder) / "film.mp4"
+        draft = Path(folder) / "video.mp4"
         writer = None
         for picture in pictures:
             if writer is None:
