@@ -109,7 +109,7 @@ def run(options: argparse.Namespace, name: str, assembly: Any, settings: TrainSe
 
     def show(done: float, text: str) -> None:
         nonlocal last
-        if not options.quiet and time.perf_counter() - last > 10 and ProcessGroup.of_group().first:
+        if not options.quiet and time.perf_counter() - last > 10 and ProcessGroup.of_group().is_main_process:
             last = time.perf_counter()
             sys.stderr.write(f"{label}: {100 * done:5.1f} % {text}\n")
 
@@ -174,7 +174,7 @@ def line(
     known: dict[str, Any] = {}
     if paper and benchmark == "table3":
         known["paper"] = {"train": paper[0] / 100, "test": paper[1] / 100, "hours": paper[2]}
-    if not ProcessGroup.of_group().first:
+    if not ProcessGroup.of_group().is_main_process:
         return
     record.report(
         f"learning {benchmark}",
