@@ -32,19 +32,20 @@ _NO_FALSEWORK = 86
 
 # The service ends when its standard input does, which also happens if this process is killed.
 _RUN = f"""\
-import importlib.util, os, signal, sys, threading
+import os, signal, sys, threading
 
 
 def watch():
-    sys.stdin.buffer.read()
+    while os.read(0, 1024):
+        pass
     os.kill(os.getpid(), signal.SIGTERM)
 
 
 if __name__ == "__main__":
-    if importlib.util.find_spec("falsework") is None:
+    try:
+        from falsework.cli.main import main
+    except (ImportError, SyntaxError):
         sys.exit({_NO_FALSEWORK})
-    from falsework.cli.main import main
-
     threading.Thread(target=watch, daemon=True).start()
     sys.exit(main())
 """
@@ -88,7 +89,7 @@ class LocalService:
     def warnings(self) -> list[str]:
         """What falsework remarks on the blocks, such as a mesh that it mended."""
         mark = "falsework: warning: "
-        return [line[len(mark) :] for line in list(self._lines) if line.startswith(mark)]
+        return [line[len(mark) :].strip() for line in list(self._lines) if line.startswith(mark)]
 
     def stop(self) -> None:
         """End the service."""

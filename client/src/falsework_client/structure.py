@@ -241,7 +241,7 @@ class Structure:
         parts = record["parts"]
         remedy = f"serve these blocks there, or leave the address out; {self._url} serves {record['name']!r}"
         if len(parts) != len(self.names):
-            raise ClientError(f"there are {len(self.names)} parts here and {len(parts)} in the service; {remedy}")
+            raise ClientError(f"the service has {len(parts)} parts instead of {len(self.names)}; {remedy}")
         if friction is not None and abs(record["friction"] - friction) > 1e-9:
             raise ClientError(f"the friction is {friction} here and {record['friction']} in the service; {remedy}")
         points = [point for block in self.blocks for point in block.vertices]
