@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from falsework.assembly import load_structure
 from falsework.service.picture import PictureOrder, draw_png
-from falsework.service.pool import _TOO_MUCH
 from falsework.stability import Stability
 
 pillow = pytest.importorskip("PIL.Image", reason="needs Pillow; pip install 'falsework[picture]'")
@@ -38,6 +37,11 @@ def test_a_state_is_drawn_with_and_without_its_proof(live: Any) -> None:
         assert other.shape == plain.shape
         assert not np.array_equal(other, plain)
     assert not np.array_equal(fallen, proof)
+
+
+@pytest.mark.parametrize("elevation", [0.0, -0.0, 1e-300, -30.0, 89.0])
+def test_a_camera_at_any_height(elevation: float, live: Any) -> None:
+    assert pixels_of(live.post("/picture", {"elevation": elevation, **SMALL})).min() < 200  # something is drawn
 
 
 def test_a_plan_is_drawn_as_a_sheet_or_one_step(live: Any) -> None:
@@ -116,4 +120,3 @@ def test_a_picture_that_takes_too_long_is_refused(live: Any, monkeypatch: pytest
     reply = asyncio.run_coroutine_threadsafe(asked, live.loop).result(10)
     assert reply.status == 503
     assert b"no picture within" in reply.body
-    assert set(_TOO_MUCH) == {"stability", "picture"}

@@ -15,9 +15,9 @@ import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from falsework_client.blocks import Block, write_folder
 from falsework_client.errors import ClientError
@@ -100,9 +100,9 @@ class LocalService:
         first: queue.Queue[str] = queue.Queue()
         assert process.stdout is not None
         assert process.stderr is not None
-        listener = threading.Thread(target=self._lines.extend, args=(process.stderr,), daemon=True)
+        listener = threading.Thread(target=_gather, args=(process.stderr, self._lines.append), daemon=True)
         listener.start()
-        threading.Thread(target=lambda out=process.stdout: first.put(out.readline()), daemon=True).start()
+        threading.Thread(target=_gather, args=(process.stdout, first.put), daemon=True).start()
         end = time.monotonic() + START_SECONDS
         try:
             line = first.get(timeout=START_SECONDS)
@@ -184,6 +184,14 @@ def _start(command: Sequence[str], folder: Path, ground: bool) -> subprocess.Pop
         raise ClientError(f"{command[0]} cannot be run ({error.strerror or error}); {_REMEDY}") from None
 
 
+def _gather(stream: TextIO, take: Callable[[str], object]) -> None:
+    """Hand on each line of a stream until its end, and then an empty one."""
+    with stream:
+        for line in stream:
+            take(line)
+    take("")
+
+
 def _why(command: Sequence[str], code: int, lines: Sequence[str]) -> str:
     """Return why a service did not start, in one line."""
     if code == _NO_FALSEWORK:
@@ -204,8 +212,4 @@ def _stop(process: subprocess.Popen[str], folder: Path) -> None:
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
-    for stream in (process.stdout, process.stderr):
-        with contextlib.suppress(OSError, ValueError):
-            if stream is not None and process.poll() is not None:
-                stream.close()
     shutil.rmtree(folder, ignore_errors=True)
