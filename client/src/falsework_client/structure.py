@@ -189,7 +189,8 @@ class Structure:
         answer = self._ask("/replan", question, seconds + _GRACE)
         record = answer["plans"][0] if answer["plans"] else None
         start = () if record is None else tuple(record["start"]["state"])
-        steps, now = [], list(start)
+        steps: list[Step] = []
+        now: list[int] = list(start)
         for step in [] if record is None else record["steps"]:
             now[step["part"]] = _AFTER[step["do"]]
             steps.append(Step(step["do"], step["part"], self.names[step["part"]], tuple(now)))
