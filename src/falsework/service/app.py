@@ -30,6 +30,7 @@ seconds but for `deadline`, which is in milliseconds; masses in kg, places in me
 _GONE_EVERY = 0.2
 """Seconds between two looks whether a client still waits."""
 _JSON = "application/json"
+_PNG = "image/png"
 _WORDS = {
     400: "not a request that this service takes",
     401: "no token, or a wrong one",
@@ -39,6 +40,7 @@ _WORDS = {
     422: "the request makes no sense for this structure; the error says why",
     431: "the header is too large",
     500: "the request failed inside",
+    501: "this service cannot draw; the error says what to install",
     503: "busy, starting or stopping; try again",
 }
 
@@ -85,7 +87,7 @@ def application(assembly: Assembly, pool: Pool, settings: ServiceSettings, metri
 def _add_questions(
     app: FastAPI, assembly: Assembly, pool: Pool, settings: ServiceSettings, models: description.Models
 ) -> None:
-    """The two things that take work."""
+    """Add the routes for work: plans, verdicts and pictures."""
 
     async def replan(request: Request) -> Response:
         wanted = await _read(request, models.replan, assembly)
@@ -112,10 +114,24 @@ def _add_questions(
             return _response(Reply(422, refusal(str(error))))
         return await _wait(request, pool.ask("stability", (states, given["explain"]), settings.stability_seconds))
 
+    async def picture(request: Request) -> Response:
+        wanted = await _read(request, models.picture, assembly)
+        if isinstance(wanted, Response):
+            return wanted
+        payload = wanted.model_dump()
+        try:
+            if payload["plan"] is None and payload["step"] is not None:
+                raise InputError("step: a state has no steps; give the plan too, or leave step out")
+            payload["state"] = description.read_state(payload["state"], assembly)
+        except InputError as error:
+            return _response(Reply(422, refusal(str(error))))
+        return await _wait(request, pool.ask("picture", payload, settings.picture_seconds), media=_PNG)
+
     app.add_api_route("/replan", replan, **_route("POST", "Plan anew from a state", "ReplanAnswer", "ReplanRequest"))
     app.add_api_route(
         "/stability", stability, **_route("POST", "Judge states, with proofs", "StabilityAnswer", "StabilityRequest")
     )
+    app.add_api_route("/picture", picture, **_route("POST", "Draw a state or a plan", _PNG, "PictureRequest"))
 
 
 def _add_reports(app: FastAPI, assembly: Assembly, pool: Pool, metrics: Metrics) -> None:
@@ -169,8 +185,15 @@ def _add_pages(app: FastAPI) -> None:
 
 def _route(method: str, summary: str, answer: str | None, question: str | None = None) -> dict[str, Any]:
     """Return the OpenAPI options of a route."""
-    content = {_JSON: {"schema": _ref(answer)}} if answer else {"text/plain": {"schema": {"type": "string"}}}
+    if answer is None:
+        content = {"text/plain": {"schema": {"type": "string"}}}
+    elif answer == _PNG:
+        content = {_PNG: {"schema": {"type": "string", "format": "binary"}}}
+    else:
+        content = {_JSON: {"schema": _ref(answer)}}
     refused = (400, 401, 431, 500, 503) if question is None else (400, 401, 408, 413, 415, 422, 431, 500, 503)
+    if answer == _PNG:
+        refused += (501,)
     responses: dict[int | str, dict[str, Any]] = {
         status: {"description": _WORDS[status], "content": {_JSON: {"schema": _ref("Error")}}} for status in refused
     }
@@ -228,7 +251,7 @@ async def _read(request: Request, model: type[BaseModel], assembly: Assembly) ->
         return _response(Reply(422, refusal(description.complaint(error, assembly.part_count))))
 
 
-async def _wait(request: Request, question: Any) -> Response:
+async def _wait(request: Request, question: Any, *, media: str = _JSON) -> Response:
     """Wait for an answer as long as somebody wants it."""
     task = asyncio.ensure_future(question)
     try:
@@ -236,14 +259,15 @@ async def _wait(request: Request, question: Any) -> Response:
             await asyncio.wait({task}, timeout=_GONE_EVERY)
             if not task.done() and await request.is_disconnected():
                 raise ConnectionError
-        return _response(task.result())
+        return _response(task.result(), media)
     finally:
         task.cancel()
 
 
-def _response(reply: Reply) -> Response:
+def _response(reply: Reply, media: str = _JSON) -> Response:
+    """Return a reply as a response; `media` is the type of an answer, a refusal is JSON."""
     headers = {"Retry-After": "1"} if reply.status == 503 else None
-    return Response(reply.body, reply.status, headers=headers, media_type=_JSON)
+    return Response(reply.body, reply.status, headers=headers, media_type=media if reply.status == 200 else _JSON)
 
 
 async def _refuse(_: Request, error: Exception) -> Response:

@@ -21,6 +21,8 @@ from falsework.stability.verdict import Criterion
 SHORTEST_DEADLINE = 10
 """Milliseconds."""
 MOST_ROBOTS, MOST_ALTERNATIVES = 64, 8
+MOST_FRAMES, NARROWEST, WIDEST = 24, 80, 1600
+"""States of a contact sheet, and pixels across each."""
 _SHOWN = 160
 """Characters of a complaint that quote what came in."""
 _REF = "#/components/schemas/{model}"
@@ -40,6 +42,10 @@ def whole(least: int, most: int) -> Any:
     return Annotated[int, Field(ge=least, le=most), BeforeValidator(_whole)]
 
 
+def _degrees(most: float) -> Any:
+    return Annotated[float, Field(ge=-most, le=most, allow_inf_nan=False)]
+
+
 class Strict(BaseModel):
     """Base of request models that forbid unknown fields."""
 
@@ -52,6 +58,7 @@ class Models:
 
     replan: type[BaseModel]
     stability: type[BaseModel]
+    picture: type[BaseModel]
 
 
 def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
@@ -108,6 +115,28 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
         "states": (Annotated[list[state], Field(min_length=1, max_length=settings.states)], ...),
         "explain": (bool, Field(default=False, description="name the parts that move in states that do not stand")),
     }
+    picture: dict[str, Any] = {
+        "state": (state, Field(default="complete", description="drawn unless there is a plan")),
+        "plan": (
+            dict[str, Any] | None,
+            Field(default=None, description="a plan as in an answer; drawn as a contact sheet of its states"),
+        ),
+        "step": (
+            whole(0, 2**31 - 1) | None,
+            Field(default=None, description="draws the state after this step of the plan alone; 0 is the beginning"),
+        ),
+        "frames": (whole(1, MOST_FRAMES), Field(default=12, description="states of a contact sheet")),
+        "proof": (
+            bool,
+            Field(default=False, description="draw the forces of a single state, or the motion if it does not stand"),
+        ),
+        "width": (
+            whole(NARROWEST, WIDEST) | None,
+            Field(default=None, description="pixels across each state; by default 1200, on a contact sheet 480"),
+        ),
+        "azimuth": (_degrees(360.0), Field(default=-58.0, description="of the camera, degrees about z")),
+        "elevation": (_degrees(89.0), Field(default=24.0, description="of the camera, degrees above the horizon")),
+    }
     return Models(
         create_model(
             "ReplanRequest",
@@ -116,6 +145,7 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
             **replan,
         ),
         create_model("StabilityRequest", __base__=Strict, __doc__="States to judge.", **stability),
+        create_model("PictureRequest", __base__=Strict, __doc__="A state or a plan to draw.", **picture),
     )
 
 
@@ -164,7 +194,7 @@ def complaint(error: ValidationError, parts: int) -> str:
 def components(models: Models) -> dict[str, Any]:
     """Return schemas of everything that goes in and out, by name, for the OpenAPI description."""
     _, generated = models_json_schema(
-        [(models.replan, "validation"), (models.stability, "validation")], ref_template=_REF
+        [(model, "validation") for model in (models.replan, models.stability, models.picture)], ref_template=_REF
     )
     number, count = {"type": "number", "minimum": 0}, {"type": "integer", "minimum": 0}
     numbers = {"type": "array", "items": count}

@@ -59,6 +59,8 @@ class ServiceSettings:
     longest_deadline: float = 60.0
     stability_seconds: float = 10.0
     """For verdicts."""
+    picture_seconds: float = 60.0
+    """For a picture, the start of the process that draws included."""
     states: int = 256
     """States in one request about stability."""
     grace: float = 0.015
