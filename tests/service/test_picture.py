@@ -97,7 +97,7 @@ def test_without_pillow_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     import multiprocessing
     import sys
 
-    from falsework.service.worker import Item, Recipe, _Painter
+    from falsework.service.worker import Item, WorkerConfig, _Painter
 
     monkeypatch.setitem(sys.modules, "PIL", None)
     monkeypatch.setattr("os.nice", lambda _: 0)
@@ -105,7 +105,7 @@ def test_without_pillow_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     mine, theirs = multiprocessing.Pipe()
     order = {"state": np.array([1, 1, 1, 2, 2], dtype=np.uint8), "plan": None, "step": None, "frames": 1}
     order |= {"proof": False, "width": 80, "azimuth": 0.0, "elevation": 20.0}
-    _Painter(Recipe(assembly, "picture")).answer([Item(7, order, 1.0)], theirs)
+    _Painter(WorkerConfig(assembly, "picture")).answer([Item(7, order, 1.0)], theirs)
     done = mine.recv()
     assert (done.number, done.status) == (7, 501)
     assert b"falsework[picture]" in done.body

@@ -62,7 +62,7 @@ def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
 
     pillow = import_pillow()
     if order.plan is None:
-        timeline = Timeline.still(oracle.assembly, order.state)
+        timeline = Timeline.from_state(oracle.assembly, order.state)
     else:
         timeline = Timeline.of(Plan(**from_json(order.plan)), oracle.assembly)
     place = 0 if order.plan is None else order.step
