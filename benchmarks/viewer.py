@@ -87,7 +87,7 @@ def page(parts: int, browser: bool) -> None:
             shown.model.go_to(place)
             begun = time.perf_counter()
             with shown.server.atomic():
-                sent.append(shown.scene.show(shown.model.look()))
+                sent.append(shown.scene.show(shown.model.appearance()))
             spent.append(time.perf_counter() - begun)
         found[f"{name}_update_ms"] = [round(1000 * float(np.percentile(spent, share)), 2) for share in (50, 95)]
         found[f"{name}_sent"] = [round(float(np.mean(sent)), 2), int(max(sent))]

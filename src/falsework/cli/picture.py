@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg
 
@@ -86,7 +86,7 @@ class MakePicture(Command):
             elevation=self.elevation,
             title=self.title,
         )
-        record = {"out": str(out), "kind": subject.kind, "shows": drawn.shows}
+        record: dict[str, Any] = {"out": str(out), "kind": subject.kind, "shows": drawn.shows}
         if subject.graph is None or self.step is not None:
             record["steps"] = list(drawn.places)
         if drawn.unstable is not None:

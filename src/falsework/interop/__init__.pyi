@@ -1,9 +1,3 @@
-from falsework.interop.assembly_instructions import AssemblyInstruction as AssemblyInstruction
-from falsework.interop.assembly_instructions import AssemblyInstructions as AssemblyInstructions
-from falsework.interop.assembly_instructions import assembly_instructions as assembly_instructions
-from falsework.interop.assembly_instructions import instructions_csv as instructions_csv
-from falsework.interop.assembly_instructions import way_in_words as way_in_words
-from falsework.interop.assembly_instructions_pdf import instructions_pdf as instructions_pdf
 from falsework.interop.compas_read import is_compas as is_compas
 from falsework.interop.compas_read import load_compas as load_compas
 from falsework.interop.compas_write import compas_of as compas_of
@@ -11,5 +5,11 @@ from falsework.interop.compas_write import write_compas as write_compas
 from falsework.interop.formats import export as export
 from falsework.interop.gltf import gltf_of as gltf_of
 from falsework.interop.gltf import write_gltf as write_gltf
+from falsework.interop.instruction_pdf import instructions_pdf as instructions_pdf
+from falsework.interop.instruction_table import AssemblyInstruction as AssemblyInstruction
+from falsework.interop.instruction_table import AssemblyInstructions as AssemblyInstructions
+from falsework.interop.instruction_table import assembly_instructions as assembly_instructions
+from falsework.interop.instruction_table import instructions_csv as instructions_csv
+from falsework.interop.instruction_table import way_in_words as way_in_words
 from falsework.interop.usd import usd_of as usd_of
 from falsework.interop.usd import write_usd as write_usd

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from falsework.assembly.state import States
-from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_file import from_json
+from falsework.search.plans.plan_file import plan_from_dict
 from falsework.stability.oracle import Stability
 
 
@@ -64,7 +63,7 @@ def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
     if order.plan is None:
         timeline = Timeline.from_state(oracle.assembly, order.state)
     else:
-        timeline = Timeline.of(Plan(**from_json(order.plan)), oracle.assembly)
+        timeline = Timeline.of(plan_from_dict(order.plan), oracle.assembly)
     place = 0 if order.plan is None else order.step
     usual = CELL if place is None else WHOLE
     width = order.width or usual.width

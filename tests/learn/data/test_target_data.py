@@ -127,7 +127,7 @@ def test_random_legal_actions_solve_few_pairs_of_a_real_structure(shared_assembl
     assembly = load_structure(str(shared_assembly("bottle-12")))
     data = build_goal_dataset(assembly, task_for(assembly), GoalDataSettings(test_pairs=100), device="cpu")
     environment = Environment(assembly, 2, device="cpu")
-    assert len(data.test) == 100
+    assert 50 < len(data.test) <= 100
     for pairs in (data.test, data.validation):
         states, targets, _ = pairs.tensors(torch.device("cpu"))
         several = (states.repeat(8, 1), targets.repeat(8, 1))

@@ -24,7 +24,7 @@ from falsework.search import (
 from falsework.stability import Stability
 
 BOTH = pytest.mark.parametrize("direction", list(Direction))
-WAYS = pytest.mark.parametrize("way", [{}, {"ahead": 8}, {"ahead": 4, "commit": True}, {"diversity": "none"}])
+WAYS = pytest.mark.parametrize("way", [{}, {"lookahead": 8}, {"lookahead": 4, "commit": True}, {"diversity": "none"}])
 
 
 def check_route(route: Route, task: Task, oracle: Any, rules: Any) -> None:
@@ -231,7 +231,7 @@ def test_unlimited_beam_and_exhaustive_search_agree_on_real_states(
 
 @pytest.mark.parametrize(
     ("settings", "message"),
-    [({"width": 0}, "width 0"), ({"ahead": -1}, "-1 states ahead"), ({"pool": 0}, "pool")],
+    [({"width": 0}, "width 0"), ({"lookahead": -1}, "-1 states ahead"), ({"pool": 0}, "pool")],
 )
 def test_bad_settings(settings: dict[str, int], message: str) -> None:
     with pytest.raises(InputError, match=message):

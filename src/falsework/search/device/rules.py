@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -154,8 +154,9 @@ class TensorRules:
         Raises:
             StateError: as `as_states`, or more parts held than there are robots.
         """
+        tensor: Any = states
         if isinstance(states, import_torch().Tensor):
-            states = states.detach().cpu().numpy()
+            states = tensor.detach().cpu().numpy()
         boundary, robots = self.task.boundary, self.task.robots
         batch = as_states(states, boundary)
         held = held_count(batch, boundary)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from falsework.errors import DependencyError
-from falsework.interop.assembly_instructions import AssemblyInstruction, AssemblyInstructions, way_in_words
+from falsework.interop.instruction_table import AssemblyInstruction, AssemblyInstructions, way_in_words
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.palette import INK, mix, robot_color
 from falsework.viewer.pictures.contact_sheet import draw
