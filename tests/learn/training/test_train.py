@@ -88,16 +88,16 @@ def interrupted(arch: Any, settings: TrainSettings, folder: Path, at: int, **opt
 
 
 def test_a_small_arch_is_learned_completely(tmp_path: Path) -> None:
-    """All states of a wider search than the ones that were learned from."""
+    """And most states of a wider search, although the mirror images of these are held out as well."""
     arch = load_structure("arch:blocks=9")
     policy = PolicySettings("transformer", channels=32, layers=2, heads=4)
-    settings = TrainSettings(phases=METHODS["imitation"], steps=120, policy=policy)
+    settings = TrainSettings(phases=METHODS["imitation"], steps=160, policy=policy)
     begun = time.process_time()  # of one thread: other work on the machine does not count
     result = train(arch, settings, folder=tmp_path / "run", device="cpu")
     assert time.process_time() - begun < 60
     assert result.test.states > 20
     assert result.train.share == 1.0
-    assert result.test.share == 1.0
+    assert result.test.share > 0.8
     assert not result.interrupted
 
 
