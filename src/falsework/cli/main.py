@@ -42,7 +42,7 @@ COMMANDS = {
 }
 """Module of each subcommand in this package, named like the first word, and its class there."""
 
-_ABOUT = """Plan how robots build structures of rigid blocks with nothing but their grippers as falsework.
+_ABOUT = """Plan assembly sequences for rigid-block structures, with robots as temporary supports.
 
 Example:
   falsework plan vault --robots 2 --out plan.json

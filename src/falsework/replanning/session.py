@@ -278,7 +278,7 @@ class ReplanSession:
         if self._why:
             return self._why
         if self.outcome is Outcome.PROVED_IMPOSSIBLE:
-            return "every state that can be reached was looked at"
+            return "every reachable state was examined"
         if self.replayer is not None and self.replayer.fallen is not None:
             return (
                 f"no plan was found that stands when it is replayed in the order of assembly: the best of "

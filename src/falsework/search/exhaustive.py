@@ -108,7 +108,7 @@ class ExhaustiveSearch:
         beam = BeamSearch.load(path, task, oracle)
         kind = (beam.settings.direction, beam.settings.diversity, beam.settings.lookahead)
         if kind != (Direction.DISASSEMBLY, "none", 0) or not beam.exhaustive:
-            raise InputError(f"{path} is not from an exhaustive search that can go on; begin a new one")
+            raise InputError(f"{path} is not a resumable exhaustive search; begin a new one")
         beam.settings = replace(beam.settings, width=state_limit)
         search._beam = beam
         return search

@@ -256,7 +256,7 @@ def animate(
     shown = viewable_of(subject, structure, **options)
     timeline = shown.timeline
     if len(timeline) == 0:
-        raise InputError(f"{shown.assembly.name} has no steps to play; give a plan, as `falsework plan` writes it")
+        raise InputError(f"{shown.assembly.name} has no steps to animate; give a plan, as `falsework plan` writes it")
     places = tuple(range(len(timeline) + 1))
     proofs = shown.proofs(places, criterion) if verdicts else {}
     camera = Camera(azimuth, elevation, width, 2 * round(0.35 * width), 0.95)

@@ -1,4 +1,4 @@
-"""Which network a policy is, and how large: read without torch."""
+"""Settings of policy networks, which load without torch."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ class PolicySettings:
     """A kind of network and its sizes; a size of 0 is the default of the kind."""
 
     kind: Kind = "resmlp"
-    """`resmlp`: layers over the plain state, quick; `transformer`: attention between parts; `gat`: the paper's
+    """`resmlp`: residual layers over the state vector; `transformer`: attention between parts; `gat`: the paper's
     force-torque graph; `mlp`: the paper's baseline."""
     goal_conditioned: bool = False
     """Whether the policy is conditioned on a goal state; without, it disassembles everything that is not fixed."""
     layers: int = 0
-    """0: residual and parts 4, graph 8, mlp 3."""
+    """0: resmlp and transformer 4, gat 8, mlp 3."""
     channels: int = 0
-    """0: residual 512, parts 128, graph 16, mlp 64."""
+    """0: resmlp 512, transformer 128, gat 16, mlp 64."""
     heads: int = 0
-    """Heads of attention, which share the channels; 0: parts 8, graph 2."""
+    """Attention heads, which share the channels; 0: transformer 8, gat 2."""
     expansion: int = 0
     """Hidden channels of a feed-forward layer by channels, for `resmlp` and `transformer`; 0: 2."""
     identity: bool = False
@@ -55,7 +55,7 @@ class PolicySettings:
                 f"policy channels {sizes.channels} do not divide among {sizes.heads} heads; choose a multiple"
             )
         if self.identity and self.kind != "transformer":
-            raise InputError(f"identity is for policies of kind parts, not {self.kind}; leave it out")
+            raise InputError(f"identity is for policies of kind transformer, not {self.kind}; leave it out")
 
     def resolved(self) -> PolicySettings:
         """The same settings with every 0 replaced by the default of the kind."""

@@ -87,7 +87,7 @@ class TrainSettings:
             raise InputError("seeds are not negative")
         last = self.phases[-1]
         if self.policy.goal_conditioned and isinstance(last, PpoPhase) and last.starts == "complete":
-            raise InputError("PPO from the complete structure knows no targets; choose mixed starts or the curriculum")
+            raise InputError("PPO from the complete structure supports no goals; choose mixed starts or the curriculum")
         if self.robots < 1:
             raise InputError(f"{self.robots} robots cannot hold anything; give at least 1")
 
@@ -189,7 +189,7 @@ def _read(hint: Any, value: Any, name: str) -> Any:
     else:
         good = isinstance(value, (int, float) if hint is float else hint) and (hint is bool or value is not True)
     if not good:
-        raise InputError(f"{name} is {value!r}, which it cannot be")
+        raise InputError(f"{name} is {value!r}, which is not a valid value; see falsework.learn.TrainSettings")
     return value
 
 

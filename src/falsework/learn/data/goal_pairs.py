@@ -76,7 +76,7 @@ class PairSource:
         has_way[graph.target] = True
         self._ends = np.flatnonzero(self._allowed & has_way)
         if len(self._ends) == 0:
-            raise InputError("no way leads between two states of this graph; search with a greater width")
+            raise InputError("no path connects two states of this graph; search with a greater width")
 
     @property
     def ends(self) -> NDArray[np.intp]:

@@ -67,7 +67,7 @@ class RandomWalkGoals:
         on = _Reach.over(levels[::-1], graph.source, graph.target, allowed)
         ends = np.flatnonzero(allowed & (back.meets | on.meets))
         if len(ends) == 0:
-            raise InputError("no way leads between two states of this graph; search with a greater width")
+            raise InputError("no path connects two states of this graph; search with a greater width")
         # Neighbours before each state, and after those of all states the neighbours after each, in one list.
         order = np.argsort(graph.target, kind="stable")
         before = np.searchsorted(graph.target[order], np.arange(count + 1))
@@ -112,7 +112,7 @@ class RandomWalkGoals:
                 break
         start, end, action = (torch.cat(column) for column in zip(*found, strict=True))
         if missing and len(start) == 0:
-            raise InputError("no way between two states that are allowed was met; search with a greater width")
+            raise InputError("no path between two permitted states was found; search with a greater width")
         if missing:
             rows = torch.arange(count, device=start.device) % len(start)
             start, end, action = start[rows], end[rows], action[rows]

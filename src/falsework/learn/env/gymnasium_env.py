@@ -29,7 +29,7 @@ from falsework.stability.settings import StabilitySettings
 try:
     import gymnasium
 except ImportError as error:
-    raise DependencyError("this face of the environment needs gymnasium; pip install 'falsework[learn]'") from error
+    raise DependencyError("the Gymnasium environment needs gymnasium; pip install 'falsework[learn]'") from error
 
 ID = "falsework/Disassembly-v0"
 

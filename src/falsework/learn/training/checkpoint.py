@@ -207,7 +207,7 @@ def load_weights(policy: torch.nn.Module, path: Path) -> None:
 
 
 class CheckpointFile:
-    """The one file from which an interrupted training goes on; a new one replaces the old only once it is whole."""
+    """The one file from which an interrupted training continues; a new one replaces the old only once it is whole."""
 
     def __init__(self, folder: Path) -> None:
         """Look after the checkpoint of the run in `folder`."""
@@ -225,7 +225,7 @@ class CheckpointFile:
             state: JSON values.
 
         Returns:
-            Empty, or why it could not be written: training goes on, and the next one may have more room.
+            Empty, or why it could not be written: training continues, and the next one may have more room.
         """
         from safetensors.torch import save
 
@@ -237,7 +237,7 @@ class CheckpointFile:
         try:
             write_whole(self.path, lambda file: file.write(content))
         except (OSError, InputError) as error:
-            return f"{_reason(error)}; the last checkpoint stays, training goes on"
+            return f"{_reason(error)}; the last checkpoint stays, training continues"
         return ""
 
     def load(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
@@ -274,7 +274,7 @@ def _write(path: Path, content: bytes) -> None:
     try:
         write_whole(path, lambda file: file.write(content))
     except OSError as error:
-        raise InputError(f"cannot write {path}: {_reason(error)}; make room and train on with --resume") from None
+        raise InputError(f"cannot write {path}: {_reason(error)}; free disk space and continue with --resume") from None
 
 
 def _reason(error: OSError | FalseworkError) -> str:

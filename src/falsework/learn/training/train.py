@@ -77,7 +77,7 @@ def _begin(
         return settings.resolved(assembly.part_count, device.type)
     if not resume:
         if (folder / FILE).exists():
-            raise InputError(f"{folder} holds a run already; go on with it by --resume, or choose another folder")
+            raise InputError(f"{folder} holds a run already; continue it with --resume, or choose another folder")
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder} is there and is no run; choose another folder")
         return settings.resolved(assembly.part_count, device.type)
