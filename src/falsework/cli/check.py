@@ -184,7 +184,7 @@ class CheckPlan(Command):
         return f"after step {row} of assembly ({plan.describe(row - 1)})" if row else "at the beginning"
 
     def _judge_with_lmgc90(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
-        """Check states by LMGC90 up to the first that falls; states that it cannot compute are reported and not counted."""
+        """Check states by LMGC90 up to the first that falls; states that it cannot compute are only reported."""
         from falsework.stability.judges.lmgc90 import judge_by_lmgc90
 
         forward = plan if plan.direction == "assembly" else plan.reverse()

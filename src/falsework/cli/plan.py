@@ -86,7 +86,9 @@ class MakePlan(Command):
             )
         result = planning.result
         if result.interrupted:
-            output.note(f"interrupted; the search so far is in {checkpoint}, the same command with --resume continues it")
+            output.note(
+                f"interrupted; the search is saved in {checkpoint}, the same command with --resume continues it"
+            )
         if planning.found:
             self._report(self._save(planning.plans), planning, output)
         elif not result.interrupted:

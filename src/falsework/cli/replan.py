@@ -182,7 +182,7 @@ class MakeReplan(Command):
         if len(paths) < self.alternatives:
             output.note(f"only {len(paths)} of the {self.alternatives} requested plans were found")
         if answer.deadline_passed:
-            output.note("the deadline ended the search; with more time it may find more plans, or need missing parts later")
+            output.note("the deadline ended the search; more time may give more plans, or need missing parts later")
 
     def _refuse(
         self, assembly: Assembly, oracle: Stability, request: Request, answer: ReplanResult, output: Output

@@ -27,7 +27,7 @@ class Request:
     """
 
     state: ArrayLike
-    """Where things stand: 0 removed, 1 installed, 2 held, shape (parts,)."""
+    """Current state: 0 removed, 1 installed, 2 held, shape (parts,)."""
     target: ArrayLike | None = None
     """Where they shall go, shape (parts,)."""
     direction: Direction | None = None
@@ -40,13 +40,13 @@ class Request:
     fixed: Sequence[int] = ()
     """Parts that are neither held nor released, neither inserted nor removed."""
     alternatives: int = 1
-    """Number of plans wanted, as different from each other as possible."""
+    """Number of requested plans, as different from each other as possible."""
     seed: int = 0
     """Same seed, same machine, same answer, unless a deadline cuts the work short."""
     deadline: float | None = None
     """Seconds after which the best proven answer so far is handed back."""
     removable_only_if_clear: bool = False
-    """Move a part only if it has a straight way in or out."""
+    """Move a part only if it has a collision-free straight path in or out."""
     confidences: bool = False
     """Hand back what the policy thinks of every action in every state of the plan."""
 

@@ -249,7 +249,7 @@ def _response(reply: Reply) -> Response:
 async def _refuse(_: Request, error: Exception) -> Response:
     """What the router refuses, such as a path that is not there."""
     assert isinstance(error, HTTPException)
-    text = {404: "there is nothing here; / lists the requests", 405: "this method is not supported here; / lists the requests"}
+    text = {404: "there is nothing here; / lists the requests", 405: "this method is not allowed; / lists the requests"}
     body = refusal(text.get(error.status_code, "this request cannot be served"))
     return Response(body, error.status_code, headers=error.headers, media_type=_JSON)
 

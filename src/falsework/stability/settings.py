@@ -92,8 +92,8 @@ class StabilitySettings:
     stiffness_ratio: float = TANGENTIAL_RATIO
     """Tangential over normal stiffness of a contact, under the criterion `contact`."""
     solver: SolverName = "cpu"
-    """Who is asked first; what it leaves undecided goes to the exact solver. `auto` takes the GPU, where there is
-    one, for batches that it judges faster than the processor."""
+    """First solver; states that it leaves undecided go to the exact solver. `auto` takes the GPU, where there is
+    one, for batches on which it is faster than the processor."""
     cpu: CpuSettings = CpuSettings()
     gpu: GpuSettings = GpuSettings()
 

@@ -1,4 +1,4 @@
-"""One call each: show a plan in the browser, draw it, play it as a video."""
+"""Functions that show, draw and animate plans, structures, runs and state graphs."""
 
 from __future__ import annotations
 
@@ -232,10 +232,10 @@ def animate(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> PictureReport:
-    """Play a plan as a video, MP4 or GIF, without a screen.
+    """Render a plan as a video, MP4 or GIF, without a display.
 
     Args:
-        subject: an object or a file as `open_file` takes it, with steps to play.
+        subject: an object or a file as `open_file` takes it, with steps to animate.
         path: file to write; it ends in .mp4 or .gif.
         structure: structure of a plan or graph that does not name it.
         seconds: length of a step.
@@ -249,7 +249,7 @@ def animate(
         options: as for `viewable_of`.
 
     Raises:
-        InputError: nothing to play, another kind of file, sizes that cannot be drawn, or a file that cannot be written.
+        InputError: nothing to animate, another kind of file, sizes that cannot be drawn, or a file that cannot be written.
         DependencyError: Pillow or imageio-ffmpeg is not installed.
     """
     check_film(width, seconds, rate)

@@ -192,7 +192,7 @@ def test_a_disk_that_fills_up_costs_checkpoints_only(
 
     monkeypatch.setattr(checkpoint, "write_whole", filling)
     told: list[str] = []
-    with pytest.raises(InputError, match=r"cannot write .*: the disk is full; free disk space and continue with --resume"):
+    with pytest.raises(InputError, match=r"cannot write .*: the disk is full; free disk space and continue"):
         train(arch, settings, folder=tmp_path / "run", device="cpu", report=lambda _, text: told.append(text))
     assert sum("the disk is full; the last checkpoint stays, training continues" in text for text in told) >= 4
     monkeypatch.undo()

@@ -1,4 +1,4 @@
-"""House of slotted plates that can be taken apart, and a shelf that interlocks."""
+"""House of slotted plates, which can be disassembled, and a shelf whose parts interlock."""
 
 from __future__ import annotations
 

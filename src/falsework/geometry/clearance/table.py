@@ -32,18 +32,18 @@ class ClearanceTable:
     """
 
     directions: Array
-    """Ways out, unit vectors, shape (ways, 3)."""
+    """Exit directions, unit vectors, shape (ways, 3)."""
     blockers: NDArray[np.uint64]
-    """Parts that block each way, one bit a part, lowest bit first, shape (ways, words)."""
+    """Parts that block each direction, one bit per part, lowest bit first, shape (ways, words)."""
     start: NDArray[np.int32]
-    """Part `i` owns the ways `start[i]:start[i + 1]`, shape (parts + 1,)."""
+    """Part `i` has the directions `start[i]:start[i + 1]`, shape (parts + 1,)."""
     exact: NDArray[np.bool_]
-    """Parts for which every direction was proved to be no better than a way that is listed, shape (parts,)."""
+    """Parts for which every direction was proved to be no better than a listed one, shape (parts,)."""
     sampled: int
     """Directions that were tried for each of the other parts."""
 
     def can_leave(self, states: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Return whether each part has a straight way out past the parts that are present.
+        """Return whether each part has a straight exit past the parts that are present.
 
         Args:
             states: 0 removed, 1 installed, 2 held, shape (batch, parts).

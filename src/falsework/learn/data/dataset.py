@@ -158,7 +158,7 @@ def task_for(assembly: Assembly, robots: int = 2, clearance: bool = False, fixed
     Args:
         assembly: the structure.
         robots: parts held at a time.
-        clearance: parts are removed only if they have a free way out.
+        clearance: parts are removed only if they have a free exit direction.
         fixed: parts that are never touched.
 
     Raises:
@@ -220,7 +220,7 @@ def build_dataset(
     shards: ProcessGroup = ProcessGroup(),
     report: Report | None = None,
 ) -> Dataset:
-    """Run the searches of the paper's protocol and, if asked for, wider ones.
+    """Run the searches of the paper's protocol and, with `widths`, further ones.
 
     Args:
         assembly: the structure.

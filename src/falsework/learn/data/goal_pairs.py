@@ -1,7 +1,7 @@
 """Pairs of start and target with all actions that are known to lead from one to the other (paper, section 5.3).
 
-Any state that a stable way passes can be made the target of that way: the actions that led to it keep what it keeps.
-So a state graph searched in the direction of disassembly holds a task for every pair of states that one way connects.
+Any state on a stable path can serve as the target of that path, since the actions that led to it keep its parts. So a
+state graph searched in disassembly order contains a task for every pair of states that a path connects.
 """
 
 from __future__ import annotations

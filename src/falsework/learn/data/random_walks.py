@@ -1,6 +1,6 @@
 """Tasks without end: random walks inside a state graph, back from a target or on from a start, on one device.
 
-A table of pairs holds few targets, and a network learns those by heart. A walk costs a look-up a step, so every batch
+A table of pairs holds few targets, and a network overfits them. A walk costs a look-up a step, so every batch
 can have pairs of its own: the two ends of the walk, and the first action on the way from one to the other.
 
 Which way to walk matters. A beam keeps few of the states that it comes to. In the direction of disassembly all of them

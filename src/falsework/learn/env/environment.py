@@ -86,7 +86,7 @@ class EnvironmentCounters:
     steps: int = 0
     """Actions carried out, over all rollouts."""
     states_asked: int = 0
-    """States that the oracle was asked about: each distinct one once, and not known before."""
+    """States checked by the oracle: each distinct one once, and not known before."""
     seconds_network: float = 0.0
     """In the policy, choice of the action included."""
     seconds_verdicts: float = 0.0
@@ -127,9 +127,9 @@ class Environment:
         Args:
             assembly: the structure.
             robots: number of parts that may be held at once.
-            oracle: decides stability; hand in the `Stability` you have, for it remembers what it was asked.
+            oracle: decides stability; pass an existing `Stability` to reuse its cache.
             device: where states, rules and verdicts live: `auto`, `cpu`, `cuda`, `cuda:1`.
-            clearance: remove a part only if it has a free way out.
+            clearance: remove a part only if it has a free exit direction.
             fixed: parts that are never touched.
 
         Raises:
@@ -165,7 +165,7 @@ class Environment:
     def stable(
         self, states: torch.Tensor, parents: torch.Tensor | None = None, *, needed: torch.Tensor | None = None
     ) -> torch.Tensor:
-        """Which states are proven stable; what was asked before is remembered, equal rows are asked once.
+        """Return which states are proven stable; verdicts are cached, and equal rows are checked once.
 
         Args:
             states: `uint8` on the device, shape (batch, parts).

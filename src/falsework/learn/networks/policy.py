@@ -37,7 +37,7 @@ class Policy(nn.Module):
 
     @property
     def kinds_of_part(self) -> int:
-        """Number of values that `classes` tells apart."""
+        """Number of values of `classes`."""
         return 12 if self.settings.goal_conditioned else 4
 
     def numbers(self, states: Tensor, targets: Tensor | None) -> Tensor:

@@ -1,4 +1,4 @@
-"""Runs on disk: a folder with the configuration, the weights, and what is needed to go on; nothing is pickled."""
+"""Runs on disk: a folder with configuration, weights and a checkpoint to resume from; nothing is pickled."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Run:
     assembly: Assembly
     settings: TrainSettings
     policy: policies.Policy
-    """With the trained weights, on the device asked for, ready to be asked."""
+    """Policy with the trained weights, in evaluation mode."""
     metadata: dict[str, Any]
     """What `run.json` says."""
 

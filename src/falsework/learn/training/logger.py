@@ -1,4 +1,4 @@
-"""What training says while it goes on: lines of JSON, TensorBoard, and other places if asked."""
+"""Training loggers: JSON lines, TensorBoard, Weights & Biases."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class HybridResult:
     plan: RobotPlan | None
     """From the start to the target, or None."""
     partial: RobotPlan | None
-    """Where there is no plan: the longest one that was found, if it has any step and its replay stands."""
+    """Without a plan: the longest partial plan whose replay succeeds, if it has any step."""
     explanation: Explanation | None
     """Where there is no plan: why."""
     statistics: dict[str, Any]
@@ -122,10 +122,10 @@ def plan_robots(
         assembly: the structure.
         cell: the robots and what is around them.
         task: from which state to which, and rules; by default the complete structure is taken apart. Its number of
-            robots is that of the cell, and every part that is removed needs a clear way out, not downwards.
+            robots is that of the cell, and every removed part needs a free exit direction, not downwards.
         configurations: where the robots are at the start, one a robot, shape (joints,) each; at home if not given.
         held: the part that each robot holds at the start; needed if the start state has held parts.
-        oracle: decides stability; hand in the one you have, for it remembers what it was asked.
+        oracle: decides stability; pass an existing one to reuse its cache.
         guide: ranks actions, such as a trained policy; how easy they are for the arms counts beside it.
         settings: how hard to look.
         progress: called now and then.

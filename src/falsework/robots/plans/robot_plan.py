@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """How one robot moves while all others stand: knots that cubic polynomials connect.
+    """Trajectory of one robot while all others are at rest: knots connected by cubic polynomials.
 
     Between two knots the positions are the cubics that have the positions and velocities of both, as a controller that
     is given positions and velocities interpolates.
@@ -47,7 +47,7 @@ class Trajectory:
         return float(self.times[-1])
 
     def reverse(self) -> Trajectory:
-        """The same way back, in the same time."""
+        """Return the reverse trajectory, of the same duration."""
         return replace(
             self,
             times=(self.times[-1] - self.times[::-1]).copy(),
@@ -196,7 +196,7 @@ class RobotPlan:
                 yield index, step.robot, trajectory
 
     def reverse(self) -> RobotPlan:
-        """The same the other way round: assembly from disassembly, and back."""
+        """Return the plan in the other direction: assembly from disassembly, or back."""
         steps = tuple(
             RobotStep(step.robot, tuple(trajectory.reverse() for trajectory in reversed(step.trajectories)))
             for step in reversed(self.steps)

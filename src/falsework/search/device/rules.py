@@ -34,7 +34,7 @@ class TensorRules:
         Args:
             task: rules between start and target.
             device: where the states are: a device, or `auto`, `cpu` or `cuda`.
-            direction: which way a search walks.
+            direction: direction of the search.
 
         Raises:
             InputError: no such device.
@@ -127,7 +127,7 @@ class TensorRules:
         return (states == goals).all(dim=1)
 
     def steps_left(self, states: torch.Tensor, goals: torch.Tensor | None = None) -> torch.Tensor:
-        """Number of actions from each state to its goal, the same on all ways. `int64`, shape (batch,)."""
+        """Return the number of actions from each state to its goal, the same on all paths. `int64`, shape (batch,)."""
         goals = self.goals(states) if goals is None else goals
         return (self._stage[goals.long()] - self._stage[states.long()]).sum(dim=1)
 

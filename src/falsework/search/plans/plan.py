@@ -90,11 +90,11 @@ class Plan:
     """What stable means here: cone, gravity, tolerance, bound on forces."""
     direction: Direction = Direction.DISASSEMBLY
     fixed: tuple[int, ...] = ()
-    """Parts that the plan was told not to touch."""
+    """Parts that the task excluded from all actions."""
     missing: tuple[int, ...] = ()
     """Parts that were not delivered yet when the plan was made."""
     removable_only_if_clear: bool = False
-    """Whether every part that is removed has a straight way out."""
+    """Whether every part that is removed has a free straight exit."""
     source: Mapping[str, Any] | None = None
     """Where the structure came from: `built_in` or `path` (relative to the file of the plan), and the options of
     `load_structure` that were given; None if it was not said."""
@@ -169,7 +169,7 @@ class Plan:
         return f"{WORDS[self.direction][action >= parts]} {self.part_names[action % parts]}"
 
     def reverse(self) -> Plan:
-        """The same plan the other way round: assembly from disassembly, and back."""
+        """Return the plan in the other direction: assembly from disassembly, or back."""
         other = Direction.ASSEMBLY if self.direction is Direction.DISASSEMBLY else Direction.DISASSEMBLY
         return replace(
             self,

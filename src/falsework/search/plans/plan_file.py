@@ -60,7 +60,7 @@ def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
         proofs: write the displacements or contact forces too, some hundred kilobytes.
 
     Raises:
-        PlanError: proofs are asked for and the plan has none.
+        PlanError: proofs are requested and the plan has none.
         InputError: the file cannot be written.
     """
     if proofs and plan.proof_arrays() is None:
