@@ -112,7 +112,7 @@ class ReplanSession:
         self.prefix = self.task.start[None]
         """States that are known to stand, from the start on: where the policy's most probable actions led."""
         self.infeasible = False
-        """Whether one of the ends does not stand, so that looking for a plan is in vain."""
+        """Whether start or target is not stable, so that no plan exists."""
         self._chosen = False
         self._fell_by: dict[bytes, Stage] = {}
         """Who proposed the routes whose replays fell."""
@@ -210,7 +210,7 @@ class ReplanSession:
             name = "state" if (row == 0) == (self.way is Direction.DISASSEMBLY) else "target"
             self._unstable = (self.task.start, self.task.target)[row][None]
             word = "slides" if slides else "could be proved neither stable nor unstable"
-            self._why = f"the {name} {'does not stand' if proved else word}"
+            self._why = f"the {name} {'is not stable' if proved else word}"
             if proved:
                 self.outcome, self.decided_by = Outcome.PROVED_IMPOSSIBLE, Stage.RULES
             self.infeasible = True

@@ -224,7 +224,7 @@ class Planner:
             if self._falls < _MOST_FALLS:
                 beam.search.forbid(self._forbidden)
             else:
-                limit = f"{self._falls} plans were found in which every state stands, and the replay of each falls"
+                limit = f"{self._falls} plans were found whose states are stable, and the replay of each fails"
                 self._failed(replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit))
         elif result.found:
             begin = not self.routes

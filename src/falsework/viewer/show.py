@@ -201,7 +201,7 @@ def picture(
     if not proofs:
         return PictureReport(shows, tuple(places))
     fallen = _unstable(proofs)
-    note = proofs[single].words if single is not None else f"{len(fallen)} of them do not stand"
+    note = proofs[single].words if single is not None else f"{len(fallen)} of them are not stable"
     return PictureReport(f"{shows}; {note}", tuple(places), fallen)
 
 
@@ -249,7 +249,7 @@ def animate(
         options: as for `viewable_of`.
 
     Raises:
-        InputError: nothing to animate, another kind of file, sizes that cannot be drawn, or a file that cannot be written.
+        InputError: nothing to animate, another kind of file, invalid sizes, or a file that cannot be written.
         DependencyError: Pillow or imageio-ffmpeg is not installed.
     """
     check_film(width, seconds, rate)
@@ -271,7 +271,7 @@ def animate(
         progress=progress,
     )
     fallen = _unstable(proofs)
-    note = f"; {len(fallen)} of {len(proofs)} states do not stand" if verdicts else ""
+    note = f"; {len(fallen)} of {len(proofs)} states are not stable" if verdicts else ""
     shows = f"{len(timeline)} steps in {count} pictures{note}"
     return PictureReport(shows, places, fallen if verdicts else None, pictures=count)
 

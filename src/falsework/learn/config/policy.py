@@ -19,7 +19,7 @@ _DEFAULTS: dict[str, dict[str, int]] = {
 
 
 _FEW = 20
-"""Parts up to which a policy can know all pairs of states by heart."""
+"""Number of parts up to which a policy can memorise all pairs of states."""
 
 
 @dataclass(frozen=True)

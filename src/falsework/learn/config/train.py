@@ -141,8 +141,8 @@ def default_widths(parts: int, device: str) -> tuple[int, ...]:
 def default_target_widths(parts: int, device: str, minutes: float) -> tuple[int, ...]:
     """The same for tasks with targets, which are far more than states: as many searches as time allows.
 
-    That is some tenth of it on a GPU and some quarter on a processor. Nothing but many states keeps a network from
-    learning by heart where the ways of some searches lead.
+    They take about a tenth of it on a GPU and a quarter on a CPU. Only many states keep a network from overfitting the
+    paths of a few searches.
     """
     if parts <= 20:
         return default_widths(parts, device)

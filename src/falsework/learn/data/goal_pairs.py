@@ -69,7 +69,7 @@ class PairSource:
         if held_out is not None and len(held_out):
             self._allowed = StateIndex(np.unique(held_out, axis=0)).find(states) < 0
         self._levels = [edges for edges in graph.edges_by_level() if edges.stop > edges.start]
-        # Rows of `after` are the successors of each state; the last row, which no target is ever found in, is nobody's.
+        # Rows of `after` are the successors of each state; the last row, which holds no target, belongs to no state.
         self._after = np.full((len(states), 2 * states.shape[1]), len(states), dtype=np.int32)
         self._after[graph.source, graph.action] = graph.target
         has_way = np.zeros(len(states), dtype=bool)

@@ -247,7 +247,7 @@ class Environment:
 
 
 def _tensor_oracle(oracle: Oracle, device: torch.device) -> TensorOracle:
-    """The solver on the device, unless the oracle was told to be exact, or is of another kind.
+    """The solver on the device, unless the oracle is set to be exact, or is of another kind.
 
     An oracle for the processor, which is the default, says nothing about where rollouts are to be judged: states would
     leave the device at every step, and a GPU would wait for two cores.
