@@ -37,7 +37,7 @@ _LOOKED_AT = 16
 
 @dataclass(frozen=True)
 class ReplanSettings:
-    """How hard a replanner tries."""
+    """Effort of a replanner in each stage."""
 
     samples: int | None = None
     """Rollouts drawn from the probabilities of the policy, 0 for none. If not given, 16 on a GPU, which takes as long

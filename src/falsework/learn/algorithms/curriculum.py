@@ -147,7 +147,7 @@ class Curriculum:
             self._grow()
 
     def report(self) -> dict[str, float]:
-        """How far it is: the horizon as a share of the way, and the share of states drawn so far."""
+        """Report progress: the horizon as a share of the distance, and the share of states drawn so far."""
         return {
             "curriculum_horizon": self.horizon / max(self._longest(), 1),
             "curriculum_visited": float(self._visited.float().mean()),

@@ -24,7 +24,7 @@ _FEW = 20
 
 @dataclass(frozen=True)
 class PolicySettings:
-    """A kind of network and its sizes; a size of 0 is the default of the kind."""
+    """Kind and sizes of a network; a size of 0 is the default of the kind."""
 
     kind: Kind = "resmlp"
     """`resmlp`: residual layers over the state vector; `transformer`: attention between parts; `gat`: the paper's
@@ -58,7 +58,7 @@ class PolicySettings:
             raise InputError(f"identity is for policies of kind transformer, not {self.kind}; leave it out")
 
     def resolved(self) -> PolicySettings:
-        """The same settings with every 0 replaced by the default of the kind."""
+        """Return the settings with every 0 replaced by the default of the kind."""
         values = asdict(self)
         for name, default in _DEFAULTS[self.kind].items():
             values[name] = values[name] or default
@@ -87,7 +87,7 @@ class PolicySettings:
 
 
 def recommended(parts: int, *, goal_conditioned: bool = False, kind: Kind | None = None) -> PolicySettings:
-    """The network that comes furthest in a given time.
+    """Return the settings of the network with the highest success after a given training time.
 
     With one end for all states that is the quickest one, since rollouts count. States with targets of their own are too
     many for that where there are more than a few parts: a network that knows parts by their contacts is then right

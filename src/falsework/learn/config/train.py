@@ -32,7 +32,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """A whole training run."""
+    """Settings of a training run."""
 
     phases: tuple[Phase, ...] = METHODS["default"]
     """Training phases in order; each continues with the weights of the one before. `METHODS` has presets."""
@@ -92,7 +92,7 @@ class TrainSettings:
             raise InputError(f"{self.robots} robots cannot hold anything; give at least 1")
 
     def resolved(self, parts: int, device: str) -> TrainSettings:
-        """The same settings with everything filled in that depends on structure and device.
+        """Return the settings with all defaults that depend on structure and device.
 
         Args:
             parts: number of parts.

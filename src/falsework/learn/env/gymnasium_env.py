@@ -156,7 +156,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         return self._mask.copy()
 
     def render(self) -> str | None:  # type: ignore[override]
-        """The state as a line: removed `.`, installed `o`, held `#`, one character a part, and the last action."""
+        """Return the state as a line (removed `.`, installed `o`, held `#`) and the last action."""
         if self.render_mode is None:
             return None
         return "".join(_LETTERS[int(value)] for value in self._state) + (f" {self._last}" if self._last else "")

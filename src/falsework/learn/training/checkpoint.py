@@ -35,7 +35,7 @@ _KEYS = {"format", "structure", "settings", "policy", "results", "versions"}
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A trained policy with the structure that it is for."""
+    """Trained policy with its structure and settings."""
 
     folder: Path
     assembly: Assembly

@@ -106,7 +106,7 @@ def throughput(environment: Environment, seconds: float, shards: ProcessGroup = 
 
 @dataclass(frozen=True)
 class EvaluateSettings:
-    """What to evaluate on, and how hard to try."""
+    """Settings of an evaluation: sets of states and search."""
 
     states: int = 0
     """Most states of each set, a fixed sample; 0: all."""

@@ -47,7 +47,7 @@ class Reach(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class ReachTable:
-    """What every robot can do with every part that is not boundary."""
+    """Reachability of every part that is not boundary by every robot."""
 
     parts: NDArray[np.int64]
     """Ids, shape (parts,)."""

@@ -69,7 +69,7 @@ class HybridSettings:
 
 @dataclass(frozen=True)
 class HybridProgress:
-    """One report of a running search."""
+    """Progress of a running search."""
 
     reached: int
     """Steps of the longest plan so far."""

@@ -109,7 +109,7 @@ def _before(function, times: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RobotStep:
-    """One action of the plan, carried out by one robot."""
+    """Action of the plan, carried out by one robot."""
 
     robot: int
     trajectories: tuple[Trajectory, ...]
@@ -123,7 +123,7 @@ class RobotStep:
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """Where all robots are between two steps, and what they hold (paper, section 6)."""
+    """Configurations of all robots between two steps, and the parts that they hold (paper, section 6)."""
 
     configurations: tuple[Array, ...]
     """Joint values of every robot."""
@@ -133,7 +133,7 @@ class Keyframe:
 
 @dataclass(frozen=True, eq=False)
 class RobotRecord:
-    """What a plan says of one of its robots, for those who have no cell file."""
+    """Robot of a plan, described without its cell file."""
 
     name: str
     model: str
@@ -185,12 +185,12 @@ class RobotPlan:
         return self.plan.direction
 
     def describe(self, step: int) -> str:
-        """One step in words, such as `left: remove keystone (3.1 s)`."""
+        """Describe a step, such as `left: remove keystone (3.1 s)`."""
         entry = self.steps[step]
         return f"{self.robots[entry.robot].name}: {self.plan.describe(step)} ({entry.seconds:.1f} s)"
 
     def moves(self) -> Iterator[tuple[int, int, Trajectory]]:
-        """All trajectories in time: step, robot, trajectory."""
+        """Yield all trajectories in order of time: step, robot, trajectory."""
         for index, step in enumerate(self.steps):
             for trajectory in step.trajectories:
                 yield index, step.robot, trajectory

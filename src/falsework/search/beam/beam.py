@@ -43,7 +43,7 @@ _REPORTED_STATES = 64
 
 
 class BeamSearch:
-    """A beam search that can be stepped, interrupted, saved and resumed."""
+    """Beam search that can be stepped, interrupted, saved and resumed."""
 
     def __init__(
         self, task: Task, oracle: Oracle, settings: BeamSettings = BeamSettings(), *, guide: Guide | None = None

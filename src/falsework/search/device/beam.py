@@ -76,7 +76,7 @@ class _Candidates:
 
 
 class DeviceBeam:
-    """The beam search of `BeamSearch` with all states on one device from the first level to the last.
+    """Beam search as `BeamSearch`, with the states of all levels on one device.
 
     Rules, direction, width, diversity and verdicts mean the same; which of equally good states survive differs, since
     random numbers come from the hashes of states. A level reads five sizes of lists back to the host, one more with

@@ -29,7 +29,7 @@ WORDS = {
 
 @dataclass(frozen=True)
 class PartDeadline:
-    """When a part that was missing is needed."""
+    """Latest step at which a missing part is needed."""
 
     part: int
     after_steps: int
@@ -61,7 +61,7 @@ def needs_of(
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A sequence of actions of which every state was found stable.
+    """Sequence of actions whose states are all proven stable.
 
     In disassembly action `i` holds part `i` and `parts + i` removes it. A plan for assembly runs the other way:
     action `i` releases part `i`, and `parts + i` inserts it, held by a robot.
@@ -164,7 +164,7 @@ class Plan:
         return needs_of(self.actions, self.direction, len(self.boundary), self.missing)
 
     def describe(self, step: int) -> str:
-        """One action in words, such as `hold 7` or `insert keystone`."""
+        """Describe an action, such as `hold 7` or `insert keystone`."""
         action, parts = int(self.actions[step]), len(self.boundary)
         return f"{WORDS[self.direction][action >= parts]} {self.part_names[action % parts]}"
 
@@ -189,7 +189,7 @@ class Plan:
         return self.states if self.direction is Direction.ASSEMBLY else self.states[::-1]
 
     def proof_arrays(self) -> NDArray[np.float64] | None:
-        """What proves the states under the plan's criterion, if the plan carries it."""
+        """Return the certificates of the states under the plan's criterion, if the plan has them."""
         return self.displacement if self.claim.criterion == "contact" else self.forces
 
     @property

@@ -28,7 +28,7 @@ from falsework.stability.verdict import Verdicts
 
 @dataclass(frozen=True, eq=False)
 class PlanReport:
-    """What a check of a plan found."""
+    """Result of a plan check."""
 
     states: int
     """States of the plan."""

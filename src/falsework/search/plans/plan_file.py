@@ -46,7 +46,7 @@ _KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "st
 
 
 def plan_schema() -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of plan files."""
+    """Return the JSON Schema (2020-12) of plan files."""
     text = resources.files("falsework.search.plans").joinpath("plan.schema.json").read_text(encoding="utf-8")
     return json.loads(text)
 

@@ -97,7 +97,7 @@ class SearchCounters:
 
 @dataclass(frozen=True)
 class SearchProgress:
-    """One report of a running search."""
+    """Progress of a running search."""
 
     direction: Direction
     level: int

@@ -144,7 +144,7 @@ class StateGraph:
         return mask
 
     def count_routes(self) -> int:
-        """Number of different action sequences from start to target inside the graph; exact, however large."""
+        """Count the different action sequences from start to target within the graph, exactly."""
         return int(self.routes_to_target()[self._position(self.task.start)]) if self._has(self.task.start) else 0
 
     def routes_to_target(self) -> NDArray[np.object_]:
