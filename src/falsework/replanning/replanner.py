@@ -37,8 +37,8 @@ Finished = Callable[[int, ReplanResult], None]
 class Replanner:
     """Replanner of one structure; kernels, verdicts and proofs are cached for later requests.
 
-    One object serves one structure and one policy; requests of several threads wait for each other. Hand requests
-    that come together to `replan_many`, which asks network and oracle about all of them at once.
+    One object serves one structure and one policy; requests of several threads wait for each other. Pass
+    concurrent requests to `replan_many`, which evaluates network and oracle for all of them together.
     """
 
     def __init__(

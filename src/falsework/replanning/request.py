@@ -29,10 +29,10 @@ class Request:
     state: ArrayLike
     """Current state: 0 removed, 1 installed, 2 held, shape (parts,)."""
     target: ArrayLike | None = None
-    """Where they shall go, shape (parts,)."""
+    """Target state, shape (parts,)."""
     direction: Direction | None = None
-    """Which way; if not given, the one that leads to the target, or where parts are missing that the state does not
-    have, assembly, or else disassembly."""
+    """Direction; by default the one that leads to the target, assembly if the state lacks the missing parts, else
+    disassembly."""
     robots: int = 2
     """Parts that can be held at a time."""
     missing: Sequence[int] = ()
@@ -42,13 +42,13 @@ class Request:
     alternatives: int = 1
     """Number of requested plans, as different from each other as possible."""
     seed: int = 0
-    """Same seed, same machine, same answer, unless a deadline cuts the work short."""
+    """Random seed: same seed, same machine, same answer, unless the deadline is reached."""
     deadline: float | None = None
-    """Seconds after which the best proven answer so far is handed back."""
+    """Seconds after which the best proven answer so far is returned."""
     removable_only_if_clear: bool = False
     """Move a part only if it has a collision-free straight path in or out."""
     confidences: bool = False
-    """Hand back what the policy thinks of every action in every state of the plan."""
+    """Return the action probabilities of the policy in every state of the plan."""
 
     def way(self, assembly: Assembly) -> Direction:
         """Return whether parts are added or taken away.

@@ -63,8 +63,8 @@ class Counters:
 class Stability:
     """Stability oracle of one structure, with proofs.
 
-    One object serves one structure under one set of settings. It keeps what it learns: ask the same object
-    again rather than making a new one.
+    One object serves one structure under one set of settings. It caches verdicts, so reuse it instead of making a
+    new one.
     """
 
     def __init__(self, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> None:

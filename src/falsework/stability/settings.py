@@ -81,7 +81,7 @@ class StabilitySettings:
     the criterion of the paper."""
     cone: Cone | None = None
     """Friction cone: the paper's octagon, or Coulomb's quadratic cone. None: quadratic under `contact`, where the
-    octagon would make verdicts depend on how contact frames are turned, and octagon under `equilibrium`."""
+    octagon would make verdicts depend on the orientation of contact frames, and octagon under `equilibrium`."""
     gravity: float = 9.81
     """m/s2 along -z."""
     tolerance: float = TOLERANCE

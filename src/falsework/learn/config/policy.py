@@ -89,15 +89,14 @@ class PolicySettings:
 def recommended(parts: int, *, goal_conditioned: bool = False, kind: Kind | None = None) -> PolicySettings:
     """Return the settings of the network with the highest success after a given training time.
 
-    With one end for all states that is the quickest one, since rollouts count. States with targets of their own are too
-    many for that where there are more than a few parts: a network that knows parts by their contacts is then right
-    about pairs that it has not seen for the same reason as about those that it has. Rollouts still count, so it is a
-    small one.
+    Without goals that is the fastest network, since the number of rollouts decides. Start-goal pairs of more than a few
+    parts are too many to memorise: a network that describes parts by their contacts then generalises to unseen pairs.
+    It is a small one, since rollouts still count.
 
     Args:
         parts: number of parts.
         goal_conditioned: whether the policy is conditioned on a goal.
-        kind: of the network, if that is chosen already.
+        kind: kind of the network, if it is chosen already.
     """
     usual: Kind = kind or ("transformer" if goal_conditioned and parts > _FEW else "resmlp")
     if usual == "transformer" and goal_conditioned:

@@ -104,12 +104,12 @@ class EnvironmentCounters:
 
 
 class Environment:
-    """Disassembly of one structure as a game on tensors (paper, section 5.2).
+    """Environment that disassembles one structure, batched as tensors (paper, section 5.2).
 
-    Rewards: +1 when all removable parts are out or the target is reached, -1 at the first unstable state, 0 else.
-    A rollout that comes to a state without a legal action, which robots that wait for each other or a clearance
-    table can cause, has failed as well and earns -1. Every action is judged, under the criterion `equilibrium` only
-    removals, since there a hold never makes a stable state unstable; start states are taken as stable.
+    Rewards: +1 when all removable parts are removed or the goal is reached, -1 at the first state that is not stable,
+    0 otherwise. A rollout that reaches a state without a legal action, which robots that wait for each other or a
+    clearance table can cause, fails with -1. Every action needs a verdict; under the criterion `equilibrium` only
+    removals do, since there a hold never destabilises. Start states are assumed to be stable.
     """
 
     def __init__(
@@ -144,12 +144,12 @@ class Environment:
         self.rules = TensorRules(task.judged_by(self.oracle), self.device)
         self.counters = EnvironmentCounters()
         self.measure = False
-        """Wait for the device around each kind of work, so that its seconds are its own."""
+        """Synchronise the device around each kind of work, so that times are exact."""
         self.rows_at_once = 1 << 13
-        """States that a policy is given at once, at most."""
+        """Largest batch of states for the policy."""
         self.exact = True
-        """Ask the exact solver about the few states that the one on the GPU leaves open; else they count as not proven
-        stable. It works on the processor, and all rollouts wait for it."""
+        """Send the few states that the GPU solver leaves undecided to the exact solver, which runs on the CPU while all
+        rollouts wait; otherwise they count as not proven stable."""
         self._on_device = _tensor_oracle(self.oracle, self.device)
         self._known = VerdictTable(self.rules)
 
@@ -159,7 +159,7 @@ class Environment:
         return self.rules.part_count
 
     def generator(self, seed: int) -> torch.Generator:
-        """Source of random numbers on the device of this environment."""
+        """Make a random number generator on the device of this environment."""
         return torch.Generator(self.device).manual_seed(seed)
 
     def stable(

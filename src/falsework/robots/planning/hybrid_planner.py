@@ -1,10 +1,10 @@
 """Hybrid planner: abstract actions and motions together (paper, section 6, algorithm 1).
 
-A search in depth with backtracking. At every keyframe it takes the actions after which the structure can still come
-apart, the most promising first, and asks the keyframe graph for a motion; where there is none, the action is rejected
-with the reason and the next one is tried. After some dead ends it starts anew in another order; what was computed is
-kept. Under the criterion `contact` a plan whose replay in the order of assembly falls is not delivered either: the
-state in which it falls is forbidden, and the search begins anew.
+Depth-first search with backtracking. At every keyframe it tries the actions after which the structure can still be
+disassembled, the most promising first, and requests a motion from the keyframe graph; without one, the action is
+rejected with a reason. After some dead ends it restarts in another order, with all caches. Under the criterion
+`contact` a plan whose replay in assembly order fails is rejected too: the failing state is forbidden, and the search
+restarts.
 """
 
 from __future__ import annotations

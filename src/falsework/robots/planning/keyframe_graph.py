@@ -1,8 +1,8 @@
 """Keyframe graph: robot configurations in each state, and the motions of one robot between states.
 
 Section 6 of the paper, figures 9 and 10. A node is a state with joint values of all robots and which of them holds
-which part. An edge carries out one action: one robot moves, all others stand. The graph is never built: what a search
-asks for is computed, and kept for when it asks again.
+which part. An edge carries out one action: one robot moves, all others are at rest. The graph is never built as a
+whole: edges are computed on demand and cached.
 """
 
 from __future__ import annotations
