@@ -4,8 +4,8 @@
     python benchmarks/contacts.py --structures vault:parts=300 path/to/assembly --repeats 10
 
 Without names: the real structures where they are found (FALSEWORK_DATA, else the folder `shared` beside the
-repository), then the built-in vault of 1,000 parts. `seconds`, median and range of the repeats, cover what
-`find_contacts` does, the search for overlaps included; `peak_gib` is the memory of the whole process so far.
+repository), then the built-in vault of 1,000 parts. `seconds`, median and range of the repeats, cover
+`find_contacts`, the search for overlaps included; `peak_gib` is the memory of the whole process so far.
 """
 
 from __future__ import annotations

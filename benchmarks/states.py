@@ -1,4 +1,4 @@
-"""States that benchmarks of stability judge: those that a beam search asks about."""
+"""States for benchmarks of stability: those that a beam search checks."""
 
 from __future__ import annotations
 

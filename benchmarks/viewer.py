@@ -1,10 +1,10 @@
-"""How fast pictures are drawn and how smooth the page stays; one JSON object a line.
+"""Time pictures and the viewer: one JSON object a line.
 
     python benchmarks/viewer.py                       pictures, and the page for a vault of 1,000 parts
     python benchmarks/viewer.py --parts 250           another size
     python benchmarks/viewer.py --no-browser          without Chromium
 
-`update` is what the server needs to bring the page from one state to another, `sent` how many meshes that sends. Frames
+`update` is the server time to change the page from one state to another, `sent` the number of meshes sent. Frames
 a second are those of a headless Chromium that draws in software, on the processor: any graphics card is faster.
 """
 

@@ -1,4 +1,4 @@
-"""Plan how robots build structures of rigid blocks with nothing but their grippers as falsework."""
+"""Assembly planning for rigid-block structures, with robots as temporary supports and certified stability."""
 
 from falsework._version import __version__ as __version__
 from falsework.assembly.load import register_reader as _register_reader

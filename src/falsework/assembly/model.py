@@ -29,7 +29,7 @@ _WARNED = 3
 
 
 class ContactWarning(UserWarning):
-    """Parts touch in a way that real ones may not."""
+    """Contact that real parts may not have, such as along a line only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +162,7 @@ class Assembly:
 
     @cached_property
     def clearance(self) -> ClearanceTable:
-        """Ways out of every part and what blocks them; computed at the first use, seconds to minutes."""
+        """Exit directions of every part and their blockers; computed at first use, in seconds to minutes."""
         _, overlap = self.contact_settings.lengths(self.meshes)
         return clearance_table(self.meshes, self.contacts, tolerance=overlap)
 

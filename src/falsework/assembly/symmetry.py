@@ -1,7 +1,7 @@
 """Rotations and reflections about the vertical that map a structure onto itself, as permutations of its parts.
 
-Gravity points down, so whatever holds for a state holds for its image under any of them: whether it stands, and which
-actions lead where. A dome of twelve equal sectors tells so the same story twenty-four times.
+Gravity points down, so a state and its images under these symmetries have the same verdict and corresponding actions. A
+dome of twelve equal sectors has twenty-four symmetries.
 """
 
 from __future__ import annotations

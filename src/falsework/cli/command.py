@@ -28,7 +28,7 @@ class Exit(IntEnum):
 
     DONE = 0
     NO = 1
-    """The question was understood and the answer is no."""
+    """The input is valid and the answer is no."""
     WRONG_INPUT = 2
     INTERRUPTED = 130
     """As shells report it: 128 plus the number of SIGINT."""
@@ -53,7 +53,7 @@ class Command(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class LoadOptions:
-    """Options that replace what the files of a structure say."""
+    """Options that override the files of a structure."""
 
     unit: Annotated[str | None, arg(metavar="UNIT", help_behavior_hint=UNSET)] = None
     """Unit of the meshes, such as mm."""
@@ -80,7 +80,7 @@ class LoadOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class StructureOptions(LoadOptions):
-    """Options that say which structure is meant."""
+    """Options that select the structure."""
 
     spec: Annotated[Positional[str], arg(metavar="STRUCTURE")]
     """Built-in such as `vault` or `arch:blocks=15,thickness=0.2`, or a folder or file of meshes or COMPAS data."""

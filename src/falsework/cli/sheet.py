@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class MakeSheet(Command):
     """Write a plan as assembly instructions: which part to place, which to hold, which to release.
 
-    As a PDF to print, with a picture and a box to tick for every step, or as CSV. Always in the order of assembly; what
-    a plan calls a robot is a support here: a robot, a prop or a pair of hands.
+    The sheet is a PDF to print, with a picture and a box to tick for every step, or CSV, always in assembly order. The
+    robots of the plan appear as supports, which may be robots, props or pairs of hands.
     """
 
     examples: ClassVar[tuple[str, ...]] = (

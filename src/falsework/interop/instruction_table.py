@@ -52,7 +52,7 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 @dataclass(frozen=True, eq=False)
 class AssemblyInstruction:
-    """One step of the assembly instructions."""
+    """Step of the assembly instructions."""
 
     number: int
     """From 1."""

@@ -78,7 +78,7 @@ class ExhaustiveSearch:
 
         Args:
             progress: called after every level.
-            stop: asked before every level; true stops the search, which can then be saved or run on.
+            stop: called before every level; true stops the search, which can then be saved or continued.
         """
         result = self._beam.run(progress=progress, stop=lambda: self.gave_up or (stop is not None and stop()))
         limit, interrupted = result.limit, result.interrupted
@@ -92,14 +92,14 @@ class ExhaustiveSearch:
         return ExhaustiveResult(replace(result, outcome=outcome, limit=limit, interrupted=interrupted), complete, graph)
 
     def save(self, path: Path | str) -> None:
-        """Write the search as it stands, to be resumed by `load`."""
+        """Write the current search, to be resumed by `load`."""
         self._beam.save(path)
 
     @classmethod
     def load(
         cls, path: Path | str, task: Task, oracle: Oracle, *, state_limit: int = 1_000_000, name: str = ""
     ) -> ExhaustiveSearch:
-        """Read a search that `save` wrote and go on where it stood, under a limit that may be another.
+        """Read a search that `save` wrote, to continue it, possibly under another limit.
 
         Raises:
             InputError: no such file, a damaged one, one of another task, or not of an exhaustive search.
@@ -108,7 +108,7 @@ class ExhaustiveSearch:
         beam = BeamSearch.load(path, task, oracle)
         kind = (beam.settings.direction, beam.settings.diversity, beam.settings.lookahead)
         if kind != (Direction.DISASSEMBLY, "none", 0) or not beam.exhaustive:
-            raise InputError(f"{path} is not from an exhaustive search that can go on; begin a new one")
+            raise InputError(f"{path} is not a resumable exhaustive search; begin a new one")
         beam.settings = replace(beam.settings, width=state_limit)
         search._beam = beam
         return search

@@ -23,23 +23,23 @@ from falsework.service.pool import Pool, Reply
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import refusal
 
-ABOUT = """Another plan, now, for the structure that this service is for, and verdicts with proofs.
+ABOUT = """Replanning and stability verdicts for one structure.
 
-Every state of every plan is proven stable before it is sent. Errors are one line that says what to do. Times are in
-seconds but for `deadline`, which is in milliseconds; masses in kg, places in metres, z up."""
+Every state of every plan is certified as stable before the plan is sent. Errors are one line with a remedy. Times are
+in seconds, except `deadline` in milliseconds; masses in kg, positions in metres, z up."""
 _GONE_EVERY = 0.2
-"""Seconds between two looks whether a client still waits."""
+"""Seconds between two checks whether the client is still connected."""
 _JSON = "application/json"
 _PNG = "image/png"
 _WORDS = {
-    400: "not a request that this service takes",
+    400: "not a valid request",
     401: "no token, or a wrong one",
     408: "the request came too slowly",
     413: "the request is too large",
     415: "not JSON",
-    422: "the request makes no sense for this structure; the error says why",
+    422: "the request does not fit this structure; the error gives the reason",
     431: "the header is too large",
-    500: "the request failed inside",
+    500: "internal error",
     501: "this service cannot draw; the error says what to install",
     503: "busy, starting or stopping; try again",
 }
@@ -127,9 +127,9 @@ def _add_questions(
             return _response(Reply(422, refusal(str(error))))
         return await _wait(request, pool.ask("picture", payload, settings.picture_seconds), media=_PNG)
 
-    app.add_api_route("/replan", replan, **_route("POST", "Plan anew from a state", "ReplanAnswer", "ReplanRequest"))
+    app.add_api_route("/replan", replan, **_route("POST", "Replan from a state", "ReplanAnswer", "ReplanRequest"))
     app.add_api_route(
-        "/stability", stability, **_route("POST", "Judge states, with proofs", "StabilityAnswer", "StabilityRequest")
+        "/stability", stability, **_route("POST", "Stability verdicts of states", "StabilityAnswer", "StabilityRequest")
     )
     app.add_api_route("/picture", picture, **_route("POST", "Draw a state or a plan", _PNG, "PictureRequest"))
 
@@ -159,13 +159,13 @@ def _add_reports(app: FastAPI, assembly: Assembly, pool: Pool, metrics: Metrics)
         return Response(metrics.text(pool.waiting, sum(pool.ready.values())), media_type="text/plain; version=0.0.4")
 
     app.add_api_route("/structure", structure, **_route("GET", "The structure and its parts", "Structure"))
-    app.add_api_route("/health", health, **_route("GET", "Whether the service takes requests", "Health"))
+    app.add_api_route("/health", health, **_route("GET", "Readiness of the workers", "Health"))
     about = _route("GET", "Counters for Prometheus", None)
     app.add_api_route("/metrics", count, **about)
 
 
 def _add_pages(app: FastAPI) -> None:
-    """The description, for machines and for people."""
+    """Add the OpenAPI description and the documentation page."""
     written: dict[str, bytes] = {}
 
     async def openapi() -> Response:
@@ -252,7 +252,7 @@ async def _read(request: Request, model: type[BaseModel], assembly: Assembly) ->
 
 
 async def _wait(request: Request, question: Any, *, media: str = _JSON) -> Response:
-    """Wait for an answer as long as somebody wants it."""
+    """Wait for an answer while the client is connected."""
     task = asyncio.ensure_future(question)
     try:
         while not task.done():
@@ -273,7 +273,7 @@ def _response(reply: Reply, media: str = _JSON) -> Response:
 async def _refuse(_: Request, error: Exception) -> Response:
     """What the router refuses, such as a path that is not there."""
     assert isinstance(error, HTTPException)
-    text = {404: "there is nothing here; / says what there is", 405: "not this way; / says how"}
+    text = {404: "there is nothing here; / lists the requests", 405: "this method is not allowed; / lists the requests"}
     body = refusal(text.get(error.status_code, "this request cannot be served"))
     return Response(body, error.status_code, headers=error.headers, media_type=_JSON)
 

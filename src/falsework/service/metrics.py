@@ -9,7 +9,7 @@ _SIZES = (1, 2, 4, 8, 16, 32, 64)
 PATHS = frozenset(
     {"/", "/docs", "/openapi.json", "/replan", "/stability", "/picture", "/structure", "/health", "/metrics"}
 )
-"""Paths that are counted by name; all others together, so that nobody can fill the memory with names."""
+"""Paths that are counted by name; all others together, so that requests cannot fill the memory with names."""
 
 
 class Metrics:

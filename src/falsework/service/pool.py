@@ -71,7 +71,7 @@ class PendingRequest:
 
     @property
     def open(self) -> bool:
-        """Whether somebody still wants to know."""
+        """Whether the answer is still awaited."""
         return not self.future.done()
 
 
@@ -207,7 +207,7 @@ class Pool:
         idle = [worker for worker in team if worker.ready and worker.busy is None]
         most = {"replan": self.settings.batch, "stability": self.settings.stability_batch, "picture": 1}[kind]
         for place, worker in enumerate(idle):
-            # One of several takes few at a time, so that what is urgent finds somebody soon.
+            # One of several takes few at a time, so that an urgent request finds an idle worker soon.
             limit = min(most, _EXPRESS) if worker is team[0] and len(team) > 1 else most
             batch = self._take(kind, limit, share=len(idle) - place)
             if not batch:

@@ -78,42 +78,42 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
     numbers = Annotated[list[whole(0, parts - 1)], Field(max_length=parts, json_schema_extra={"uniqueItems": True})]
     longest = round(1000 * settings.longest_deadline)
     replan: dict[str, Any] = {
-        "state": (state, Field(default="complete", description="where things stand; boundary parts are always 2")),
+        "state": (state, Field(default="complete", description="current state; boundary parts are always 2")),
         "target": (
             state | None,
-            Field(default=None, description="where they shall go; by default complete in assembly, else empty"),
+            Field(default=None, description="target state; by default complete in assembly, else empty"),
         ),
         "direction": (
             Literal["assembly", "disassembly"] | None,
             Field(
                 default=None,
-                description="assembly adds parts, disassembly takes them away; by default what leads to the target, "
-                "assembly where parts are missing that the state does not have, else disassembly",
+                description="assembly adds parts, disassembly removes them; by default the direction of the target, "
+                "assembly if the state lacks the missing parts, else disassembly",
             ),
         ),
         "missing": (
             numbers,
-            Field(default=[], description="parts not delivered yet; they go in as late as can be"),
+            Field(default=[], description="parts not delivered yet; they are placed as late as possible"),
         ),
         "fixed": (numbers, Field(default=[], description="parts that must not be held or removed")),
         "robots": (whole(1, MOST_ROBOTS), Field(default=2, description="parts that can be held at a time")),
-        "alternatives": (whole(1, MOST_ALTERNATIVES), Field(default=1, description="plans wanted")),
+        "alternatives": (whole(1, MOST_ALTERNATIVES), Field(default=1, description="number of plans")),
         "removable_only_if_clear": (
             bool,
-            Field(default=False, description="move parts along free straight ways only"),
+            Field(default=False, description="move parts along collision-free straight lines only"),
         ),
         "seed": (whole(0, 2**31 - 1), Field(default=0, description="same seed, same answer")),
         "deadline": (
             whole(SHORTEST_DEADLINE, longest),
             Field(
                 default=round(1000 * settings.deadline),
-                description="milliseconds until the answer: the best proven one so far",
+                description="milliseconds until the response, with the best certified plan so far",
             ),
         ),
     }
     stability: dict[str, Any] = {
         "states": (Annotated[list[state], Field(min_length=1, max_length=settings.states)], ...),
-        "explain": (bool, Field(default=False, description="name the parts that move in states that do not stand")),
+        "explain": (bool, Field(default=False, description="list the parts that move in states that are not stable")),
     }
     picture: dict[str, Any] = {
         "state": (state, Field(default="complete", description="drawn unless there is a plan")),
@@ -141,10 +141,10 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
         create_model(
             "ReplanRequest",
             __base__=Strict,
-            __doc__="Where things stand, where they shall go, and what has changed.",
+            __doc__="Current state, target, and constraints of a new plan.",
             **replan,
         ),
-        create_model("StabilityRequest", __base__=Strict, __doc__="States to judge.", **stability),
+        create_model("StabilityRequest", __base__=Strict, __doc__="States to check.", **stability),
         create_model("PictureRequest", __base__=Strict, __doc__="A state or a plan to draw.", **picture),
     )
 
@@ -201,8 +201,8 @@ def components(models: Models) -> dict[str, Any]:
     verdict = {
         "verdict": {
             "enum": ["stable", "slides", "unstable", "undecided"],
-            "description": "slides: forces in balance exist, but the contacts do not bring them about; the state does "
-            "not stand",
+            "description": "slides: forces in balance exist, but the contacts do not produce them; the state is "
+            "not stable",
         },
         "proof": {
             "enum": ["displacement", "forces", "velocity", "none"],
@@ -214,7 +214,7 @@ def components(models: Models) -> dict[str, Any]:
     }
     criterion = {
         "enum": list(get_args(Criterion)),
-        "description": "what stable means. contact: compliant contacts without prestress bring every part to rest; "
+        "description": "stability criterion. contact: compliant contacts without prestress bring every part to rest; "
         "equilibrium: contact forces in balance exist",
     }
     answer = {
@@ -226,11 +226,11 @@ def components(models: Models) -> dict[str, Any]:
         "decided_by": {"type": "string"},
         "direction": {"enum": ["assembly", "disassembly", None]},
         "steps": {"description": "actions to the target", "anyOf": [count, {"type": "null"}]},
-        "reached": {"description": "actions of the longest stable way that was found", **count},
+        "reached": {"description": "actions of the longest stable path found", **count},
         "seconds": number,
         "deadline_passed": {"type": "boolean", "description": "more time might give a plan, or a better one"},
         "reason": {"type": "string", "description": "why there is no plan"},
-        "moving": {**numbers, "description": "parts that move where the search broke off"},
+        "moving": {**numbers, "description": "parts that move where the search ended"},
         "plans": {"type": "array", "items": {"$ref": _REF.format(model="Plan")}},
         "distances": {"type": "array", "items": {"type": "array", "items": number}},
     }
@@ -255,7 +255,7 @@ def components(models: Models) -> dict[str, Any]:
         ),
         "Structure": _object(structure),
         "Health": _object(health),
-        "Error": _object({"error": {"type": "string", "description": "one line that says what to do"}}),
+        "Error": _object({"error": {"type": "string", "description": "one line with a remedy"}}),
     }
 
 

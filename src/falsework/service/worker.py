@@ -1,7 +1,7 @@
 """Worker processes: each loads the structure once and answers batches until its pipe closes.
 
 A worker knows nothing of HTTP. It takes `(kind, items)` from its pipe and puts back one `Done` an item, as soon as it
-has it, and `None` after the last. What it sends is the text of the answer, so that nobody has to look at it again.
+has it, and `None` after the last. It sends the text of the answer, which needs no further processing.
 """
 
 from __future__ import annotations

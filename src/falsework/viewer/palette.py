@@ -93,12 +93,12 @@ def mix(color: str, other: str, share: float) -> str:
 
 
 def seen_by_deuteranope(color: ArrayLike) -> Array:
-    """Return the linear RGB that somebody without medium-wave cones sees; `color` is red, green, blue from 0 to 255."""
+    """Return the linear RGB that an eye without medium-wave cones sees; `color` is red, green, blue from 0 to 255."""
     return np.clip(_DEUTERANOPE @ _linear(color), 0.0, 1.0)
 
 
 def seen_by_protanope(color: ArrayLike) -> Array:
-    """Return the linear RGB that somebody without long-wave cones sees; `color` is red, green, blue from 0 to 255."""
+    """Return the linear RGB that an eye without long-wave cones sees; `color` is red, green, blue from 0 to 255."""
     return np.clip(_PROTANOPE @ _linear(color), 0.0, 1.0)
 
 

@@ -239,7 +239,7 @@ def test_describe_counts_the_weights(arch: Assembly) -> None:
         ({"kind": "rnn"}, "unknown policy kind 'rnn'; choose resmlp, transformer, gat, mlp"),
         ({"layers": -1}, "layers is -1"),
         ({"kind": "transformer", "channels": 30}, "30 do not divide among 8 heads"),
-        ({"kind": "mlp", "identity": True}, "identity is for policies of kind parts"),
+        ({"kind": "mlp", "identity": True}, "identity is for policies of kind transformer"),
     ],
 )
 def test_wrong_settings_are_refused(options: dict, words: str) -> None:

@@ -192,9 +192,9 @@ def test_a_disk_that_fills_up_costs_checkpoints_only(
 
     monkeypatch.setattr(checkpoint, "write_whole", filling)
     told: list[str] = []
-    with pytest.raises(InputError, match=r"cannot write .*: the disk is full; make room and train on with --resume"):
+    with pytest.raises(InputError, match=r"cannot write .*: the disk is full; free disk space and continue"):
         train(arch, settings, folder=tmp_path / "run", device="cpu", report=lambda _, text: told.append(text))
-    assert sum("the disk is full; the last checkpoint stays, training goes on" in text for text in told) >= 4
+    assert sum("the disk is full; the last checkpoint stays, training continues" in text for text in told) >= 4
     monkeypatch.undo()
     rest = train(arch, TrainSettings(), folder=tmp_path / "run", device="cpu", resume=True)
     assert rest.test == expected.test
@@ -315,7 +315,7 @@ def test_without_tensorboard_there_is_a_note(arch: Any, tmp_path: Path, monkeypa
 
 def test_folders_that_are_taken_and_runs_that_are_not_there(arch: Any, tmp_path: Path) -> None:
     train(arch, replace(SMALL, steps=5), folder=tmp_path / "run", device="cpu", logs=())
-    with pytest.raises(InputError, match="holds a run already; go on with it by --resume"):
+    with pytest.raises(InputError, match="holds a run already; continue it with --resume"):
         train(arch, SMALL, folder=tmp_path / "run", device="cpu")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").write_text("years of work")

@@ -30,7 +30,7 @@ class Success:
     states: int
     """Number of states tried."""
     succeeded: int
-    """Number from which the end was reached, every state on the way proven stable."""
+    """Number of starts from which the end was reached, every state on the path proven stable."""
 
     @property
     def share(self) -> float:
@@ -106,7 +106,7 @@ def throughput(environment: Environment, seconds: float, shards: ProcessGroup = 
 
 @dataclass(frozen=True)
 class EvaluateSettings:
-    """What to evaluate on, and how hard to try."""
+    """Settings of an evaluation: sets of states and search."""
 
     states: int = 0
     """Most states of each set, a fixed sample; 0: all."""
@@ -125,7 +125,7 @@ def evaluate(
     shards: ProcessGroup = ProcessGroup(),
     report: Report | None = None,
 ) -> dict[str, Any]:
-    """Greedy success on sets of states and, if asked for, what verified search on top of it finds.
+    """Measure greedy success on sets of states and, with search, the share of states with a proven plan.
 
     Args:
         environment: rules and verdicts.

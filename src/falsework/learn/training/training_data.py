@@ -74,8 +74,8 @@ def collect_training_data(
         kept: read them if they are there.
         dataset: states to use instead.
         report: called with progress messages.
-        note: told what went wrong that does not matter much.
-        enough: asked between searches for tasks with targets whether there is no time for more; in all processes alike.
+        note: called with warnings.
+        enough: called between searches for goals; true if no time is left for more, alike in all processes.
 
     Raises:
         InputError: data of another criterion than the run.

@@ -1,4 +1,4 @@
-"""Is a robot plan right? Every motion sampled finely and checked by libraries that share nothing with the planner."""
+"""Verification of robot plans: motions sampled finely and checked by libraries that share no code with the planner."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class CheckSettings:
-    """What counts as right."""
+    """Settings of a check."""
 
     step: float = 0.01
     """No joint moves farther between two samples, rad or m."""
@@ -48,7 +48,7 @@ class CheckSettings:
 
 @dataclass(frozen=True)
 class PlanProblem:
-    """One thing that is wrong."""
+    """Problem found by a check."""
 
     step: int
     """Step of the plan, from 0."""

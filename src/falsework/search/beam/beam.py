@@ -43,7 +43,7 @@ _REPORTED_STATES = 64
 
 
 class BeamSearch:
-    """A beam search that can be stepped, interrupted, saved and resumed."""
+    """Beam search that can be stepped, interrupted, saved and resumed."""
 
     def __init__(
         self, task: Task, oracle: Oracle, settings: BeamSettings = BeamSettings(), *, guide: Guide | None = None
@@ -104,7 +104,7 @@ class BeamSearch:
         return self._before + now + SearchCounters(states=sum(len(level.states) for level in self.levels))
 
     def states(self) -> States:
-        """Return all states kept so far, level by level from the origin. Shape (count, parts)."""
+        """Return all states of the beam so far, level by level from the origin. Shape (count, parts)."""
         empty = np.empty((0, self.task.part_count), dtype=np.uint8)
         return np.concatenate([empty, *(level.states for level in self.levels)])
 
@@ -173,7 +173,7 @@ class BeamSearch:
         return good
 
     def _ground(self, rows: NDArray[np.int64], level: int = -1) -> Mask:
-        """Ask for the verdicts that waited on the way to states of a level; which of them are stable throughout.
+        """Request the deferred verdicts on the paths to states of a level; return which paths are stable.
 
         Args:
             rows: states of the level.
@@ -195,7 +195,7 @@ class BeamSearch:
         return here.grounded[rows] > 0
 
     def rewind(self, level: int, settings: BeamSettings) -> None:
-        """Forget all levels after `level` and go on from there with other settings.
+        """Discard all levels after `level` and continue from there with other settings.
 
         Raises:
             InputError: settings for the other direction, or a level that was not reached.
@@ -210,11 +210,11 @@ class BeamSearch:
         self._dead = False
 
     def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Step until the goal is reached, nothing is left, or somebody stops it.
+        """Search until the goal is reached, no state is left, or `stop` returns true.
 
         Args:
             progress: called after every level.
-            stop: asked before every level; true stops the search, which can then be saved or run on.
+            stop: called before every level; true stops the search, which can then be saved or continued.
 
         Returns:
             A found route, or how far the search came; `interrupted` after `stop` or an interruption from the keyboard.
@@ -259,7 +259,7 @@ class BeamSearch:
         )
 
     def route(self) -> Route:
-        """Return the best scored way from start to target, in disassembly order; only once `found`."""
+        """Return the path of highest score from start to target, in disassembly order; only once `found`."""
         if not self.found:
             raise InputError("the beam search has not reached its goal; there is no route yet")
         row, states, actions = 0, [], []
@@ -273,12 +273,12 @@ class BeamSearch:
         return Route(np.array(states), moves)
 
     def save(self, path: Path | str) -> None:
-        """Write the search as it stands, to be resumed by `load`."""
+        """Write the current search, to be resumed by `load`."""
         write_archive(path, FORMAT, *self.pack())
 
     @classmethod
     def load(cls, path: Path | str, task: Task, oracle: Oracle, *, guide: Guide | None = None) -> BeamSearch:
-        """Read a search that `save` wrote and go on where it stood.
+        """Read a search that `save` wrote, to continue it.
 
         Raises:
             InputError: no such file, a damaged one, or one of another task.
@@ -292,7 +292,7 @@ class BeamSearch:
             raise InputError(f"{path} is damaged ({error}); begin a new search") from None
 
     def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return the search as it stands: plain values, and arrays."""
+        """Return the state of the search: plain values, and arrays."""
         header: dict[str, Any] = {
             "task": self.task.to_dict(),
             "settings": asdict(self.settings),

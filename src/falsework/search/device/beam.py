@@ -76,7 +76,7 @@ class _Candidates:
 
 
 class DeviceBeam:
-    """The beam search of `BeamSearch` with all states on one device from the first level to the last.
+    """Beam search as `BeamSearch`, with the states of all levels on one device.
 
     Rules, direction, width, diversity and verdicts mean the same; which of equally good states survive differs, since
     random numbers come from the hashes of states. A level reads five sizes of lists back to the host, one more with
@@ -107,7 +107,7 @@ class DeviceBeam:
 
         Raises:
             DependencyError: torch is not installed.
-            InputError: settings that ask for verdicts one after the other.
+            InputError: settings with `lookahead`, which requests verdicts one by one.
         """
         if settings.lookahead:
             raise InputError("a beam on a device judges whole levels; set lookahead to 0, or use BeamSearch")
@@ -160,7 +160,7 @@ class DeviceBeam:
         return self._host
 
     def states(self) -> States:
-        """Return all states kept so far, level by level from the origin. Shape (count, parts)."""
+        """Return all states of the beam so far, level by level from the origin. Shape (count, parts)."""
         empty = np.empty((0, self.task.part_count), dtype=np.uint8)
         return np.concatenate([empty, *(level.states for level in self.levels)])
 
@@ -205,7 +205,7 @@ class DeviceBeam:
 
         Args:
             progress: called after every level.
-            stop: asked before every level; with several processes it must answer alike in all of them.
+            stop: called before every level; several processes must all return the same.
 
         Returns:
             A found route, or how far the search came.
@@ -227,7 +227,7 @@ class DeviceBeam:
         return self.result(interrupted=interrupted)
 
     def route(self) -> Route:
-        """Return the best scored way from start to target, in disassembly order; only once `found`."""
+        """Return the path of highest score from start to target, in disassembly order; only once `found`."""
         if not self.found:
             raise InputError("the beam search has not reached its goal; there is no route yet")
         row, states = 0, []
