@@ -89,9 +89,11 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
     assembly that is already there is replaced.
 
     Raises:
-        InputError: something else is at that place, or it cannot be written to.
+        InputError: something else is at that place, it cannot be written to, or the contacts were given.
     """
     target = Path(folder)
+    if assembly.contacts_given:
+        raise InputError(f"{assembly.name} has given contacts, which a folder of meshes cannot keep; find them instead")
     if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / FILE).is_file())):
         raise InputError(f"{target} is there and is not an assembly; choose another folder")
     density = assembly.density
