@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.interfaces import StoredInterface, compare_interfaces, interface_contacts
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
+from falsework.assembly.store import part_ids
 from falsework.errors import AssemblyError, InputError, MeshError
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -107,7 +108,7 @@ class Draft:
         Args:
             density: kg/m3; that of the parts if all have one and none is given.
             friction: coefficient of friction of every contact; that of the parts if none is given.
-            boundary: ids of the parts that are fixed for ever; the supports if not given.
+            boundary: ids or names of the parts that are fixed for ever; the supports if not given.
             ground: add a fixed slab under the lowest point, as the last part.
             contact_settings: tolerances.
             interfaces: source of the contacts; `compare` finds them and warns where the stored ones differ.
@@ -128,6 +129,8 @@ class Draft:
             raise AssemblyError(f"{self.path} has blocks of different friction; give one for all with --friction")
         if boundary is None:
             boundary = [number for number, block in enumerate(self.blocks) if block.support]
+        elif isinstance(boundary, list):
+            boundary = part_ids(boundary, [block.name for block in self.blocks])
         assembly = Assembly.from_meshes(
             meshes,
             boundary=boundary,

@@ -48,7 +48,7 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     """Load a structure by the name of a built-in one, such as `arch:blocks=15`, or by its path.
 
     A path is a folder or file of meshes, with or without `assembly.json`, or a file of another format: COMPAS data,
-    Rhino, STEP. A bare name that is
+    Rhino, STEP; `assembly.json` beside it is read too. A bare name that is
     both means the built-in structure; `./arch` is the folder.
 
     Args:
@@ -72,7 +72,7 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
             raise InputError(f"there is no folder, file or built-in structure {text!r}; built in are {names}")
         for probe, reader, _ in _READERS if path.is_file() else ():
             if _resolve(probe)(path):
-                return _resolve(reader)(path, **given)
+                return _resolve(reader)(path, **{**described_options(path), **given})
         if given.pop("interfaces", "found") != "found":
             raise InputError(f"{text} is made of meshes and stores no interfaces; leave out --interfaces")
         return load_assembly(path, **given)
@@ -86,6 +86,22 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     if given:
         assembly = assembly.replace(**given)
     return assembly.with_ground() if ground else assembly
+
+
+def described_options(path: Path) -> dict[str, Any]:
+    """Return what `assembly.json` beside a file of a registered format says, as options of its reader.
+
+    Raises:
+        AssemblyError: it is damaged or of another version.
+    """
+    from falsework.assembly.store import FILE, read_description
+
+    if not (path.parent / FILE).is_file():
+        return {}
+    described = read_description(path)
+    described["contact_settings"] = described.pop("contact")
+    options = ("unit", "density", "friction", "boundary", "contact_settings")
+    return {name: described[name] for name in options if name in described}
 
 
 def _resolve(place: str) -> Callable[..., Any]:

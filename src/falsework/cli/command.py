@@ -65,9 +65,9 @@ class LoadOptions:
     """Parts that are permanently fixed, such as 0,3 or 0-16."""
     ground: bool = False
     """Put a fixed ground under the lowest point."""
-    interfaces: Annotated[
-        Literal["found", "stored", "compare"] | None, arg(help_behavior_hint="(default: found)")
-    ] = None
+    interfaces: Annotated[Literal["found", "stored", "compare"] | None, arg(help_behavior_hint="(default: found)")] = (
+        None
+    )
     """Contacts: found from the meshes, those that a COMPAS file stores, or found and compared with the stored ones."""
 
     def given(self) -> dict[str, Any]:
