@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 _LISTED = 20
 """Parts that are listed; --json has all."""
 _MENDED = "#e69f00"
-_DOUBTFUL = "#d55e00"
+_DOUBTFUL = "#b2182b"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +102,7 @@ def _draw(found: Diagnosis, path: Path) -> None:
     assert found.draft is not None
     solids = []
     for report, block in zip(found.parts, found.draft.blocks, strict=True):
-        fans = [(face[0], one, two) for face in block.faces for one, two in zip(face[1:-1], face[2:], strict=True)]
+        fans = [(face[0], one, two) for face in block.faces for one, two in pairwise(face[1:])]
         if not fans:
             continue
         color = BOUNDARY if report.boundary else INSTALLED

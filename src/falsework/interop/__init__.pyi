@@ -1,15 +1,15 @@
+from falsework.interop import compas_dem as compas_dem
 from falsework.interop.assembly_instructions import AssemblyInstruction as AssemblyInstruction
 from falsework.interop.assembly_instructions import AssemblyInstructions as AssemblyInstructions
 from falsework.interop.assembly_instructions import assembly_instructions as assembly_instructions
 from falsework.interop.assembly_instructions import instructions_csv as instructions_csv
 from falsework.interop.assembly_instructions import way_in_words as way_in_words
 from falsework.interop.assembly_instructions_pdf import instructions_pdf as instructions_pdf
-from falsework.interop import compas_dem as compas_dem
 from falsework.interop.compas_read import is_compas as is_compas
 from falsework.interop.compas_read import load_compas as load_compas
+from falsework.interop.compas_read import read_compas as read_compas
 from falsework.interop.compas_write import compas_of as compas_of
 from falsework.interop.compas_write import write_compas as write_compas
-from falsework.interop.compas_read import read_compas as read_compas
 from falsework.interop.formats import export as export
 from falsework.interop.gltf import gltf_of as gltf_of
 from falsework.interop.gltf import write_gltf as write_gltf
