@@ -48,6 +48,8 @@ class Assembly:
     mass: MassProperties
     contact_settings: ContactSettings = field(default_factory=ContactSettings)
     """Tolerances with which the contacts were found."""
+    contacts_given: bool = False
+    """Whether the contacts were given, such as interfaces that a file stores, and not found from the meshes."""
 
     @staticmethod
     def from_meshes(
@@ -59,6 +61,7 @@ class Assembly:
         name: str = "assembly",
         contact_settings: ContactSettings | None = None,
         ground: bool = False,
+        contacts: Contacts | None = None,
     ) -> Assembly:
         """Find contacts and masses, and check that the parts make an assembly.
 
@@ -72,6 +75,7 @@ class Assembly:
             name: how plans and messages call the structure.
             contact_settings: tolerances.
             ground: add a fixed slab under the lowest point, as the last part.
+            contacts: contacts of the parts, if they are known; found from the meshes if not given.
 
         Raises:
             AssemblyError: no parts, no boundary or ids out of range, density or friction out of range,
@@ -85,6 +89,8 @@ class Assembly:
         densities = _density(density, len(parts))
         fixed = _boundary(boundary, parts)
         if ground:
+            if contacts is not None:
+                raise AssemblyError("given contacts know no ground; name fixed parts (--boundary) or find the contacts")
             parts = (*parts, ground_slab(parts))
             fixed = np.append(fixed, True)
             densities = np.append(densities, DENSITY)
@@ -95,11 +101,12 @@ class Assembly:
             )
         mass = mass_properties(parts, densities)
         settings = contact_settings or ContactSettings()
-        contacts = find_contacts(parts, settings)
+        given = contacts is not None
+        contacts = find_contacts(parts, settings) if contacts is None else contacts
         _check_touching(parts, fixed, contacts)
         fixed.setflags(write=False)
         densities.setflags(write=False)
-        assembly = Assembly(name, parts, fixed, densities, friction, contacts, mass, settings)
+        assembly = Assembly(name, parts, fixed, densities, friction, contacts, mass, settings, given)
         found = assembly.warnings
         for line in found[:_WARNED]:
             warnings.warn(line, ContactWarning, stacklevel=2)
@@ -158,6 +165,9 @@ class Assembly:
         standard = asdict(ContactSettings())
         changed = {key: value for key, value in asdict(self.contact_settings).items() if value != standard[key]}
         digest.update(repr(sorted(changed.items())).encode())
+        if self.contacts_given:
+            for array in (self.contacts.parts, self.contacts.frames, self.contacts.points, self.contacts.start):
+                digest.update((array + 0.0).astype("<f8").tobytes())
         return digest.hexdigest()
 
     @cached_property
@@ -208,6 +218,7 @@ class Assembly:
             name=self.name,
             contact_settings=self.contact_settings,
             ground=True,
+            contacts=self.contacts if self.contacts_given else None,
         )
 
 

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
@@ -65,6 +65,10 @@ class LoadOptions:
     """Parts that are permanently fixed, such as 0,3 or 0-16."""
     ground: bool = False
     """Put a fixed ground under the lowest point."""
+    interfaces: Annotated[Literal["found", "stored", "compare"] | None, arg(help_behavior_hint="(default: found)")] = (
+        None
+    )
+    """Contacts: found from the meshes, those that a COMPAS file stores, or found and compared with the stored ones."""
 
     def given(self) -> dict[str, Any]:
         """Return those that were given, as `load_structure` takes them.
@@ -75,6 +79,7 @@ class LoadOptions:
         options: dict[str, Any] = {"unit": self.unit, "density": self.density, "friction": self.friction}
         options["boundary"] = None if self.boundary is None else list(parse_parts(self.boundary, "--boundary"))
         options["ground"] = self.ground or None
+        options["interfaces"] = self.interfaces
         return {name: value for name, value in options.items() if value is not None}
 
 

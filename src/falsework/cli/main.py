@@ -21,6 +21,7 @@ from falsework.errors import FalseworkError
 
 COMMANDS = {
     "structures": "Structures",
+    "doctor": "Doctor",
     "export": "Export",
     "stability": "CheckStability",
     "plan": "MakePlan",
