@@ -78,23 +78,20 @@ def load_meshes(path: str | Path, unit: str = "m", *, supports: Collection[int |
     solids = [replace(solid, vertices=solid.vertices * scale) for solid in solids]
     named = [part for part, solid in enumerate(solids) if part in supports or solid.name in supports]
     sheets = [part for part in named if len(solids[part].faces) and is_sheet(solids[part].vertices, solids[part].faces)]
-    given = {part: _thickened(solids, part) for part in sheets}
+    others = [solid.vertices for part, solid in enumerate(solids) if part not in sheets and len(solid.vertices)]
+    given = {part: thickened(solids[part].vertices, solids[part].faces, others) for part in sheets}
     if given:
+        most = max(thickness for _, _, thickness in given.values())
         warnings.warn(
-            f"{len(given)} supports are open surfaces (part {solids[sheets[0]].name} for one) and were given a thickness "
-            f"of up to {1000 * max(thickness for _, thickness in given.values()):.3g} mm behind them",
+            f"supports modelled as open surfaces ({len(given)}, the first is part {solids[sheets[0]].name}) "
+            f"were given a thickness of up to {1000 * most:.3g} mm behind them",
             RepairWarning,
             stacklevel=2,
         )
-    closed = [given[part][0] if part in given else solid for part, solid in enumerate(solids)]
-    return tuple(check_mesh(solid.name, solid.vertices, solid.faces) for solid in closed)
-
-
-def _thickened(solids: list[_Solid], part: int) -> tuple[_Solid, float]:
-    """Return a sheet as a solid, and its thickness."""
-    others = [solid.vertices for number, solid in enumerate(solids) if number != part and len(solid.vertices)]
-    vertices, faces, thickness = thickened(solids[part].vertices, solids[part].faces, others)
-    return _Solid(solids[part].name, vertices, faces), thickness
+    return tuple(
+        check_mesh(solid.name, *(given[part][:2] if part in given else (solid.vertices, solid.faces)))
+        for part, solid in enumerate(solids)
+    )
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:

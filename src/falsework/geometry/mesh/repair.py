@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from falsework.errors import MeshError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
-from falsework.geometry.mesh.sheets import plane_normal
+from falsework.geometry.mesh.sheets import is_sheet, plane_normal
 from falsework.geometry.mesh.shells import Shells, directed_edges, edge_mates, is_closed
 
 Array = NDArray[np.float64]
@@ -188,7 +188,7 @@ def _close_flat_holes(name: str, points: Array, corners: Faces) -> Faces:
         f"part {name} is not closed: {int(lonely.sum())} edges have a face on one side only; "
         "close it in the modeller (join, cap, weld) and export it again"
     )
-    if not lonely.any() or len(following) != lonely.sum():
+    if not lonely.any() or len(following) != lonely.sum() or is_sheet(points, corners):
         raise error
     caps: list[NDArray[np.int64]] = []
     while following:

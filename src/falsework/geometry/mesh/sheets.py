@@ -6,16 +6,20 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from falsework.geometry.mesh.shells import directed_edges
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
-_THICKNESS = 1 / 20
+_THICKNESS = 1 / 100
 """Thickness that a sheet is given, relative to its diagonal."""
 _FLAT = 1 / 20
 """Largest distance of the vertices of a sheet from its plane, relative to its diagonal."""
+
+_LEVEL = np.cos(np.radians(30))
+"""Cosine of the largest angle between a face of a sheet and its plane."""
 
 
 def is_sheet(points: Array, faces: Faces) -> bool:
@@ -23,8 +27,12 @@ def is_sheet(points: Array, faces: Faces) -> bool:
     used = points[np.unique(faces)]
     if len(used) < 3 or not np.isfinite(used).all() or not _open_edges(faces)[0].size:
         return False
-    height = (used - used.mean(axis=0)) @ plane_normal(used)
-    return bool(np.ptp(height) <= 2 * _FLAT * np.linalg.norm(np.ptp(used, axis=0)))
+    normal = plane_normal(used)
+    corners = points[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    if (np.abs(cross @ normal) < _LEVEL * np.linalg.norm(cross, axis=1)).any():
+        return False  # a plate that lacks a face has its sides
+    return bool(np.ptp((used - used.mean(axis=0)) @ normal) <= 2 * _FLAT * np.linalg.norm(np.ptp(used, axis=0)))
 
 
 def plane_normal(points: Array) -> Array:
@@ -38,7 +46,7 @@ def thickened(points: Array, faces: Faces, others: Sequence[Array]) -> tuple[Arr
     Args:
         points: shape (vertices, 3), metres.
         faces: shape (faces, 3).
-        others: vertices of the other parts, metres.
+        others: vertices of the parts that are solids, metres.
 
     Returns:
         Vertices and faces of a closed surface, and the thickness in metres.
@@ -48,7 +56,7 @@ def thickened(points: Array, faces: Faces, others: Sequence[Array]) -> tuple[Arr
     centre, normal = front.mean(axis=0), plane_normal(front)
     thickness = _THICKNESS * float(np.linalg.norm(np.ptp(front, axis=0)))
     if others:
-        near = min(others, key=lambda vertices: np.linalg.norm(vertices - centre, axis=1).min())
+        near = min(others, key=lambda vertices: KDTree(vertices).query(front)[0].sum())
         normal = normal * (1.0 if (near.mean(axis=0) - centre) @ normal > 0 else -1.0)
     corners = front[faces]
     if np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0) @ normal < 0:
