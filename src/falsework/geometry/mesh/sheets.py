@@ -17,8 +17,7 @@ _THICKNESS = 1 / 100
 """Thickness that a sheet is given, relative to its diagonal."""
 _FLAT = 1 / 20
 """Largest distance of the vertices of a sheet from its plane, relative to its diagonal."""
-
-_LEVEL = np.cos(np.radians(30))
+_LEVEL = np.cos(np.radians(60))
 """Cosine of the largest angle between a face of a sheet and its plane."""
 
 
