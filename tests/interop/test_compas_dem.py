@@ -82,7 +82,7 @@ def test_a_stack_carries_its_weight() -> None:
     weight = 2000 * 9.81
     assert results.metadata["verdict"] == "stable"
     assert results.metadata["mu"] == 0.5
-    assert [edge for edge in results.edges()] == [(0, 1), (1, 2), (2, 3)]
+    assert list(results.edges()) == [(0, 1), (1, 2), (2, 3)]
     for above, edge in zip((3, 2, 1), results.edges(), strict=True):
         assert results.face_contact(edge)
         assert results.resultant_global(edge) == pytest.approx([0, 0, above * weight], rel=1e-3, abs=weight / 1000)

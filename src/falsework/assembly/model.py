@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
+from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
 
@@ -119,7 +120,7 @@ class Assembly:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """One line for each pair of parts that touch along lines or at points only.
+        """One line for all joints that were resolved, and one for each pair that touches along lines or at points only.
 
         Real edges and corners have a width, which the meshes do not say, and may be chipped off. Pairs of boundary
         parts are left out: nothing hangs on them.
@@ -127,7 +128,7 @@ class Assembly:
         pairs, pair = np.unique(self.contacts.parts, axis=0, return_inverse=True)
         widest = np.zeros(len(pairs), dtype=np.int8)
         np.maximum.at(widest, pair.ravel(), self.contacts.dimension)
-        lines = []
+        lines = [self.report.line(self.names)] if len(self.report) else []
         for number in np.flatnonzero((widest < 2) & ~self.boundary[pairs].all(axis=1)).tolist():
             a, b = (self.names[part] for part in pairs[number].tolist())
             count = int(np.sum(pair.ravel() == number))
@@ -136,6 +137,11 @@ class Assembly:
                 where = ("at points", "along lines")[widest[number]]
             lines.append(f"parts {a} and {b} touch {where} only: verdicts may hang on it")
         return tuple(lines)
+
+    @property
+    def report(self) -> JointReport:
+        """Joints whose overlap or gap was beyond the contact tolerance: which parts, and by how much."""
+        return self.contacts.report
 
     @property
     def part_count(self) -> int:

@@ -58,7 +58,9 @@ def load_assembly(
     described = read_description(source)
     chosen = unit if unit is not None else described.get("unit", "m")
     unit_length(chosen)
-    meshes = load_meshes(source, chosen)
+    meshes = load_meshes(
+        source, chosen, supports=_supports(described.get("boundary", []) if boundary is None else boundary)
+    )
     count = described.get("parts", len(meshes))
     if count != len(meshes):
         raise AssemblyError(
@@ -175,6 +177,14 @@ def _contact_settings(given: Mapping[str, Any], file: Path) -> ContactSettings:
         return ContactSettings(**given)
     except TypeError as error:
         raise AssemblyError(f"contact in {file} cannot be used: {error}") from error
+
+
+def _supports(boundary: ArrayLike) -> list[int | str]:
+    """Return the boundary as ids or names, whichever way it is given; what is wrong with it is said later."""
+    given = np.asarray(boundary, dtype=object)
+    if given.ndim == 1 and len(given) and all(isinstance(item, bool | np.bool_) for item in given):
+        return np.flatnonzero(given).tolist()
+    return [item for item in given.ravel().tolist() if isinstance(item, int | str)]
 
 
 def part_ids(boundary: list[Any], names: list[str]) -> list[int]:
