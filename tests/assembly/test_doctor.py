@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from falsework.assembly import diagnose, load_structure
+from falsework.assembly.model import ContactWarning
 from falsework.cli.main import main
 from falsework.errors import InputError
 
@@ -55,14 +57,14 @@ def test_a_sound_structure(column: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_all_faults_at_once(column: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_box(column, "3", (3, 0, 0), (4, 1, 1), faces=9)
+    write_box(column, "3", (3, 0, 0), (4, 1, 1), faces=4)
     write_box(column, "4", (0, 0, 2), (1, 1, 3))
     write_box(column, "5", (0, 0, 3), (0.05, 0.05, 3.05))
     write_box(column, "6", (7, 0, 0), (8, 1, 1))
     assert main(["doctor", str(column), "--json", "--picture", str(tmp_path / "column.png")]) == 1
     record = json.loads(capsys.readouterr().out)
     doubts = {report["name"]: " ".join(report["doubts"]) for report in record["parts"]}
-    assert "is not closed" in doubts["3"]
+    assert "has no volume" in doubts["3"]
     assert "is a duplicate of part 2" in doubts["4"]
     assert "passes through part 2" in doubts["4"]
     assert "is tiny" in doubts["5"]
@@ -83,21 +85,12 @@ def test_mended_parts_are_named(column: Path) -> None:
     assert not found.parts[1].mended
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "key"), [((0, 0, 2.004), (1, 1, 3), "gap"), ((0, 0, 1.996), (1, 1, 3), "overlap")]
-)
-def test_the_proposed_tolerance_is_enough(
-    low: tuple[float, ...], high: tuple[float, ...], key: str, column: Path
-) -> None:
-    write_box(column, "2", low, high)
-    found = diagnose(column)
-    assert not found.loads
-    assert found.cured
-    assert 0.004 <= found.additions["contact"][key] < 0.005
-    assert found.line().startswith('"contact": {"' + key)
-    add(column, found.additions)
-    assert load_structure(column).part_count == 3
+@pytest.mark.parametrize(("low", "word"), [(2.004, "gap"), (1.996, "overlap")])
+def test_what_is_divided_between_two_parts_is_no_fault(low: float, word: str, column: Path) -> None:
+    write_box(column, "2", (0, 0, low), (1, 1, 3))
     assert diagnose(column).loads
+    with pytest.warns(ContactWarning, match=f"{word} up to 4 mm"):
+        assert load_structure(column).part_count == 3
 
 
 def test_boundary_and_unit_are_proposed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -135,7 +128,9 @@ def test_public_structures(
     path = public_structure_path(name)
     found = diagnose(path)
     if found.loads:
-        load_structure(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ContactWarning)
+            load_structure(path)
     else:
         with pytest.raises(InputError, match=re.escape(found.error)):
             load_structure(path)
