@@ -57,7 +57,7 @@ def test_a_sound_structure(column: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_all_faults_at_once(column: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_box(column, "3", (3, 0, 0), (4, 1, 1), faces=4)
+    write_box(column, "3", (3, 0, 0), (4, 1, 1), faces=7)
     write_box(column, "4", (0, 0, 2), (1, 1, 3))
     write_box(column, "5", (0, 0, 3), (0.05, 0.05, 3.05))
     write_box(column, "6", (7, 0, 0), (8, 1, 1))
@@ -121,11 +121,8 @@ def test_what_is_not_there(tmp_path: Path) -> None:
     assert "cannot be read as COMPAS data" in diagnose(tmp_path / "damaged.json").error
 
 
-@pytest.mark.parametrize(("name", "part", "doubt"), [("cra-cubes", None, ""), ("ursula-6", None, "")])
-def test_public_structures(
-    name: str, part: int | None, doubt: str, public_structure_path: Callable[[str], Path]
-) -> None:
-    path = public_structure_path(name)
+def test_the_verdict_is_that_of_loading(public_structure_path: Callable[[str], Path]) -> None:
+    path = public_structure_path("topolite-chips-256")
     found = diagnose(path)
     if found.loads:
         with warnings.catch_warnings():
@@ -134,4 +131,5 @@ def test_public_structures(
     else:
         with pytest.raises(InputError, match=re.escape(found.error)):
             load_structure(path)
-        assert found.cured or found.doubtful
+        assert found.doubtful
+    assert len(found.parts) == 256

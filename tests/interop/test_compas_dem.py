@@ -91,7 +91,7 @@ def test_a_stack_carries_its_weight() -> None:
         contact = results.contact_data(edge)
         assert sum(force["c_np"] for force in contact.forces) == pytest.approx(above * weight, rel=1e-3)
         assert contact.polygon.area == pytest.approx(1.0)
-        assert contact.resultantpoint == pytest.approx(results.edge_attribute(edge, "force_point"), abs=1e-3)
+        assert list(contact.resultantpoint) == pytest.approx(results.edge_attribute(edge, "force_point"), abs=1e-3)
     sink = [results.displacement(node)[2] for node in range(4)]
     assert sink[0] == 0
     assert 0 > sink[1] > sink[2] > sink[3]
@@ -104,11 +104,11 @@ def test_gravity_is_that_of_the_problem() -> None:
 
 
 def test_a_stack_that_slides_off_has_no_forces() -> None:
-    results = compas_dem.solve(stack(friction=0.2, tilt=20.0))
+    results = compas_dem.solve(stack(friction=0.2, tilt=15.0))
     assert results.metadata["verdict"] == "unstable"
     assert not list(results.edges())
     assert results.node_attribute(3, "velocity")[0] > 0
-    assert compas_dem.solve(stack(friction=0.5, tilt=20.0)).metadata["verdict"] == "stable"
+    assert compas_dem.solve(stack(friction=0.5, tilt=15.0)).metadata["verdict"] == "stable"
 
 
 def test_contacts_are_found_where_none_were_computed() -> None:

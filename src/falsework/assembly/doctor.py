@@ -149,9 +149,9 @@ def diagnose(path: str | Path, unit: str | None = None) -> Diagnosis:
             additions["contact"] = {**given, **tolerances}
         if not fixed.any():
             remarks.append("no part is boundary")
+            additions["boundary"] = _lowest(draft)
         if draft.interfaces and _load(draft, {**options, "interfaces": "stored"})[0] is not None:
             remarks.append(f"it loads with its {len(draft.interfaces)} stored interfaces (--interfaces stored)")
-            additions["boundary"] = _lowest(draft)
     likely = "" if path.suffix.lower() in (".3dm", ".step", ".stp") else _unit(float(np.median(size)), draft.scale)
     if likely:
         remarks.append(f"a typical part is {np.median(size):.3g} m long; the unit may be {likely}")
