@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
+from falsework.assembly import Assembly, complete_state, load_structure
+from falsework.stability import Stability, StabilitySettings
 from tests.conftest import data_folder
 
 FOLDERS = {
@@ -110,3 +111,12 @@ def test_joints_of_the_armadillo_are_those_that_its_file_stores():
     assert np.mean(np.abs(ratio - 1) <= 0.05) >= 0.95
     mean = np.mean(list(stored.values()))
     assert all(area <= 0.01 * mean for pair, area in found.items() if pair not in stored)
+
+
+@pytest.mark.parametrize("name", ["armadillo-399", "armadillo-399-cra"])
+def test_the_complete_armadillo_stands(name):
+    """At the friction of compas_cra, whose file stores forces that balance the weight."""
+    assembly = load(name)[0].replace(friction=0.84)
+    state = complete_state(assembly.boundary)[None]
+    for criterion in ("equilibrium", "contact"):
+        assert Stability(assembly, StabilitySettings(criterion=criterion)).check(state).stable.all()

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from falsework.assembly import library, load_structure
 from falsework.errors import AssemblyError
 from falsework.geometry import Contacts, ContactSettings, TriangleMesh, find_contacts
 from falsework.geometry.contact.interfaces import exact_contacts
@@ -106,6 +108,37 @@ def test_what_cannot_be_a_joint_is_refused(shapes, low, high, message):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("name", ["arch", "polycube"])
+@pytest.mark.parametrize("seed", range(2))
+def test_parts_that_are_shifted_and_turned_a_little_keep_their_neighbours(name, seed):
+    """Overlaps on one side and gaps on the other; parts that met along an edge only overlap in a strip."""
+    assembly = library.build(name)
+    rng = np.random.default_rng(seed)
+    meshes = []
+    for mesh in assembly.meshes:
+        centre, reach = mesh.vertices.mean(axis=0), 0.01 * mesh.thickness
+        turn = Rotation.from_rotvec(rng.normal(size=3) * 0.003).as_matrix()
+        vertices = (mesh.vertices - centre) @ turn.T + centre + rng.normal(size=3) * reach
+        meshes.append(TriangleMesh.from_arrays(mesh.name, vertices, mesh.faces))
+    contacts = find_contacts(meshes)
+    wide = assembly.contacts.dimension == 2
+    assert {tuple(pair) for pair in assembly.contacts.parts[wide].tolist()} == {
+        tuple(pair)
+        for pair, area in zip(contacts.parts.tolist(), contacts.areas.tolist(), strict=True)
+        if area > 0.03 * assembly.contacts.areas.max()
+    }
+
+
+def test_gaps_wider_than_the_overlaps_beside_them_stay_open(shapes):
+    """Bricks with open head joints on a bed joint that overlaps by 5 mm."""
+    meshes = [
+        shapes.box((0, 0, 0), (3, 1, 1)),
+        shapes.box((0, 0, 0.995), (1, 1, 2)),
+        shapes.box((1.02, 0, 1), (2, 1, 2)),
+    ]
+    assert find_contacts(meshes).parts.tolist() == [[0, 1], [0, 2]]
+
+
 def test_lengths_that_are_given_hold(shapes):
     blocks = [shapes.box((0, 0, 0), (1, 1, 1)), shapes.box((0, 0, 1.02), (1, 1, 2))]
     assert len(find_contacts(blocks)) == 1
@@ -113,8 +146,6 @@ def test_lengths_that_are_given_hold(shapes):
 
 
 def test_models_without_overlaps_take_the_exact_path(shared_assembly):
-    from falsework.assembly import load_structure
-
     for name in ("vault-62", "dome-37"):
         assembly = load_structure(shared_assembly(name))
         contacts = exact_contacts(assembly.meshes, assembly.contact_settings)

@@ -207,7 +207,8 @@ def _with_joints(
     area = np.zeros((2, len(meshes), len(meshes)))
     np.add.at(area[0], tuple(joints.patches.parts.T), joints.patches.areas)
     np.add.at(area[1], tuple(contacts.parts.T), np.where(contacts.dimension == 2, contacts.areas, 0.0))
-    chosen = area[0] > _MORE * area[1]
+    touching = np.concatenate([contacts.parts, overlaps.parts])
+    chosen = (area[0] > _MORE * area[1]) & joints.near(touching, tolerance)
     chosen[first, second] = joints.bound[first, second] > 0
     joints = joints.take(chosen[tuple(joints.patches.parts.T)])
     fitted, _ = _contacts(joints.patches, joints.group, tolerance)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from falsework.errors import AssemblyError
 from falsework.geometry.contact.grouping import planes
 from falsework.geometry.contact.overlap import Overlaps, vertex_depth
 from falsework.geometry.contact.patches import Faces, Patches, intersect_faces, opposed_faces
-from falsework.geometry.mesh.collision import inside
+from falsework.geometry.mesh.collision import inside, interpenetrate
 from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
@@ -86,6 +86,29 @@ class Joints:
         """Return the chosen patches alone, shape (patches,)."""
         return Joints(self.patches.take(chosen), np.unique(self.group[chosen], return_inverse=True)[1], self.bound)
 
+    def near(self, touching: NDArray[np.integer], tolerance: float) -> NDArray[np.bool_]:
+        """Return whether two parts are so near to each other that a gap between them is an inaccuracy.
+
+        A part that is shifted by some length overlaps neighbours on one side by this length, and has a gap on the
+        other; where both parts are shifted, the gap is twice as wide. Wider gaps may be meant, unless a part touches
+        nothing.
+
+        Args:
+            touching: pairs of parts that touch within the tolerance or overlap, shape (pairs, 2).
+            tolerance: metres.
+
+        Returns:
+            Shape (parts, parts).
+        """
+        pair = tuple(self.patches.parts.T)
+        least = np.full(self.bound.shape, np.inf)
+        np.minimum.at(least, pair, self.patches.distance[:, 0])
+        allowed = np.full(len(least), tolerance)
+        for parts in pair:
+            np.maximum.at(allowed, parts, -2 * self.patches.distance[:, 0])
+        allowed[np.setdiff1d(np.arange(len(least)), touching)] = np.inf
+        return least <= np.maximum(allowed[:, None], allowed)
+
 
 def find_joints(meshes: Sequence[TriangleMesh], among: NDArray[np.bool_], angle: float, narrowest: float) -> Joints:
     """Intersect surfaces of parts that face each other, within bounds that depend on the parts alone.
@@ -155,7 +178,15 @@ def check_joints(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Arra
     Raises:
         AssemblyError: a part inside another, or an overlap beyond the bound, or beyond the tolerance without a joint.
     """
-    overlaps.raise_deepest(meshes, np.flatnonzero(bound == 0).tolist())
+    # Parts that meet along an edge overlap in a strip with parallel sides if one is shifted, and have no joint.
+    thickness = np.array([mesh.thickness for mesh in meshes])[overlaps.parts].min(axis=1)
+    limit = np.where(overlaps.layer, np.maximum(overlaps.limit, OVERLAP * thickness), overlaps.limit)
+    doubtful = [
+        row
+        for row in np.flatnonzero(bound == 0).tolist()
+        if interpenetrate(*(meshes[part] for part in overlaps.parts[row]), float(limit[row]))
+    ]
+    replace(overlaps, limit=limit).raise_deepest(meshes, doubtful)
     for (a, b), allowed in zip(overlaps.parts.tolist(), bound.tolist(), strict=True):
         if not allowed:
             continue

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.patches import Faces, intersect_faces, opposed_faces
 from falsework.geometry.mesh.boxes import box_pairs
-from falsework.geometry.mesh.collision import LESS, MORE, Body, inside, interpenetrate, nested, shrink
+from falsework.geometry.mesh.collision import LESS, MORE, Body, inside, interpenetrate, nested, outwards
 from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
@@ -30,6 +30,8 @@ class Overlaps:
     """Shape (pairs, 2), the lower one first, sorted."""
     limit: Array
     """Depth that is allowed, shape (pairs,), metres."""
+    layer: NDArray[np.bool_]
+    """Whether faces that are almost parallel overlap, not only corners and edges, shape (pairs,)."""
 
     def any_deeper(self, meshes: Sequence[TriangleMesh]) -> bool:
         """Return whether a pair is deeper than allowed, as measured."""
@@ -85,7 +87,7 @@ def find_overlaps(meshes: Sequence[TriangleMesh], tolerance: float, *, corner: f
     for row in np.flatnonzero(~layer).tolist():
         a, b = pairs[row].tolist()
         deep[row] = interpenetrate(meshes[a], meshes[b], float(limit[row]))
-    return Overlaps(pairs[deep], np.where(layer, tolerance, limit)[deep])
+    return Overlaps(pairs[deep], np.where(layer, tolerance, limit)[deep], layer[deep])
 
 
 def _have_layer(
@@ -112,11 +114,14 @@ def _suspects(meshes: Sequence[TriangleMesh], tolerance: float) -> list[tuple[in
     low, high = bounds[:, 0] + tolerance / 2, bounds[:, 1] - tolerance / 2
     i, j = box_pairs(low, np.maximum(low, high))
     bodies: dict[tuple[int, bool], Body] = {}
+    moves: dict[int, Array] = {}
     vertices: dict[tuple[int, bool], Array] = {}
 
     def body(part: int, second: bool) -> Body:
         if (part, second) not in bodies:
-            vertices[part, second] = shrink(meshes[part], (LESS if second else MORE) * tolerance)
+            if part not in moves:
+                moves[part] = outwards(meshes[part])
+            vertices[part, second] = meshes[part].vertices - (LESS if second else MORE) * tolerance * moves[part]
             bodies[part, second] = Body(vertices[part, second], meshes[part].faces)
         return bodies[part, second]
 
