@@ -156,7 +156,8 @@ def evaluated(
         generator = environment.generator(settings.seed)
         drawn = roll_out(environment, UniformPolicy(), *tensors, greedy=False, generator=generator, keep="ends")
         found[name]["random"] = round(float(drawn.success.float().mean()), 6)
-    return found
+    everything = "all states" if sets["test"][1] is None else "all unseen pairs"
+    return {**found, "evaluated": f"at most {options.states} of each set" if options.states else everything}
 
 
 def protocol(assembly: Any, settings: TrainSettings, oracle: TensorOracle, device: str) -> Dataset:
