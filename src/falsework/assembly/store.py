@@ -183,7 +183,7 @@ def _supports(boundary: ArrayLike) -> list[int | str]:
     """Return the boundary as ids or names, whichever way it is given; what is wrong with it is said later."""
     given = np.asarray(boundary, dtype=object)
     if given.ndim == 1 and len(given) and all(isinstance(item, bool | np.bool_) for item in given):
-        return np.flatnonzero(given).tolist()
+        return [int(part) for part in np.flatnonzero(given)]
     return [item for item in given.ravel().tolist() if isinstance(item, int | str)]
 
 

@@ -85,10 +85,12 @@ def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
     if unit is None and system not in _UNITS:
         raise InputError(f"{path} has the unit {system}, whose length is not known; name it, such as --unit mm")
     scale = _UNITS[system] if unit is None else unit_length(unit)
-    layers = {layer.Index: layer.FullPath.split("::") for layer in model.Layers}
+    table: Any = model.Layers  # the stubs of rhino3dm lag behind it
+    layers = {layer.Index: layer.FullPath.split("::") for layer in table}
     found: list[tuple[set[str], Block]] = []
     left_out: Counter[str] = Counter()
-    for entry in model.Objects:
+    objects: Any = model.Objects
+    for entry in objects:
         if entry.Attributes.IsInstanceDefinitionObject:
             continue
         folders = layers.get(entry.Attributes.LayerIndex, ["?"])

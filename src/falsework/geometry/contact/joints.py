@@ -184,7 +184,7 @@ def check_joints(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Arra
     doubtful = [
         row
         for row in np.flatnonzero(bound == 0).tolist()
-        if interpenetrate(*(meshes[part] for part in overlaps.parts[row]), float(limit[row]))
+        if interpenetrate(meshes[overlaps.parts[row, 0]], meshes[overlaps.parts[row, 1]], float(limit[row]))
     ]
     replace(overlaps, limit=limit).raise_deepest(meshes, doubtful)
     for (a, b), allowed in zip(overlaps.parts.tolist(), bound.tolist(), strict=True):

@@ -103,7 +103,7 @@ def inside(points: Array, corners: Array) -> NDArray[np.bool_]:
 
 
 def interpenetrate(a: TriangleMesh, b: TriangleMesh, allowed: float) -> bool:
-    """Whether two solids that are shrunk by half of what is allowed still share space.
+    """Return whether two solids that are shrunk by half of what is allowed still share space.
 
     They are not shrunk by the same amount: solids that coincide would leave surfaces that coincide, and
     none that cross.
