@@ -121,7 +121,7 @@ def test_what_is_added_is_drawn_first(arch, generator) -> None:
     curriculum.add(states[40:60])
     sampled: Any = curriculum.sample(20, generator)
     assert {*sampled.rows.tolist()} == set(range(before, before + 20))
-    with pytest.raises(InputError, match="either all states of a curriculum have targets or none"):
+    with pytest.raises(InputError, match="give all of them targets or none"):
         curriculum.add(states[:2], states[:2])
 
 

@@ -481,7 +481,7 @@ def test_the_guard_names_the_step_that_failed_even_where_nothing_can_be_written(
     guard.check()
     silent = NanGuard()
     silent.watch(torch.tensor(torch.nan), batch, "step 9")
-    with pytest.raises(TrainingError, match="at step 9; go on from the last checkpoint"):
+    with pytest.raises(TrainingError, match="at step 9; continue from the last checkpoint"):
         silent.check()
 
 
