@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from falsework.assembly.model import Assembly
 
 _NEAR = 0.05
-"""How far from its image a centre of mass may be, in units of a typical part."""
+"""Largest distance between a centre of mass and its image, in units of a typical part."""
 _ALIKE = 0.1
 """Relative difference of masses, and difference of contacts in units of a typical contact area."""
 

@@ -13,7 +13,7 @@ from falsework.replanning.policy_guide import PolicyGuide
 from falsework.search.problem.task import Direction, Task
 
 Stable = Callable[[NDArray[np.int64], States, States], Mask]
-"""Which states stand: their tasks, shape (batch,), states and parents, shapes (batch, parts), to shape (batch,)."""
+"""Stability of states: their tasks, shape (batch,), states and parents, shapes (batch, parts), to shape (batch,)."""
 Stop = Callable[[int], bool]
 """Whether the rollouts of a task need not go on."""
 

@@ -15,7 +15,7 @@ _DEFAULTS: dict[str, dict[str, int]] = {
     "gat": {"layers": 8, "channels": 16, "heads": 2, "expansion": 1},
     "mlp": {"layers": 3, "channels": 64, "heads": 1, "expansion": 1},
 }
-"""What a size of 0 stands for. The sizes of `gat` and `mlp` are those of the paper (section 5.4)."""
+"""Sizes that 0 stands for. The sizes of `gat` and `mlp` are those of the paper (section 5.4)."""
 
 
 _FEW = 20

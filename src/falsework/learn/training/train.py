@@ -59,7 +59,7 @@ def train(
         place = None if folder is None else Path(folder)
         begun = time.perf_counter()
         kept = _begin(place, assembly, settings, where, resume)
-        # Nobody writes before all have seen what is there.
+        # No process writes before all have read the folder.
         summed([1.0], shards, where)
         with _repeatable(kept), _threads(kept, where):
             trainer = Trainer(assembly, kept, place, dict(source or {"built_in": assembly.name}), where, shards)
