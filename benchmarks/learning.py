@@ -186,6 +186,7 @@ def line(
         phases=[phase.algorithm for phase in settings.phases],
         policy=result.policy.settings.kind,
         goal_conditioned=settings.policy.goal_conditioned,
+        validation=result.validation.to_dict(),
         **found,
         **known,
         seconds=round(result.seconds, 1),
@@ -206,7 +207,8 @@ def table3(options: argparse.Namespace) -> None:
     """Greedy success from states that a policy has not seen."""
     for name, assembly, robots, seeds in rows_of(options):
         for seed in seeds:
-            settings = settings_of(options, name, robots, seed)
+            kind = recommended(assembly.part_count, kind=options.policy or None)
+            settings = settings_of(options, name, robots, seed, policy=kind)
             result = run(options, name, assembly, settings, f"{name}:{robots} {settings.data} seed {seed}")
             line("table3", name, settings, result, evaluated(options, result, settings, assembly))
 
