@@ -26,7 +26,6 @@ from falsework.search.problem.hashing import StateIndex
 from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import put
 
-
 _MOST_STATES = 16_000_000
 """States to start from, images included, of which each takes a byte a part and some 40 more."""
 
