@@ -6,20 +6,19 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, Literal
 
 from fastapi import FastAPI, Request, Response
-from pydantic import BaseModel, ValidationError
 from starlette.exceptions import HTTPException
 
 from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.service import schema as description
 from falsework.service.docs_page import page_of
 from falsework.service.metrics import Metrics
 from falsework.service.middleware import INSIDE, App, ServiceMiddleware
 from falsework.service.pool import Pool, Reply
+from falsework.service.schema import Schema
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import refusal
 
@@ -72,59 +71,47 @@ def application(assembly: Assembly, pool: Pool, settings: ServiceSettings, metri
         openapi_url=None,
         redirect_slashes=False,
     )
-    models = description.models_of(assembly, settings)
-    _add_questions(app, assembly, pool, settings, models)
-    _add_reports(app, assembly, pool, metrics)
+    schema = Schema.of(assembly, settings)
+    _add_questions(app, schema, pool)
+    _add_reports(app, schema, pool, metrics)
     app.add_exception_handler(HTTPException, _refuse)
     app.add_exception_handler(Exception, _admit)
-    app.openapi = _describe(app, models, settings)  # type: ignore[method-assign]
+    app.openapi = _describe(app, schema)  # type: ignore[method-assign]
     _add_pages(app)
     return ServiceMiddleware(app, settings, metrics)
 
 
-def _add_questions(
-    app: FastAPI, assembly: Assembly, pool: Pool, settings: ServiceSettings, models: description.Models
-) -> None:
-    """The two things that take work."""
+def _add_questions(app: FastAPI, schema: Schema, pool: Pool) -> None:
+    """Add the routes for plans and for verdicts."""
 
-    async def replan(request: Request) -> Response:
-        wanted = await _read(request, models.replan, assembly)
-        if isinstance(wanted, Response):
-            return wanted
-        payload = wanted.model_dump(exclude={"deadline"})
-        try:
-            for name in ("state", "target"):
-                if payload[name] is not None:
-                    payload[name] = description.read_state(payload[name], assembly)
-        except InputError as error:
-            return _response(Reply(422, refusal(str(error))))
-        seconds = wanted.model_dump(include={"deadline"})["deadline"] / 1000
-        return await _wait(request, pool.ask("replan", payload, seconds))
+    def route(name: Literal["replan", "stability"], parse: Callable[[bytes], tuple[Any, float]]) -> Any:
+        async def answer(request: Request) -> Response:
+            kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+            if kind != _JSON:
+                return _response(Reply(415, refusal(f"send JSON, with Content-Type: {_JSON}")))
+            try:
+                payload, seconds = parse(await request.body())
+            except InputError as error:
+                return _response(Reply(422, refusal(str(error))))
+            return await _wait(request, pool.ask(name, payload, seconds))
 
-    async def stability(request: Request) -> Response:
-        wanted = await _read(request, models.stability, assembly)
-        if isinstance(wanted, Response):
-            return wanted
-        given = wanted.model_dump()
-        try:
-            states = description.read_states(given["states"], assembly)
-        except InputError as error:
-            return _response(Reply(422, refusal(str(error))))
-        return await _wait(request, pool.ask("stability", (states, given["explain"]), settings.stability_seconds))
+        answer.__name__ = name  # which the description shows as the id of the operation
+        return answer
 
+    replan, stability = route("replan", schema.parse_replan), route("stability", schema.parse_stability)
     app.add_api_route("/replan", replan, **_route("POST", "Plan anew from a state", "ReplanAnswer", "ReplanRequest"))
     app.add_api_route(
         "/stability", stability, **_route("POST", "Judge states, with proofs", "StabilityAnswer", "StabilityRequest")
     )
 
 
-def _add_reports(app: FastAPI, assembly: Assembly, pool: Pool, metrics: Metrics) -> None:
+def _add_reports(app: FastAPI, schema: Schema, pool: Pool, metrics: Metrics) -> None:
     """Add the routes for health, structure and metrics."""
     written: list[bytes] = []
 
     async def structure() -> Response:
         if not written:
-            record = description.structure_record(assembly, policy=bool(pool.policy))
+            record = schema.structure_record(policy=bool(pool.policy))
             written.append(json.dumps(record, ensure_ascii=True).encode())
         return Response(written[0], media_type=_JSON)
 
@@ -194,7 +181,7 @@ def _ref(model: str) -> dict[str, str]:
     return {"$ref": f"#/components/schemas/{model}"}
 
 
-def _describe(app: FastAPI, models: description.Models, settings: ServiceSettings) -> Callable[[], dict[str, Any]]:
+def _describe(app: FastAPI, schema: Schema) -> Callable[[], dict[str, Any]]:
     """Makes the OpenAPI description: what FastAPI knows of the routes, with the schemas of this structure."""
     generate = app.openapi
     written: list[dict[str, Any]] = []
@@ -202,12 +189,12 @@ def _describe(app: FastAPI, models: description.Models, settings: ServiceSetting
     def describe() -> dict[str, Any]:
         if not written:
             document = generate()
-            document["components"] = {"schemas": description.components(models)}
+            document["components"] = {"schemas": schema.components()}
             for path in document["paths"].values():
                 for operation in path.values():
                     answers = operation["responses"]
                     operation["responses"] = {code: answer for code, answer in answers.items() if answer.get("content")}
-            if settings.token is not None:
+            if schema.settings.token is not None:
                 document["components"]["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
                 document["security"] = [{"token": []}]
                 document["paths"]["/health"]["get"]["security"] = []
@@ -215,17 +202,6 @@ def _describe(app: FastAPI, models: description.Models, settings: ServiceSetting
         return written[0]
 
     return describe
-
-
-async def _read(request: Request, model: type[BaseModel], assembly: Assembly) -> BaseModel | Response:
-    """The request as its model has it, or what is wrong with it."""
-    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if kind != _JSON:
-        return _response(Reply(415, refusal(f"send JSON, with Content-Type: {_JSON}")))
-    try:
-        return model.model_validate_json(await request.body())
-    except ValidationError as error:
-        return _response(Reply(422, refusal(description.complaint(error, assembly.part_count))))
 
 
 async def _wait(request: Request, question: Any) -> Response:
