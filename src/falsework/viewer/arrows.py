@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -152,15 +151,6 @@ def arrow_mesh(tail: Array, tip: Array, thickness: float, sides: int = 8) -> tup
         faces.append(np.stack([low + here, high + there, high + here], axis=1))
     faces.append(np.stack([third + here, third + there, np.full_like(here, last)], axis=1))
     return vertices, np.concatenate(faces)
-
-
-def merged(solids: Sequence[Solid]) -> tuple[Array, NDArray[np.int64]]:
-    """Return vertices and faces of several meshes as one."""
-    if not solids:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-    first = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
-    faces = [np.asarray(solid.faces, dtype=np.int64) + start for solid, start in zip(solids, first, strict=False)]
-    return np.concatenate([solid.vertices for solid in solids]), np.concatenate(faces)
 
 
 def _arrows(tails: Array, vectors: Array, kind: str, assembly: Assembly) -> Arrows:

@@ -132,7 +132,8 @@ def test_lines_that_cannot_be_followed_say_why(make_view: Callable[..., Collisio
     stopped = follow_line(plate, start, (0, 0, -1), 0.2)
     assert stopped.reason == "collision on the line"
     assert stopped.pair == ("arm gripper", "block 0")
-    assert 0.04 < stopped.travelled < 0.08
+    assert stopped.at is not None
+    assert 0.04 < at[2] - tool_pose(plate.world.cell.robots[0], stopped.at)[2, 3] < 0.08
     assert follow_line(view, start, (1, 0, 0), 3.0).reason in ("no solution on the line", "joint limit on the line")
     with pytest.raises(InputError, match="three numbers that are not all zero"):
         follow_line(view, start, (0, 0, 0), 0.1)

@@ -66,8 +66,6 @@ class Motion:
     """Configuration at which they do, shape (joints,)."""
     samples: int = 0
     """Nodes of the trees when the search ended."""
-    travelled: float = 0.0
-    """Lines: how far the tool came, metres."""
 
     def __bool__(self) -> bool:
         """Whether there is a path."""
@@ -187,17 +185,17 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
             break
         step /= 2
         if halving == LINE_HALVINGS:
-            return Motion("no solution on the line", at=path[-1], travelled=float(ahead[max(good - 1, 0)]))
+            return Motion("no solution on the line", at=path[-1])
     inside = view.model.within_limits(path)
     if not inside.all():
         bad = int(np.argmin(inside))
-        return Motion("joint limit on the line", at=path[bad], travelled=float(ahead[max(bad - 1, 0)]))
+        return Motion("joint limit on the line", at=path[bad])
     arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
     opened = np.empty((2, INTERVALS), np.int64)
     free = int(edges_free(path, resolution_of(view), *arrays, opened))
     if free < len(path) - 1:
-        return _blocked(view, path, free, float(ahead[free]))
-    return Motion("found", path, travelled=float(distance))
+        return _blocked(view, path, free)
+    return Motion("found", path)
 
 
 def _branch(tree: Array, parents: NDArray[np.int64], leaf: int) -> list[Array]:
@@ -209,11 +207,11 @@ def _branch(tree: Array, parents: NDArray[np.int64], leaf: int) -> list[Array]:
     return found
 
 
-def _blocked(view: CollisionQuery, path: Array, edge: int, travelled: float) -> Motion:
+def _blocked(view: CollisionQuery, path: Array, edge: int) -> Motion:
     """Say what is in the way on an edge that is not free."""
     for share in np.linspace(0, 1, 9):
         values = path[edge] + share * (path[edge + 1] - path[edge])
         hit = int(view.hits(values)[0])
         if hit != CLEAR:
-            return Motion("collision on the line", pair=view.pair(hit), at=values, travelled=travelled)
-    return Motion("collision on the line", at=path[edge + 1], travelled=travelled)
+            return Motion("collision on the line", pair=view.pair(hit), at=values)
+    return Motion("collision on the line", at=path[edge + 1])

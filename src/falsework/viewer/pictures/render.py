@@ -7,7 +7,7 @@ every pixel. Pictures need no display and no graphics driver.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numba
@@ -167,11 +167,6 @@ class _Eye:
         seen[..., 0] = (seen[..., 0] - self._center[0]) * self._scale + width / 2
         seen[..., 1] = height / 2 - (seen[..., 1] - self._center[1]) * self._scale
         return seen
-
-
-def moved(solid: Solid, shift: Array) -> Solid:
-    """Return the same solid elsewhere; `shift` has shape (3,), metres."""
-    return replace(solid, vertices=solid.vertices + shift)
 
 
 def _unit(vector: Any) -> Array:
