@@ -177,7 +177,7 @@ def test_only_removals_are_judged_and_every_state_once(bottle: Assembly) -> None
     )
     assert len(oracle.asked) == asked
     assert environment.counters.steps == 2 * int(first.length.sum())
-    shares = environment.counters.as_dict()
+    shares = environment.counters.to_dict()
     assert abs(sum(value for name, value in shares.items() if name.startswith("share_")) - 1) < 1e-9
 
 
