@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
@@ -49,6 +49,15 @@ class Command(ABC):
     @abstractmethod
     def run(self, output: Output) -> Exit:
         """Do the work and return the exit code."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgingCommand(Command):
+    """Base of subcommands that decide stability."""
+
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
+    in balance exist."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -84,7 +84,6 @@ def follow_samples(sessions: Sequence[ReplanSession], context: ReplanContext) ->
         owner,
         context.guide.log_probabilities,
         rng=np.random.default_rng([session.request.seed for session in sessions]),
-        temperature=context.settings.temperature,
         stable=stable,
         stop=lambda number: _late(sessions[number]),
     )

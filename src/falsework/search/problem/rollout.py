@@ -41,7 +41,6 @@ def roll_out(
     score: Score,
     *,
     rng: np.random.Generator | None = None,
-    temperature: float = 1.0,
     stable: Stable | None = None,
     next_best: bool = False,
     stop: Stop | None = None,
@@ -54,7 +53,6 @@ def roll_out(
         owner: number of the task of each rollout, ascending, shape (rollouts,).
         score: scores actions, such as the logarithms of their probabilities.
         rng: draws actions from the probabilities; those with the highest score are taken if not given.
-        temperature: probabilities are raised to the power of one over it; only with `rng`.
         stable: asked after every action that needs a verdict; without it rollouts go to their ends unasked.
         next_best: after an action that leads to an unstable state take the next best one; otherwise the rollout ends.
         stop: asked before every step for every task that still runs.
@@ -82,7 +80,7 @@ def roll_out(
         scores = score(states[rows], legal, targets[rows])
         if rng is not None:
             # Adding Gumbel noise and taking the largest draws from the probabilities.
-            scores = scores / temperature + rng.gumbel(size=scores.shape)
+            scores = scores + rng.gumbel(size=scores.shape)
         scores = np.where(legal, scores, -np.inf)
         before = states[rows]
         left = np.arange(len(rows))

@@ -60,7 +60,7 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Solid:
+class ColoredSolid:
     """Mesh with one colour."""
 
     vertices: Array
@@ -73,7 +73,9 @@ class Solid:
     """Below 1 what is behind shines through; of several such solids behind each other only the nearest shows."""
 
 
-def render(solids: Sequence[Solid], camera: Camera, bounds: Array, *, floor: bool = True, samples: int = 3) -> Image:
+def render(
+    solids: Sequence[ColoredSolid], camera: Camera, bounds: Array, *, floor: bool = True, samples: int = 3
+) -> Image:
     """Return the picture of some solids.
 
     Args:
@@ -108,7 +110,7 @@ class _Surface:
     """Of the solids, with opacity, shape (solids, 4)."""
 
     @classmethod
-    def of(cls, solids: Sequence[Solid]) -> _Surface:
+    def of(cls, solids: Sequence[ColoredSolid]) -> _Surface:
         if not solids:
             return cls(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0, dtype=np.int64), np.ones((1, 4)))
         triangles = np.concatenate([np.asarray(solid.vertices, dtype=float)[solid.faces] for solid in solids])
