@@ -36,7 +36,7 @@ class Rollout:
 
 def roll_out(
     tasks: Sequence[Task],
-    starts: Sequence[States],
+    starts: Sequence[States] | States,
     owner: NDArray[np.int64],
     score: Score,
     *,
