@@ -4,8 +4,8 @@
     python benchmarks/clearance.py --structures vault:parts=100 --directions 300
 
 Without names: dome-72, dome-37 and vault-62 where they are found (FALSEWORK_DATA, else the folder `shared`
-beside the repository), then the built-in dome and vault. `ways` is what the table keeps of
-`parts x directions`; `cpu_seconds` tells the work from the waiting on a shared machine.
+beside the repository), then the built-in dome and vault. `ways` counts the directions in the
+table, of `parts x directions`; `cpu_seconds` excludes waiting on a shared machine.
 """
 
 from __future__ import annotations

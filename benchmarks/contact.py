@@ -5,12 +5,12 @@
     python benchmarks/contact.py plan --seeds 5
     python benchmarks/contact.py all --out benchmarks/results/contact.jsonl
 
-`verdicts`: both criteria on the same states in one process, taken from a search under `contact` in the order in which
-it asks, with parents; `ratio` is the median over the repetitions of contact's time over equilibrium's. `cold_ms` is one
+`verdicts`: both criteria on the same states in one process, taken from a search under `contact` in its order,
+with parents; `ratio` is the median over the repetitions of contact's time over equilibrium's. `cold_ms` is one
 state without a parent from Python, the median over the states of a plan. `replay`: a whole plan, four increments each.
 `plan`: from the assembly to the proven and replayed plan, the median over seeds; `seconds_before_replay` leaves out the
-proofs and the last replay. Compiling is done before. Structures of the paper are looked for in FALSEWORK_DATA, else in
-the folder `shared` beside the repository.
+proofs and the last replay. Compilation is not counted. Structures of the paper are read from FALSEWORK_DATA, else
+from the folder `shared` beside the repository.
 """
 
 from __future__ import annotations

@@ -5,14 +5,14 @@
     torchrun --nproc-per-node 4 benchmarks/environment.py --structure vault-62 --seconds 20 --no-others
 
 A structure is the name of a real one (FALSEWORK_DATA, else the folder `shared` beside the repository), of a built-in
-one, or a path. All rows start from the states of one beam search, which counts for nothing, and after a warm-up.
-`rollouts`: rollouts with drawn actions and nothing learned, steps a second over all processes. `rollouts known`:
-the same rollouts once more, every verdict remembered. `ppo`: whole updates of PPO, rollouts and learning. `sb3`:
-sb3-contrib's MaskablePPO through the Gymnasium face, in this process, with a network of the same size and as many
-epochs, and `sb3 rollouts` its collection of rollouts alone. The rows of one run share a structure, start states and
-machine. Shares are of the time in rollouts; on a GPU the device is waited for after each kind of work in a second
-run of the same length, `shares_measured`, since otherwise they are those of the host. Each row tells the speed
-relative to `sb3` where that ran. With several processes, each plays as many rollouts, and their steps are summed.
+one, or a path. All rows start from the states of one beam search, which is not timed, and after a warm-up. `rollouts`:
+rollouts with sampled actions, without learning, steps a second over all processes. `rollouts known`: the same rollouts
+again, with all verdicts cached. `ppo`: whole updates of PPO, rollouts and learning. `sb3`: sb3-contrib's MaskablePPO
+through the Gymnasium environment, in this process, with a network of the same size and as many epochs, and `sb3
+rollouts` its collection of rollouts alone. The rows of one run share a structure, start states and machine. Shares are
+of the time in rollouts; on a GPU, `shares_measured` comes from a second run of the same length that synchronises after
+each kind of work, since otherwise they are those of the host. Each row has the speed relative to `sb3` if that ran.
+With several processes, each runs as many rollouts, and their steps are summed.
 """
 
 from __future__ import annotations

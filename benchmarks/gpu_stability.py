@@ -1,4 +1,4 @@
-"""Time the stability solver on one GPU, on the states that a beam search asks about: one JSON object a line.
+"""Time the stability solver on one GPU, on the states that a beam search checks: one JSON object a line.
 
     python benchmarks/gpu_stability.py
     python benchmarks/gpu_stability.py --structures vault:parts=100 --batches 1024 --baseline 0

@@ -13,12 +13,11 @@
 A row is a structure, by the name of a real one (FALSEWORK_DATA, else the folder `shared` beside the repository), of a
 built-in one or by its path, and a number of robots. `table3`: greedy success on the training and the test set, all
 states of them, `random` beside it for uniformly random legal actions, `paper` where the paper has the row; `--data
-width64` learns from the paper's data alone, `--search` adds the share of test states with a proven plan. `table4`: two
-states, beside a goal-blind policy, or one of the two (`--goals`). `table5`: graph network, attention
-between parts and perceptrons with the same budget. `transfer`: a policy of the bottle asked about the dog. `methods`:
-curves of all presets of training. `minutes` is the budget for everything from the meshes on, `seconds` what it came to;
-evaluating all states comes on top. Rows are independent: run them as processes of their own, each with its
-CUDA_VISIBLE_DEVICES.
+width64` learns from the paper's data alone, `--search` adds the share of test states with a proven plan. `table4`: a
+goal-conditioned policy, a goal-blind one, or both (`--goals`). `table5`: `gat`, `transformer`, `resmlp` and `mlp` with
+the same budget. `transfer`: a policy of the bottle evaluated on the dog. `methods`: curves of all presets of training.
+`minutes` is the total budget, data included, `seconds` the time used; evaluation of all states is not included. Rows
+are independent: run them as processes of their own, each with its CUDA_VISIBLE_DEVICES.
 """
 
 from __future__ import annotations
@@ -158,7 +157,8 @@ def evaluated(
         generator = environment.generator(settings.seed)
         drawn = roll_out(environment, UniformPolicy(), *tensors, greedy=False, generator=generator, keep="ends")
         found[name]["random"] = round(float(drawn.success.float().mean()), 6)
-    return found
+    everything = "all states" if sets["test"][1] is None else "all unseen pairs"
+    return {**found, "evaluated": f"at most {options.states} of each set" if options.states else everything}
 
 
 def protocol(assembly: Any, settings: TrainSettings, oracle: TensorOracle, device: str) -> Dataset:

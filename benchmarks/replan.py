@@ -5,12 +5,12 @@
     python benchmarks/replan.py deadline --structures dome-37 --deadlines 0.05 0.1 0.2 0.4
     python benchmarks/replan.py batch --runs my-run --clients 16
 
-`complete`: a plan from the complete state to the empty one, once for each seed, each time with an oracle that has seen
-nothing yet. `midway`: the same from solvable states somewhere on the way, as a search of width 64 finds them; one
-oracle for all, as in a service. `deadline`: how late answers come, and how many hold a plan. `batch`: requests
-answered one by one and together. `seconds` are lists of quantiles (least, median, 95 %, largest) and count from the
-question to the plan of proven states; `load_seconds`, for loading kernels, structure and network, is apart.
-`decided_by` counts who found the plans. A structure is asked without a policy, a run with its own.
+`complete`: a plan from the complete state to the empty one, once for each seed, each time with an empty cache.
+`midway`: the same from intermediate solvable states, which a search of width 64 finds; one oracle for all, as in a
+service. `deadline`: lateness of answers, and the share with a plan. `batch`: requests processed one by one and
+together. `seconds` are lists of quantiles (least, median, 95 %, largest) and count from the
+request to the certified plan; `load_seconds`, for loading kernels, structure and network, is apart.
+`decided_by` counts the deciding stages. A structure is replanned without a policy, a run with its own.
 """
 
 from __future__ import annotations

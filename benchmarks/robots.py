@@ -10,10 +10,10 @@
     python benchmarks/robots.py all
 
 The first five plan a published structure in the built-in cell of that name: `seconds` is from structure and cell in
-memory to a proven plan with timed motions, compiling done before. The last line of each has median and worst.
-`random`: dome-37 in cells whose two arms stand anywhere within what lets every part be held; success and, for each
+memory to a proven plan with timed motions, compilation not counted. The last line of each has median and worst.
+`random`: dome-37 in cells with random bases of two arms from which every part can be held; success and, for each
 failure, the explanation. `--policy`: a run of `falsework train` for that structure as guide. `--no-check` leaves the
-check by Pinocchio and Coal out. The structures are looked for in FALSEWORK_DATA, else in the folder `shared` beside the
+check by Pinocchio and Coal out. The structures are read from FALSEWORK_DATA, else from the folder `shared` beside the
 repository.
 """
 

@@ -1,4 +1,4 @@
-"""Time searches from nothing, and compare the sizes of state graphs with the paper's: one JSON object a line.
+"""Time searches, and compare the sizes of state graphs with the paper's: one JSON object a line.
 
     python benchmarks/search.py plan
     python benchmarks/search.py graph --structures bottle-12 --widths 64 128
@@ -7,7 +7,7 @@
     python benchmarks/search.py methods
 
 `plan`: `seconds` runs from the meshes on disk to the plan with its proofs, `search_seconds` is the search alone;
-compiling is done before, on a small arch. `graph`: `states` and `unseen` stand beside the paper's Table 3, whose second
+compilation is not counted. `graph`: `states` and `unseen` stand beside the paper's Table 3, whose second
 number counts the states of the wider search that the narrower one did not find. `alternatives`: distances between
 plans. `methods`: the planner, the paper's beam from both ends, and depth-first search on the same structures.
 Without `--structures`: the real structures where they are found (FALSEWORK_DATA, else the folder `shared` beside the

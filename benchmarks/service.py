@@ -1,4 +1,4 @@
-"""Load a service on this machine as clients would, and say how it bears it: one JSON object a line.
+"""Load test of a service on this machine: one JSON object a line.
 
     python benchmarks/service.py replan --structure dome-37 --policy my-run
     python benchmarks/service.py stability --rate 300 --seconds 20
@@ -7,11 +7,11 @@
 Starts `falsework serve` on a free port of 127.0.0.1 and stops it at the end; requests go there and nowhere else, and
 their number is bounded by `rate` times `seconds`. Clients keep to a schedule, so that a slow answer does not thin out
 the load, and times count from the moment at which a request was due. `cores` is the processor time that the service
-and its workers took, divided by the time on the clock: how much of the machine the load needs, whoever else uses it.
+and its workers took, divided by the time on the clock: the share of the machine that the load needs.
 
 `replan`: whole plans from and to the empty and the complete structure, states on the way, a part that is late, a part
 not to be touched; 10 a second for two minutes from 16 clients.
-`stability`: one state a request, drawn from those that a search asks about; 300 a second.
+`stability`: one state a request, drawn from those that a search checks; 300 a second.
 `deadline`: one request after the other with 200 ms, beside two clients that keep the planners busy; the
 answer is a plan or `not_yet`.
 """

@@ -1,4 +1,4 @@
-"""Measure stability verdicts on the states that a width-64 beam search with two robots asks about.
+"""Measure stability verdicts on the states that a width-64 beam search with two robots checks.
 
     python benchmarks/stability.py                                   # all that follows but the baseline
     python benchmarks/stability.py --measure verdicts --structures vault-62 dome-72 --states 1000
@@ -9,8 +9,8 @@ built-in ones, or paths; without names all real ones.
 
 `verdicts`: agreement with the exact solver on the same states, certificates that the checker accepts, and speed: this
 solver on all cores against the exact solver on one, in one run, in alternating rounds; ratios are medians over the
-rounds. `speedup` is what a search gets, which names the stable state that each comes from; `speedup_alone` is without
-that. Caches are empty in every round.
+rounds. `speedup` is that within a search, which passes the stable predecessor of each state; `speedup_alone` is without
+it. Caches are empty in every round.
 
 `cold`: one verdict of one state from Python, kernels compiled: setting a structure up, and then the first verdict.
 

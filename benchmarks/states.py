@@ -1,4 +1,4 @@
-"""States that benchmarks of stability judge: those that a beam search asks about."""
+"""States for benchmarks of stability: those that a beam search checks."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def find(name: str) -> str:
     """Path of a real structure where there is one of that name, else the name."""
     named = os.environ.get("FALSEWORK_DATA")
     data = Path(named) if named else Path(__file__).resolve().parents[2] / "shared"
-    path = data / "assemblies" / name
-    return str(path) if path.is_dir() else name
+    paths = (data / folder / name for folder in ("assemblies", "structures"))
+    return next((str(path) for path in paths if path.is_dir()), name)
 
 
 def real_structures(names: tuple[str, ...] = REAL) -> tuple[str, ...]:

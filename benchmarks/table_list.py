@@ -198,7 +198,7 @@ TABLES = {
     "gpu-search": Table(
         "gpu_search",
         (*STRUCTURE, ("width", "{width}"), ("GPUs", "{processes}")),
-        (("seconds", "{seconds}"), ("verdicts", "{asked}"), ("states kept", "{states}")),
+        (("seconds", "{seconds}"), ("verdicts", "{asked}"), ("states found", "{states}")),
     ),
     "policies": Table(
         "learning",
@@ -252,7 +252,7 @@ TABLES = {
             record["goal_conditioned"] and record.get("evaluated") == "all unseen pairs" and on_gpu(record)
         ),
     ),
-    "pairs-not-told": Table(
+    "pairs-goal-blind": Table(
         "learning",
         STRUCTURE,
         (("unseen pairs, %", "{test.success:%}"), ("training pairs, %", "{train.success:%}")),
@@ -293,7 +293,7 @@ TABLES = {
     ),
     "transfer": Table(
         "policies",
-        (("network", "{kind}"), ("trained on", "{source}"), ("asked about", "{target}")),
+        (("network", "{kind}"), ("trained on", "{source}"), ("evaluated on", "{target}")),
         (("its unseen states, %", "{test_success:%}"), ("the same, fine-tuned, %", "{fine_tuned_success:%}")),
         benchmark="policies transfer",
     ),

@@ -18,11 +18,23 @@ Runs = Sequence[Record]
 """Records of one row."""
 
 
+_KEYS = {"two_states": "goal_conditioned"}
+_NETWORKS = {"residual": "resmlp", "parts": "transformer", "graph": "gat"}
+_KINDS = {"policy", "kind"}
+"""Keys that name a network."""
+
+
 @cache
 def records(source: str) -> tuple[Record, ...]:
     """Return all records of a file, the oldest first."""
     lines = (RESULTS / f"{source}.jsonl").read_text(encoding="utf-8").splitlines()
-    return tuple(json.loads(line) for line in lines)
+    return tuple(_translated(json.loads(line)) for line in lines)
+
+
+def _translated(record: Record) -> Record:
+    """Return a record with today's names for what records of earlier versions call otherwise."""
+    translated = {_KEYS.get(key, key): value for key, value in record.items()}
+    return translated | {key: _NETWORKS.get(translated[key], translated[key]) for key in _KINDS & translated.keys()}
 
 
 def look_up(record: Record, path: str) -> Any:
@@ -98,7 +110,7 @@ def notes(runs: Runs) -> str:
     if loads:
         found.append(f"shared machine, load {number(max(loads))}")
     if any(run["command"] is None for run in runs):
-        found.append("no command kept")
+        found.append("command not recorded")
     return "; ".join(dict.fromkeys(found))
 
 

@@ -1,10 +1,10 @@
-"""How fast pictures are drawn and how smooth the page stays; one JSON object a line.
+"""Time pictures and the viewer: one JSON object a line.
 
     python benchmarks/viewer.py                       pictures, and the page for a vault of 1,000 parts
     python benchmarks/viewer.py --parts 250           another size
     python benchmarks/viewer.py --no-browser          without Chromium
 
-`update` is what the server needs to bring the page from one state to another, `sent` how many meshes that sends. Frames
+`update` is the server time to change the page from one state to another, `sent` the number of meshes sent. Frames
 a second are those of a headless Chromium that draws in software, on the processor: any graphics card is faster.
 """
 
@@ -87,7 +87,7 @@ def page(parts: int, browser: bool) -> None:
             shown.model.go_to(place)
             begun = time.perf_counter()
             with shown.server.atomic():
-                sent.append(shown.scene.show(shown.model.look()))
+                sent.append(shown.scene.show(shown.model.appearance()))
             spent.append(time.perf_counter() - begun)
         found[f"{name}_update_ms"] = [round(1000 * float(np.percentile(spent, share)), 2) for share in (50, 95)]
         found[f"{name}_sent"] = [round(float(np.mean(sent)), 2), int(max(sent))]

@@ -107,12 +107,13 @@ def _write_help_texts() -> None:
 
 
 def _write_benchmarks() -> None:
-    """What each benchmark says of itself, for the page on benchmarks."""
+    """Write the descriptions of the benchmarks, for the page on benchmarks."""
     texts = []
     for path in sorted((HERE.parent / "benchmarks").glob("[!_]*.py")):
         about = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
         first, _, rest = about.partition("\n")
-        texts.append(f"## {path.name}\n\n{first}\n\n```text\n{rest.strip()}\n```\n")
+        if f"benchmarks/{path.name}" in rest:  # others are helpers without a command line
+            texts.append(f"## {path.name}\n\n{first}\n\n```text\n{rest.strip()}\n```\n")
     (HERE / "_generated" / "benchmarks.md").write_text("\n".join(texts), encoding="utf-8")
 
 

@@ -51,6 +51,19 @@ def shared_assembly() -> Callable[[str], Path]:
 
 
 @pytest.fixture(scope="session")
+def public_structure_path() -> Callable[[str], Path]:
+    """Look up a folder or file of `structures/` by name; skips the test where the data is not there."""
+
+    def find(name: str) -> Path:
+        folder = data_folder()
+        if folder is None or not (folder / "structures" / name).exists():
+            pytest.skip(f"no public structure {name}: set FALSEWORK_DATA to the folder that holds structures/")
+        return folder / "structures" / name
+
+    return find
+
+
+@pytest.fixture(scope="session")
 def beam_on_ridge() -> Assembly:
     """A beam (part 2) across a flat block (0) and the ridge of a roof (1), both boundary: an area and a line."""
     box = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)]

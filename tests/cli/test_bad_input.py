@@ -94,8 +94,8 @@ def test_zero_volume(refused: Callable[..., None], stack: Path) -> None:
 def test_interpenetration_names_both_parts_and_the_depth(
     refused: Callable[..., None], write_structure: Write, tmp_path: Path
 ) -> None:
-    folder = write_structure(tmp_path / "deep", [BOTTOM, ((0, 0, 0.75), (2, 1, 2)), TOP])
-    refused(("0", "1", "250 mm"), folder)
+    folder = write_structure(tmp_path / "deep", [BOTTOM, ((0, 0, 0.5), (2, 1, 2)), TOP])
+    refused(("0", "1", "500 mm"), folder)
 
 
 def test_parts_missing(refused: Callable[..., None], write_structure: Write, tmp_path: Path) -> None:

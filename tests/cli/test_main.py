@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
-import time
 import warnings
 from dataclasses import dataclass
 from typing import Any
@@ -31,12 +31,18 @@ def run_with(monkeypatch: pytest.MonkeyPatch, behaviour: Any, *options: str) -> 
     return entry.main(["structures", *options])
 
 
+def processor_seconds() -> float:
+    """Seconds that ended child processes have used, whatever else the machine does."""
+    spent = os.times()
+    return spent.children_user + spent.children_system
+
+
 def test_help_is_fast_and_names_every_command() -> None:
     best = float("inf")
     for _ in range(3):
-        begun = time.perf_counter()
+        begun = processor_seconds()
         done = subprocess.run([sys.executable, "-m", "falsework", "--help"], capture_output=True, text=True, check=True)
-        best = min(best, time.perf_counter() - begun)
+        best = min(best, processor_seconds() - begun)
     for name in entry.COMMANDS:
         assert name in done.stdout
     assert "Example:" in done.stdout

@@ -123,7 +123,7 @@ def test_unstable_state(falsework: Run, tmp_path: Path) -> None:
     words = ("replan", "arch:blocks=5", "--state", "0111122", "--out", tmp_path / "plan.json")
     finished = falsework(*words)
     assert finished.code == 1
-    assert "the state does not stand; voussoir-" in finished.error
+    assert "the state is not stable; voussoir-" in finished.error
     (record,) = falsework(*words, "--json").records
     assert record["plan"] is None
     assert record["outcome"] == "proved_impossible"

@@ -47,11 +47,15 @@ def test_parts_that_touch_or_are_apart_have_no_depth(shapes):
     assert depth(cube, shapes.box((0, 0, 3), (1, 1, 4))) == 0
 
 
-@pytest.mark.parametrize("into", [0.002, 0.01, 0.05, 0.5])
-def test_faces_that_overlap_beyond_the_tolerance_are_named(shapes, into):
+EXPLICIT = ContactSettings(gap=0.001)
+
+
+@pytest.mark.parametrize(("into", "settings"), [(0.002, EXPLICIT), (0.05, EXPLICIT), (0.5, EXPLICIT), (0.5, None)])
+def test_faces_that_overlap_beyond_what_is_allowed_are_named(shapes, into, settings):
+    """Lengths that are given hold; without them a joint may take up a third of the smaller part."""
     blocks = [shapes.box((0, 0, 0), (1, 1, 1), "sill"), shapes.box((0.1, 0.1, 1 - into), (1.1, 1.1, 2), "post")]
     with pytest.raises(AssemblyError) as caught:
-        find_contacts(blocks)
+        find_contacts(blocks, settings)
     message = str(caught.value)
     found = re.search(r"parts sill and post pass through each other by ([\d.]+) mm, and ([\d.]+) mm is", message)
     assert found, message
@@ -62,7 +66,7 @@ def test_faces_that_overlap_beyond_the_tolerance_are_named(shapes, into):
 def test_the_deepest_pair_is_named(shapes):
     blocks = [shapes.box((0, 0, z), (1, 1, z + 1 + into), f"b{z}") for z, into in enumerate((0.01, 0.03, 0.02, 0))]
     with pytest.raises(AssemblyError, match="parts b1 and b2 pass through each other by 30 mm"):
-        find_contacts(blocks)
+        find_contacts(blocks, EXPLICIT)
 
 
 def test_one_inside_the_other_is_named(shapes):

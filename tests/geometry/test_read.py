@@ -10,6 +10,7 @@ from trimesh.exchange.stl import export_stl_ascii
 from falsework.errors import InputError, MeshError
 from falsework.geometry import load_meshes
 from falsework.geometry.mesh.obj import obj_text, read_obj
+from falsework.geometry.mesh.repair import RepairWarning
 
 Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], float)
 """Turns z up into the y up of glTF."""
@@ -200,3 +201,17 @@ def test_messages_are_one_line(tmp_path):
     with pytest.raises(MeshError) as caught:
         load_meshes(tmp_path)
     assert "\n" not in str(caught.value)
+
+
+def test_supports_that_are_open_surfaces_get_a_thickness_away_from_their_neighbour(tmp_path, shapes):
+    """Whichever way the surface was wound; a part that is no support is refused as before."""
+    block = shapes.box((0, 0, 0), (1, 1, 1))
+    (tmp_path / "0.obj").write_text(obj_text(block))
+    for loop in ("1 2 3 4", "4 3 2 1"):
+        (tmp_path / "1.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf {loop}\n")
+        with pytest.warns(RepairWarning, match=r"open surfaces \(1, the first is part 1\)"):
+            _, sheet = load_meshes(tmp_path, supports=[1])
+        assert sheet.bounds[:, 2] == pytest.approx([-np.sqrt(2) / 100, 0])
+        assert sheet.volume == pytest.approx(np.sqrt(2) / 100)
+        with pytest.raises(MeshError, match="part 1 is not closed"):
+            load_meshes(tmp_path, supports=["0"])

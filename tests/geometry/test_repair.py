@@ -228,3 +228,22 @@ def test_without_manifold3d_the_line_says_what_to_install(shapes, monkeypatch):
         check_mesh("p", *together(*boxes))
     assert "\n" not in str(error.value)
     assert check_mesh("p", *together(boxes[0])).volume == pytest.approx(1)
+
+
+def test_a_hole_with_a_rim_that_is_bent_a_little_is_closed(box):
+    points = box.vertices.copy()
+    points[7] += (0, 0, 0.005)
+    with pytest.warns(RepairWarning, match="flat holes"):
+        mesh = check_mesh("p", points, box.faces[~(points[box.faces][:, :, 2] > 0.35).all(axis=1)])
+    assert mesh.volume == pytest.approx(0.024, rel=0.02)
+
+
+def test_a_slit_round_a_corner_is_closed(box):
+    """A slit 0.1 mm wide along two edges has hardly an area, and its area vector says nothing about its plane."""
+    corner = int(np.flatnonzero((box.vertices == (0.2, 0, 0.4)).all(axis=1))[0])
+    points = np.concatenate([box.vertices, [(0.2, 0, 0.3999)]])
+    faces = box.faces.copy()
+    below = ~(points[faces][:, :, 2] == 0.4).all(axis=1)
+    faces[below] = np.where(faces[below] == corner, 8, faces[below])
+    with pytest.warns(RepairWarning, match="flat holes"):
+        assert check_mesh("p", points, faces).volume == pytest.approx(0.024, rel=1e-3)

@@ -176,7 +176,7 @@ def box(**changes: Any) -> dict[str, Any]:
         (json.dumps([box(face={"0": [0, 1, 77]})]), InputError, "not as COMPAS writes it"),
         (json.dumps([box(face={"0": [0, 1]})]), MeshError, "face"),
         (json.dumps([box(face={})]), MeshError, "no faces"),
-        (json.dumps([box(face={"0": [0, 1, 2]})]), MeshError, "no volume"),
+        (json.dumps([box(face={"0": [0, 1, 2]})]), MeshError, "not closed"),
         ("[" * 100_000, InputError, "nested|not as COMPAS"),
         (json.dumps([box(attributes={"friction": mu}) for mu in (0.1, 0.2)]), AssemblyError, "--friction"),
         (

@@ -16,7 +16,7 @@ import pytest
 from falsework.assembly import Assembly, load_structure
 from falsework.cli.main import main
 from falsework.errors import PlanError
-from falsework.interop.assembly_instructions import COLUMNS, assembly_instructions, instructions_csv, way_in_words
+from falsework.interop.instruction_table import COLUMNS, assembly_instructions, instructions_csv, way_in_words
 from falsework.search import Plan, find_plans
 from falsework.search.problem.task import Task
 
@@ -107,7 +107,7 @@ def test_a_plan_for_another_structure(plan: Plan) -> None:
 def pdf(arch: Assembly, plan: Plan) -> bytes:
     """The sheet of the arch."""
     pytest.importorskip("reportlab", reason="needs reportlab; pip install 'falsework[sheet]'")
-    from falsework.interop.assembly_instructions_pdf import instructions_pdf
+    from falsework.interop.instruction_pdf import instructions_pdf
 
     return instructions_pdf(assembly_instructions(plan, arch))
 
@@ -134,7 +134,7 @@ def test_the_pdf_says_what_the_table_does(pdf: bytes, arch: Assembly, plan: Plan
 
 def test_pictures_show_what_stands(arch: Assembly, plan: Plan) -> None:
     """With every part placed, more of the picture is covered; a held part has the colour of its support."""
-    from falsework.interop.assembly_instructions_pdf import CAMERA
+    from falsework.interop.instruction_pdf import CAMERA
     from falsework.viewer.appearance import appearance_at
     from falsework.viewer.palette import robot_color, unit_rgb
     from falsework.viewer.pictures.contact_sheet import draw
@@ -173,8 +173,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 def test_without_reportlab_the_extra_is_named(arch: Assembly, plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     from falsework.errors import DependencyError
-    from falsework.interop import assembly_instructions_pdf as instructions_pdf
+    from falsework.interop import instruction_pdf
 
-    monkeypatch.setattr(instructions_pdf, "find_spec", lambda name: None)
+    monkeypatch.setattr(instruction_pdf, "find_spec", lambda name: None)
     with pytest.raises(DependencyError, match=r"falsework\[sheet\].*\.csv"):
-        instructions_pdf.sheet_pdf(assembly_instructions(plan, arch))
+        instruction_pdf.instructions_pdf(assembly_instructions(plan, arch))

@@ -204,7 +204,7 @@ def test_unstable_state_names_what_moves(alone: Replanner) -> None:
     answer = alone.replan(fallen)
     assert answer.outcome is Outcome.PROVED_IMPOSSIBLE
     assert answer.decided_by is Stage.RULES
-    assert answer.reason == "the state does not stand"
+    assert answer.reason == "the state is not stable"
     assert set(answer.moving) <= set(np.flatnonzero(fallen == INSTALLED).tolist())
     assert answer.moving
 

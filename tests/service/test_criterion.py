@@ -13,7 +13,7 @@ pytest.importorskip("fastapi", reason="the service needs fastapi; pip install 'f
 
 from falsework.assembly import Assembly
 from falsework.assembly.library.blocks import box, gather
-from falsework.service.schema import Schema
+from falsework.service.schema import components, models_of
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import Item, WorkerConfig, _Judge, _Planner
 
@@ -51,7 +51,7 @@ def test_verdicts(criterion: Any, verdict: str, proof: str, moving: list[int], c
         assert (first["verdict"], first["proof"]) == (verdict, proof)
         assert held["verdict"] == "stable"
         assert held["proof"] == ("displacement" if criterion == "contact" else "forces")
-        schemas = Schema.of(clamp, ServiceSettings()).components()
+        schemas = components(models_of(clamp, ServiceSettings()))
         jsonschema.validate(answer, {**schemas["StabilityAnswer"], "components": {"schemas": schemas}})
     assert [record["moving"] for record in pipe.answers[0]["verdicts"]] == [moving, []]
 
@@ -66,6 +66,6 @@ def test_plans(criterion: Any, clamp: Assembly, monkeypatch: pytest.MonkeyPatch)
     answer = pipe.answers[0]
     assert answer["criterion"] == criterion
     assert (answer["outcome"] == "found") == (criterion == "equilibrium")
-    schemas = Schema.of(clamp, ServiceSettings()).components()
+    schemas = components(models_of(clamp, ServiceSettings()))
     jsonschema.validate(answer, {**schemas["ReplanAnswer"], "components": {"schemas": schemas}})
     assert [plan["stability"]["criterion"] for plan in answer["plans"]] == ["equilibrium"] * len(answer["plans"])

@@ -22,7 +22,7 @@ COMMANDS = [
 
 
 def test_the_page_has_commands() -> None:
-    assert {words[1].rpartition("/")[2] for words in COMMANDS} == {"structure", "replan", "stability"}
+    assert {words[1].rpartition("/")[2] for words in COMMANDS} == {"structure", "replan", "stability", "picture"}
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=lambda words: " ".join(words[1:])[-60:])
@@ -36,7 +36,12 @@ def test_commands_of_the_page_are_answered(words: list[str], live: Any) -> None:
     assert reply.status_code == 200, reply.text
     document = live.client.get("/openapi.json").json()
     method = document["paths"][path]["post" if "-d" in words else "get"]
-    schema = method["responses"]["200"]["content"]["application/json"]["schema"]
+    (media,) = method["responses"]["200"]["content"]
+    assert reply.headers["content-type"] == media
+    if media == "image/png":
+        assert reply.content.startswith(b"\x89PNG")
+        return
+    schema = method["responses"]["200"]["content"][media]["schema"]
     jsonschema.validate(reply.json(), {**schema, "components": document["components"]})
     # A busy machine may not find a plan in a deadline of milliseconds; it does when it is asked again.
     end = time.monotonic() + 20

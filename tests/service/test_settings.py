@@ -89,12 +89,12 @@ def test_a_token_is_wanted_everywhere_but_for_the_health() -> None:
 
 
 def test_what_goes_wrong_inside_stays_inside(monkeypatch: pytest.MonkeyPatch) -> None:
-    from falsework.service.schema import Schema
+    from falsework.service import schema as description
 
     def fail(*_: Any, **__: Any) -> Any:
         raise RuntimeError("/secret/path/of/mine")
 
-    monkeypatch.setattr(Schema, "structure_record", fail)
+    monkeypatch.setattr(description, "structure_record", fail)
     reply = asking(ServiceSettings())("/structure")
     assert reply.status_code == 500
     assert reply.json() == {"error": "the request failed inside; the log of the service says why"}

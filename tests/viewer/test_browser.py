@@ -222,14 +222,14 @@ def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     rebuilt = now.picture()
     assert (np.abs(rebuilt - marked).max(axis=2) > 40).sum() > 500
 
-    tab.get_by_role("button", name="Back to the plan before").click()
+    tab.get_by_role("button", name="Back to the previous plan").click()
     now.until(lambda: len(model.timeline) == steps, "the old plan is back")
     assert complaints_of(now) == []
 
     said = "getComputedStyle(document.body, '::before').content"
-    assert "server has gone" not in tab.evaluate(said)
+    assert "server has ended" not in tab.evaluate(said)
     now.page.close()
-    now.until(lambda: "server has gone" in tab.evaluate(said), "the page says that the server has gone")
+    now.until(lambda: "server has ended" in tab.evaluate(said), "the page says that the server has ended")
 
 
 def test_an_unstable_state(opened: Callable[..., Open]) -> None:

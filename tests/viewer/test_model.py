@@ -52,7 +52,7 @@ def test_a_click_selects_and_a_click_beside_forgets(model: ViewerState) -> None:
     facts = dict(model.about(top))
     assert facts["mass"] == f"{model.assembly.mass.mass[top]:.4g} kg"
     assert "robot" in facts["held by"]
-    assert facts["now"] == "stands by itself"
+    assert facts["now"] == "installed"
     assert model.click(np.array([99.0, 0, 9]), DOWN) is None
     assert model.selected is None
 
@@ -61,7 +61,7 @@ def test_about_a_boundary_part(model: ViewerState) -> None:
     part = int(np.argmax(model.assembly.boundary))
     facts = dict(model.about(part))
     assert facts["now"] == "boundary"
-    assert facts["held by"] == "nobody"
+    assert facts["held by"] == "no robot"
 
 
 @pytest.mark.parametrize(

@@ -246,7 +246,7 @@ def test_what_a_policy_thinks_and_covers(
         (("animate", "PLAN", "--seconds", "0"), "above zero"),
         (("animate", "PLAN", "--rate", "0"), "pictures a second"),
         (("animate", "PLAN", "--width", "9"), "80 to 4000"),
-        (("animate", "arch:blocks=5"), "no steps to play"),
+        (("animate", "arch:blocks=5"), "no steps to animate"),
         (("view", "PLAN", "--port", "70000"), "no port"),
         (("view", "PLAN", "--robots", "0"), "robots"),
         (("view", "PLAN", "--deadline", "0"), "deadline"),

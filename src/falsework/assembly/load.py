@@ -10,34 +10,52 @@ from typing import TYPE_CHECKING, Any
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
+    from falsework.assembly.draft import Draft
     from falsework.assembly.model import Assembly
 
-_READERS: list[tuple[str, str]] = []
-"""Probe and reader of each format, as `package.module:function`; imported at the first file that they may know."""
+_READERS: list[tuple[str, str, str]] = []
+"""Probe, reader and reader of unchecked parts of each format, as `package.module:function`; imported at the first file
+that they may know."""
 
 
-def register_reader(probe: str, reader: str) -> None:
+def register_reader(probe: str, reader: str, parts: str = "") -> None:
     """Let `load_structure` read files of another format.
 
     Args:
         probe: `package.module:function` that takes the path of a file and says whether it is of this format.
         reader: `package.module:function` that takes the path and the options of `load_structure`, and returns an
             `Assembly`.
+        parts: `package.module:function` that takes the path and `unit`, and returns a `Draft`, the parts as they are
+            in the file; `falsework doctor` looks at them one by one. Empty if there is none.
     """
-    if (probe, reader) not in _READERS:
-        _READERS.append((probe, reader))
+    if (probe, reader, parts) not in _READERS:
+        _READERS.append((probe, reader, parts))
+
+
+def read_draft(path: Path, unit: str | None = None) -> Draft | None:
+    """Read the parts of a file of a registered format, unchecked; None if no reader of parts knows the file.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    for probe, _, parts in _READERS if path.is_file() else ():
+        if parts and _resolve(probe)(path):
+            return _resolve(parts)(path, unit=unit)
+    return None
 
 
 def load_structure(structure: str | Path, **options: Any) -> Assembly:
     """Load a structure by the name of a built-in one, such as `arch:blocks=15`, or by its path.
 
-    A path is a folder or file of meshes, with or without `assembly.json`, or a file of COMPAS data. A bare name that is
+    A path is a folder or file of meshes, with or without `assembly.json`, or a file of another format: COMPAS data,
+    Rhino, STEP; `assembly.json` beside it is read too. A bare name that is
     both means the built-in structure; `./arch` is the folder.
 
     Args:
         structure: name of a built-in structure with its parameters, or a folder or file.
-        options: unit, density (kg/m3), friction, boundary, ground and contact_settings as for `load_assembly`; None is
-            as good as left out. A built-in structure takes neither unit nor contact_settings.
+        options: unit, density (kg/m3), friction, boundary, ground and contact_settings as for `load_assembly`, and
+            interfaces (`found`, `stored` or `compare`) as for `load_compas`; None is as good as left out. A built-in
+            structure takes neither unit nor contact_settings, and only COMPAS data store interfaces.
 
     Raises:
         InputError: neither a path nor a built-in structure, or an option that it does not take.
@@ -52,10 +70,14 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
         if not path.exists() and path.name == text:
             names = ", ".join(entry.name for entry in library.structures())
             raise InputError(f"there is no folder, file or built-in structure {text!r}; built in are {names}")
-        for probe, reader in _READERS if path.is_file() else ():
+        for probe, reader, _ in _READERS if path.is_file() else ():
             if _resolve(probe)(path):
-                return _resolve(reader)(path, **given)
+                return _resolve(reader)(path, **{**described_options(path), **given})
+        if given.pop("interfaces", "found") != "found":
+            raise InputError(f"{text} is made of meshes and stores no interfaces; leave out --interfaces")
         return load_assembly(path, **given)
+    if given.pop("interfaces", "found") != "found":
+        raise InputError(f"{text} is a built-in structure and stores no interfaces; leave out --interfaces")
     for option in ("unit", "contact_settings"):
         if option in given:
             raise InputError(f"{text} is a built-in structure and has its own {option}; leave it out")
@@ -64,6 +86,22 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     if given:
         assembly = assembly.replace(**given)
     return assembly.with_ground() if ground else assembly
+
+
+def described_options(path: Path) -> dict[str, Any]:
+    """Return what `assembly.json` beside a file of a registered format says, as options of its reader.
+
+    Raises:
+        AssemblyError: it is damaged or of another version.
+    """
+    from falsework.assembly.store import FILE, read_description
+
+    if not (path.parent / FILE).is_file():
+        return {}
+    described = read_description(path)
+    described["contact_settings"] = described.pop("contact")
+    options = ("unit", "density", "friction", "boundary", "contact_settings")
+    return {name: described[name] for name in options if name in described}
 
 
 def _resolve(place: str) -> Callable[..., Any]:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
+from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
 
@@ -29,7 +30,7 @@ _WARNED = 3
 
 
 class ContactWarning(UserWarning):
-    """Parts touch in a way that real ones may not."""
+    """Contact that real parts may not have, such as along a line only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +49,8 @@ class Assembly:
     mass: MassProperties
     contact_settings: ContactSettings = field(default_factory=ContactSettings)
     """Tolerances with which the contacts were found."""
+    contacts_given: bool = False
+    """Whether the contacts were given, such as interfaces that a file stores, and not found from the meshes."""
 
     @staticmethod
     def from_meshes(
@@ -59,6 +62,7 @@ class Assembly:
         name: str = "assembly",
         contact_settings: ContactSettings | None = None,
         ground: bool = False,
+        contacts: Contacts | None = None,
     ) -> Assembly:
         """Find contacts and masses, and check that the parts make an assembly.
 
@@ -72,6 +76,7 @@ class Assembly:
             name: how plans and messages call the structure.
             contact_settings: tolerances.
             ground: add a fixed slab under the lowest point, as the last part.
+            contacts: contacts of the parts, if they are known; found from the meshes if not given.
 
         Raises:
             AssemblyError: no parts, no boundary or ids out of range, density or friction out of range,
@@ -85,6 +90,8 @@ class Assembly:
         densities = _density(density, len(parts))
         fixed = _boundary(boundary, parts)
         if ground:
+            if contacts is not None:
+                raise AssemblyError("given contacts know no ground; name fixed parts (--boundary) or find the contacts")
             parts = (*parts, ground_slab(parts))
             fixed = np.append(fixed, True)
             densities = np.append(densities, DENSITY)
@@ -95,11 +102,12 @@ class Assembly:
             )
         mass = mass_properties(parts, densities)
         settings = contact_settings or ContactSettings()
-        contacts = find_contacts(parts, settings)
+        given = contacts is not None
+        contacts = find_contacts(parts, settings) if contacts is None else contacts
         _check_touching(parts, fixed, contacts)
         fixed.setflags(write=False)
         densities.setflags(write=False)
-        assembly = Assembly(name, parts, fixed, densities, friction, contacts, mass, settings)
+        assembly = Assembly(name, parts, fixed, densities, friction, contacts, mass, settings, given)
         found = assembly.warnings
         for line in found[:_WARNED]:
             warnings.warn(line, ContactWarning, stacklevel=2)
@@ -112,7 +120,7 @@ class Assembly:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """One line for each pair of parts that touch along lines or at points only.
+        """One line for all joints that were resolved, and one for each pair that touches along lines or at points only.
 
         Real edges and corners have a width, which the meshes do not say, and may be chipped off. Pairs of boundary
         parts are left out: nothing hangs on them.
@@ -120,7 +128,7 @@ class Assembly:
         pairs, pair = np.unique(self.contacts.parts, axis=0, return_inverse=True)
         widest = np.zeros(len(pairs), dtype=np.int8)
         np.maximum.at(widest, pair.ravel(), self.contacts.dimension)
-        lines = []
+        lines = [self.report.line(self.names)] if len(self.report) else []
         for number in np.flatnonzero((widest < 2) & ~self.boundary[pairs].all(axis=1)).tolist():
             a, b = (self.names[part] for part in pairs[number].tolist())
             count = int(np.sum(pair.ravel() == number))
@@ -129,6 +137,11 @@ class Assembly:
                 where = ("at points", "along lines")[widest[number]]
             lines.append(f"parts {a} and {b} touch {where} only: verdicts may hang on it")
         return tuple(lines)
+
+    @property
+    def report(self) -> JointReport:
+        """Joints whose overlap or gap was beyond the contact tolerance: which parts, and by how much."""
+        return self.contacts.report
 
     @property
     def part_count(self) -> int:
@@ -158,11 +171,14 @@ class Assembly:
         standard = asdict(ContactSettings())
         changed = {key: value for key, value in asdict(self.contact_settings).items() if value != standard[key]}
         digest.update(repr(sorted(changed.items())).encode())
+        if self.contacts_given:
+            for array in (self.contacts.parts, self.contacts.frames, self.contacts.points, self.contacts.start):
+                digest.update((array + 0.0).astype("<f8").tobytes())
         return digest.hexdigest()
 
     @cached_property
     def clearance(self) -> ClearanceTable:
-        """Ways out of every part and what blocks them; computed at the first use, seconds to minutes."""
+        """Exit directions of every part and their blockers; computed at first use, in seconds to minutes."""
         _, overlap = self.contact_settings.lengths(self.meshes)
         return clearance_table(self.meshes, self.contacts, tolerance=overlap)
 
@@ -208,6 +224,7 @@ class Assembly:
             name=self.name,
             contact_settings=self.contact_settings,
             ground=True,
+            contacts=self.contacts if self.contacts_given else None,
         )
 
 

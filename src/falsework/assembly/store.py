@@ -55,10 +55,12 @@ def load_assembly(
         AssemblyError: `assembly.json` is damaged or of another version, or the parts make no assembly.
     """
     source = Path(path)
-    described = _read_description(source)
+    described = read_description(source)
     chosen = unit if unit is not None else described.get("unit", "m")
     unit_length(chosen)
-    meshes = load_meshes(source, chosen)
+    meshes = load_meshes(
+        source, chosen, supports=_supports(described.get("boundary", []) if boundary is None else boundary)
+    )
     count = described.get("parts", len(meshes))
     if count != len(meshes):
         raise AssemblyError(
@@ -70,7 +72,7 @@ def load_assembly(
             raise AssemblyError(f"names in {FILE} must be {len(meshes)} different ones, one a part; mend {source}")
         meshes = tuple(replace(mesh, name=name) for mesh, name in zip(meshes, names, strict=True))
     if boundary is None:
-        boundary = _ids(described.get("boundary", []), [mesh.name for mesh in meshes])
+        boundary = part_ids(described.get("boundary", []), [mesh.name for mesh in meshes])
     return Assembly.from_meshes(
         meshes,
         boundary=boundary,
@@ -89,9 +91,11 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
     assembly that is already there is replaced.
 
     Raises:
-        InputError: something else is at that place, or it cannot be written to.
+        InputError: something else is at that place, it cannot be written to, or the contacts were given.
     """
     target = Path(folder)
+    if assembly.contacts_given:
+        raise InputError(f"{assembly.name} has given contacts, which a folder of meshes cannot keep; find them instead")
     if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / FILE).is_file())):
         raise InputError(f"{target} is there and is not an assembly; choose another folder")
     density = assembly.density
@@ -124,8 +128,12 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
     return target
 
 
-def _read_description(source: Path) -> dict[str, Any]:
-    """Read `assembly.json` with types checked; `contact` becomes `ContactSettings`."""
+def read_description(source: Path) -> dict[str, Any]:
+    """Read `assembly.json` in a folder or beside a file, with types checked; `contact` becomes `ContactSettings`.
+
+    Raises:
+        AssemblyError: it is damaged or of another version.
+    """
     file = (source if source.is_dir() else source.parent) / FILE
     described: dict[str, Any] = {}
     if file.is_file():
@@ -171,8 +179,20 @@ def _contact_settings(given: Mapping[str, Any], file: Path) -> ContactSettings:
         raise AssemblyError(f"contact in {file} cannot be used: {error}") from error
 
 
-def _ids(boundary: list[Any], names: list[str]) -> list[int]:
-    """Return ids of boundary parts, which may be given by name."""
+def _supports(boundary: ArrayLike) -> list[int | str]:
+    """Return the boundary as ids or names, whichever way it is given; what is wrong with it is said later."""
+    given = np.asarray(boundary, dtype=object)
+    if given.ndim == 1 and len(given) and all(isinstance(item, bool | np.bool_) for item in given):
+        return [int(part) for part in np.flatnonzero(given)]
+    return [item for item in given.ravel().tolist() if isinstance(item, int | str)]
+
+
+def part_ids(boundary: list[Any], names: list[str]) -> list[int]:
+    """Return ids of boundary parts, which may be given by name.
+
+    Raises:
+        AssemblyError: no such part.
+    """
     ids = []
     for item in boundary:
         if isinstance(item, str):

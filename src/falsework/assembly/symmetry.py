@@ -1,7 +1,7 @@
 """Rotations and reflections about the vertical that map a structure onto itself, as permutations of its parts.
 
-Gravity points down, so whatever holds for a state holds for its image under any of them: whether it stands, and which
-actions lead where. A dome of twelve equal sectors tells so the same story twenty-four times.
+Gravity points down, so a state and its images under these symmetries have the same verdict and corresponding actions. A
+dome of twelve equal sectors has twenty-four symmetries.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from falsework.assembly.model import Assembly
 
 _NEAR = 0.05
-"""How far from its image a centre of mass may be, in units of a typical part."""
+"""Largest distance between a centre of mass and its image, in units of a typical part."""
 _ALIKE = 0.1
 """Relative difference of masses, and difference of contacts in units of a typical contact area."""
 

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Animate(JudgingCommand):
-    """Render a plan as a video, MP4 or GIF by the ending of the file.
+    """Render a plan as a video, MP4 or GIF by file suffix.
 
-    Needs no display and no graphics driver. With --verdicts every state is judged anew: parts that slide are marked,
-    and states that do not stand are named.
+    Needs no display and no graphics driver. --verdicts computes the verdict of every state, marks parts that slide,
+    and labels states that are not stable.
     """
 
     examples: ClassVar[tuple[str, ...]] = (

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckCell(Command):
-    """Say which robot of a cell can hold which part of a structure, and propose better bases.
+    """Report which robot of a cell can hold which part of a structure, and propose better bases.
 
     Every part is tried alone on the boundary, with the other robots at home. Exit code 1 if a part is out of reach of
     all robots.
@@ -37,7 +37,7 @@ class CheckCell(Command):
     picture: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
     """Plan view of parts and robots, coloured by the number of robots that reach a part."""
     propose: Literal["auto", "always", "never"] = "auto"
-    """Look for better bases; auto: if a robot cannot reach a part."""
+    """Search for better bases; auto: if a robot cannot reach a part."""
 
     def run(self, output: Output) -> Exit:
         """Load, try, print."""

@@ -26,12 +26,12 @@ _DRAWS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class CheckPlan(JudgingCommand):
-    """Verify every step of a plan anew, up to the first that does not hold.
+    """Verify every step of a plan, up to the first that fails.
 
-    What stable means is decided here, not by the file: a plan that claims less is refused. Under the criterion
-    `contact` displacements are looked for from rest and accepted by a checker that shares nothing with the solver;
-    under `equilibrium` the exact solver decides. The structure is the one that the plan names; a plan for another
-    structure is refused. Exit code 1 at the first bad step.
+    The options, not the file, set the criterion; a plan that claims less is refused. Under `contact`, displacements are
+    computed from rest and verified by a checker that shares no code with the solver; under `equilibrium` the exact
+    solver decides. The structure is the one that the plan names; a plan for another structure is refused. Exit code 1
+    at the first step that fails.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -55,7 +55,7 @@ class CheckPlan(JudgingCommand):
     """Bound on the sum of all normal forces, in weights of the structure."""
     replay: bool = False
     """Also replay the plan in the order of assembly with contact history, and print one line per step. A plan that
-    falls under another stiffness ratio, release speed or initial friction is reported as marginal."""
+    fails with another stiffness ratio, release increment or initial friction is reported as marginal."""
     by: Literal["contact", "lmgc90"] = "contact"
     """Replay method: the contact law of the criterion, or LMGC90 on each state by itself."""
     steps: bool = False
@@ -69,9 +69,9 @@ class CheckPlan(JudgingCommand):
         from falsework.stability import StabilitySettings
 
         if self.by != "contact" and not self.replay:
-            raise InputError("--by says who replays; add --replay")
+            raise InputError("--by selects the method of a replay; add --replay")
         if self.replay and self.criterion != "contact":
-            raise InputError("the criterion equilibrium knows no history; leave --replay or --criterion out")
+            raise InputError("the criterion equilibrium has no contact history; leave out --replay or --criterion")
         settings = StabilitySettings(
             criterion=self.criterion,
             cone=self.cone,
@@ -133,7 +133,7 @@ class CheckPlan(JudgingCommand):
             )
 
     def _replay(self, plan: Plan, assembly: Assembly, settings: StabilitySettings, output: Output) -> bool:
-        """Replay under the settings, then under varied ones; whether the plan stands."""
+        """Replay under the settings, then under varied ones; return whether the plan succeeds."""
         from falsework.stability.contact.replay import Replayer, replay_varied
 
         forward = plan if plan.direction == "assembly" else plan.reverse()
@@ -144,7 +144,7 @@ class CheckPlan(JudgingCommand):
             if replay.falls_at == row:
                 break
         if not replay.good:
-            output.note(f"falsework: {self.plan}: the replay falls {self._place(forward, replay.falls_at or 0)}")
+            output.note(f"falsework: {self.plan}: the replay fails {self._place(forward, replay.falls_at or 0)}")
             return False
         varied = replay_varied(replayer, forward.states, draws=_DRAWS)
         failed = [case for case in varied if not case.good]
@@ -155,10 +155,10 @@ class CheckPlan(JudgingCommand):
                 "variations": [asdict(case) for case in varied],
             }
         )
-        output.say(f"the replay stands; parts move by at most {replay.largest * 1e3:.3g} mm")
+        output.say(f"the replay succeeds; parts move by at most {replay.largest * 1e3:.3g} mm")
         if failed:
-            names = "; ".join(f"{case.name} (falls at state {case.falls_at})" for case in failed)
-            output.note(f"falsework: warning: the plan is marginal: it does not stand under {names}")
+            names = "; ".join(f"{case.name} (fails at state {case.falls_at})" for case in failed)
+            output.note(f"falsework: warning: the plan is marginal: its replay fails under {names}")
         return True
 
     def _line(self, row: int, plan: Plan, assembly: Assembly, replay: Replay, output: Output) -> None:
@@ -181,7 +181,7 @@ class CheckPlan(JudgingCommand):
         return f"after step {row} of assembly ({plan.describe(row - 1)})" if row else "at the beginning"
 
     def _judge_with_lmgc90(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
-        """Judge states by LMGC90 up to the first that falls; what it cannot take is said, and counts for nothing."""
+        """Check states by LMGC90 up to the first that falls; states that it cannot compute are only reported."""
         from falsework.stability.judges.lmgc90 import judge_by_lmgc90
 
         forward = plan if plan.direction == "assembly" else plan.reverse()
@@ -196,7 +196,7 @@ class CheckPlan(JudgingCommand):
             stands += answer.answer == "stands"
             refused += answer.answer == "not judged"
             if answer.answer == "falls":
-                output.note(f"falsework: {self.plan}: LMGC90 lets a part fall {self._place(forward, row)}")
+                output.note(f"falsework: {self.plan}: a part falls under LMGC90 {self._place(forward, row)}")
                 return False
-        output.say(f"LMGC90: {stands} states stand, {refused} could not be judged")
+        output.say(f"LMGC90: {stands} states are stable, {refused} could not be computed")
         return True

@@ -28,7 +28,7 @@ class Exit(IntEnum):
 
     DONE = 0
     NO = 1
-    """The question was understood and the answer is no."""
+    """The input is valid and the answer is no."""
     WRONG_INPUT = 2
     INTERRUPTED = 130
     """As shells report it: 128 plus the number of SIGINT."""
@@ -62,7 +62,7 @@ class JudgingCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class LoadOptions:
-    """Options that replace what the files of a structure say."""
+    """Options that override the files of a structure."""
 
     unit: Annotated[str | None, arg(metavar="UNIT", help_behavior_hint=UNSET)] = None
     """Unit of the meshes, such as mm."""
@@ -74,6 +74,10 @@ class LoadOptions:
     """Parts that are permanently fixed, such as 0,3 or 0-16."""
     ground: bool = False
     """Put a fixed ground under the lowest point."""
+    interfaces: Annotated[Literal["found", "stored", "compare"] | None, arg(help_behavior_hint="(default: found)")] = (
+        None
+    )
+    """Contacts: found from the meshes, those that a COMPAS file stores, or found and compared with the stored ones."""
 
     def given(self) -> dict[str, Any]:
         """Return those that were given, as `load_structure` takes them.
@@ -84,12 +88,13 @@ class LoadOptions:
         options: dict[str, Any] = {"unit": self.unit, "density": self.density, "friction": self.friction}
         options["boundary"] = None if self.boundary is None else list(parse_parts(self.boundary, "--boundary"))
         options["ground"] = self.ground or None
+        options["interfaces"] = self.interfaces
         return {name: value for name, value in options.items() if value is not None}
 
 
 @dataclass(frozen=True, kw_only=True)
 class StructureOptions(LoadOptions):
-    """Options that say which structure is meant."""
+    """Options that select the structure."""
 
     spec: Annotated[Positional[str], arg(metavar="STRUCTURE")]
     """Built-in such as `vault` or `arch:blocks=15,thickness=0.2`, or a folder or file of meshes or COMPAS data."""

@@ -1,4 +1,4 @@
-"""`falsework dataset`: training and test states for a policy."""
+"""`falsework dataset`: training, validation and test states for a policy."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MakeDataset(JudgingCommand):
-    """Search for solvable states: a training set, and a test set that shares no state with it.
+    """Search for solvable states: disjoint sets for training, validation and test.
 
-    Both come from searches that begin at the empty structure, so that all their states can be taken apart. The training
-    set is that of a narrow search, the test set what a wider one finds beyond it. Exit code 1 if no search reached the
-    complete structure; the states are saved all the same.
+    They come from searches that begin at the empty structure, so that each state can be disassembled completely. The
+    training set is that of a narrow search; the test set has the states that a wider search finds beyond it, the
+    validation set those of a second wide search. Exit code 1 if no search reached the complete structure; the states
+    are saved in any case.
     """
 
     examples: ClassVar[tuple[str, ...]] = ("falsework dataset bottle --robots 2 --out data.npz",)

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(Command):
-    """Follow the most probable actions of a trained policy from many states, and count how often they reach the end.
+    """Evaluate a policy: follow its most probable actions from many states, and count how often they reach the end.
 
-    A rollout succeeds only if every state on the way is proven stable. The training set is that of a narrow search, the
-    test set what a wider one finds beyond it; test states are never learned from.
+    A rollout succeeds only if every state on its path is certified as stable. The training set is that of a narrow
+    search; the test set has the states that a wider search finds beyond it, which training never uses.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -44,12 +44,12 @@ class Evaluate(Command):
     search: bool = False
     """Search where the policy fails, and report the share of test states with a proven plan."""
     targets: bool = False
-    """Go to other target states than the empty structure. A policy that was not trained with two states is not told;
-    the rules alone then keep what the target keeps."""
+    """Evaluate pairs of start and goal instead of complete disassembly. A policy trained without goals does not see
+    the goal; the rules then protect its parts."""
     criterion: Annotated[
         Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: that of the run)")
     ] = None
-    """Stability criterion. For another criterion than that of the run, new states are searched."""
+    """Stability criterion. With another criterion than that of the run, evaluate on states of new searches."""
     states: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """States of each set, a fixed sample."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -58,7 +58,7 @@ class Evaluate(Command):
     """Random seed of samples and of rollouts in a search."""
 
     def run(self, output: Output) -> Exit:
-        """Load, play, count."""
+        """Load, roll out, count."""
         from falsework.utils.optional_packages import check_torch
 
         check_torch()
@@ -129,7 +129,7 @@ class Evaluate(Command):
         return Exit.DONE
 
     def _subject(self, trained: Run) -> tuple[Assembly, Policy]:
-        """Return the structure and policy: those of the run, or the policy carried over to another structure."""
+        """Return the structure and policy: those of the run, or the policy transferred to another structure."""
         from falsework.assembly import load_structure
         from falsework.learn.networks.factory import transfer
 

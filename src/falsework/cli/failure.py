@@ -56,7 +56,7 @@ class Failure:
 
 
 def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Failure:
-    """Say why a search found nothing.
+    """Report why a search found nothing.
 
     Args:
         assembly: the structure.
@@ -71,7 +71,7 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
     moving = common_motions(assembly, oracle, result.rejected[:LOOKED_AT])
     doing = "taking it apart" if disassembly else "putting it together"
     parts = ["no plan exists" if proven else "no plan was found"]
-    parts.append(f"{doing}, the search came to step {result.reached} of {result.steps}")
+    parts.append(f"{doing}, the search reached step {result.reached} of {result.steps}")
     if moving:
         parts.append(f"there {describe(assembly, moving, limit=3)}")
     else:

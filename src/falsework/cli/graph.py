@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MakeGraph(JudgingCommand):
-    """Search for stable states, and save them with every action between them.
+    """Search for stable states, and save them with all actions between them.
 
-    If the search begins at the empty structure, every state of the graph is one from which the structure can be taken
-    apart. Exit code 1 if the search does not reach its other end; the states found are saved all the same.
+    If the search begins at the empty structure, the structure can be disassembled from every state of the graph. Exit
+    code 1 if the search does not reach the other end; the states found are saved in any case.
     """
 
     examples: ClassVar[tuple[str, ...]] = ("falsework graph bottle --width 64 --robots 2 --out graph.npz",)

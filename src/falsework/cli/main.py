@@ -21,6 +21,7 @@ from falsework.errors import FalseworkError
 
 COMMANDS = {
     "structures": "Structures",
+    "doctor": "Doctor",
     "export": "Export",
     "stability": "CheckStability",
     "plan": "MakePlan",
@@ -42,7 +43,7 @@ COMMANDS = {
 }
 """Module of each subcommand in this package, named like the first word, and its class there."""
 
-_ABOUT = """Plan how robots build structures of rigid blocks with nothing but their grippers as falsework.
+_ABOUT = """Plan assembly sequences for rigid-block structures, with robots as temporary supports.
 
 Example:
   falsework plan vault --robots 2 --out plan.json
@@ -76,11 +77,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _fail("interrupted", Exit.INTERRUPTED)
     except BrokenPipeError:
-        # The reader, such as `head`, has gone: there is nobody to tell, and Python must not try at its exit.
+        # The reader, such as `head`, has gone: Python must not write to it at its exit.
         with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return Exit.DONE
-    except Exception as error:  # the door: from here on nobody else can explain it
+    except Exception as error:  # the last handler: one line and an exit code
         if debug:
             traceback.print_exc()
         return _fail(_explain(error), Exit.WRONG_INPUT)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
@@ -22,9 +22,9 @@ class MakePicture(JudgingCommand):
     """Draw a contact sheet of a plan, one step of it, a structure, or a state graph.
 
     Needs no display and no graphics driver. A two-dimensional structure, such as an arch, can be drawn as lines
-    (--svg). With --forces the proof of a state is drawn in: contact forces in blue, friction in red, gravity in
-    orange, and where the state does not stand, the motion of the parts. With --verdicts every state that is drawn is
-    judged: parts that slide are marked, and states that do not stand are named.
+    (--svg). --forces draws the certificate of a state: contact forces in blue, friction in red, gravity in orange and,
+    if the state is not stable, the motion of the parts. --verdicts computes the verdict of every state drawn, marks
+    parts that slide, and labels states that are not stable.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -41,7 +41,7 @@ class MakePicture(JudgingCommand):
     svg: bool = False
     """Line drawing of a two-dimensional structure, or the state graph, as SVG."""
     forces: bool = False
-    """Draw the proof of a single state."""
+    """Draw the certificate of a single state."""
     verdicts: bool = False
     """Evaluate the stability of the states drawn, and mark unstable parts."""
     policy: Annotated[str | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
@@ -83,7 +83,7 @@ class MakePicture(JudgingCommand):
             elevation=self.elevation,
             title=self.title,
         )
-        record = {"out": str(out), "kind": subject.kind, "shows": drawn.shows}
+        record: dict[str, Any] = {"out": str(out), "kind": subject.kind, "shows": drawn.shows}
         if subject.graph is None or self.step is not None:
             record["steps"] = list(drawn.places)
         if drawn.unstable is not None:

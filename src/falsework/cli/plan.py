@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MakePlan(Command):
-    """Plan the disassembly of a structure by robots and so, in reverse, its assembly.
+    """Plan the disassembly of a structure by robots and, in reverse, its assembly.
 
-    Narrow and quick searches come first, wider ones where they fail. Every state of the plan is proven stable, and the
-    plan stands when it is replayed in the order of assembly with contact history. Exit code 1 if there is no plan or
-    none was found; the report says which, how far the search came, and what would move.
-    An interrupted search is kept beside the plan; the same command with --resume goes on with it.
+    Quick narrow searches come first, wider ones if they fail. Every state of the plan is certified as stable, and the
+    whole plan is replayed in assembly order with contact history. Exit code 1 if there is no plan or none was found;
+    the report states which, how far the search got, and which parts would move there. An interrupted search is saved
+    beside the plan; the same command with --resume continues it.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -86,7 +86,9 @@ class MakePlan(Command):
             )
         result = planning.result
         if result.interrupted:
-            output.note(f"interrupted; the search so far is in {checkpoint}, the same command with --resume goes on")
+            output.note(
+                f"interrupted; the search is saved in {checkpoint}, the same command with --resume continues it"
+            )
         if planning.found:
             self._report(self._save(planning.plans), planning, output)
         elif not result.interrupted:
@@ -128,14 +130,14 @@ class MakePlan(Command):
         return saved
 
     def _show_fallen(self, plan: Plan, output: Output) -> None:
-        """Save the plan whose replay comes farthest, and say where it falls."""
+        """Save the plan whose replay gets farthest, and report where it fails."""
         (path, saved), *_ = self._save([plan])
         assert saved.replay is not None
         assert saved.replay.falls_at is not None
         step = saved.replay.falls_at
         action = (saved if self.assembly_order else saved.reverse()).describe(max(step - 1, 0))
         output.record({"plan": str(path), "replay": asdict(saved.replay)})
-        output.note(f"falsework: the best plan is in {path}: its replay falls at step {step} of assembly ({action})")
+        output.note(f"falsework: the best plan is in {path}: its replay fails at step {step} of assembly ({action})")
 
     def _report(self, plans: list[tuple[Path, Plan]], planning: Planning, output: Output) -> None:
         seconds, asked, found = planning.result.seconds, planning.result.counters.asked, planning.alternatives
@@ -153,11 +155,11 @@ class MakePlan(Command):
             f"(criterion {first.claim.criterion}, {seconds:.1f} s, {asked} verdicts)"
         )
         if first.replay is not None:
-            output.say(f"the replay stands; parts move by at most {first.replay.moved * 1e3:.3g} mm")
+            output.say(f"the replay succeeds; parts move by at most {first.replay.moved * 1e3:.3g} mm")
         for need in first.needs:
             output.say(f"{first.part_names[need.part]} is needed after {need.after_parts} other parts are placed")
         if len(plans) > 1:
             others = ", ".join(str(path) for path, _ in plans[1:])
             output.say(f"alternatives in {others}; the two plans most alike differ by {found.least_distance:.2f} of 1")
         if len(plans) < self.alternatives:
-            output.note(f"{len(plans)} different plans were found of the {self.alternatives} asked for")
+            output.note(f"only {len(plans)} of the {self.alternatives} requested plans were found")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskOptions:
-    """Rules that a plan must keep to."""
+    """Rules that a plan must obey."""
 
     robots: int = 2
     """Number of robots: parts that can be held at a time."""
@@ -96,7 +96,7 @@ def writable(path: Path) -> None:
 
 
 def refuse_unstable(assembly: Assembly, oracle: Stability, task: Task, output: Output) -> bool:
-    """Say so if the start or the target of a task does not stand, since then there is no plan."""
+    """Report a start or target state that is not stable, since then there is no plan."""
     import numpy as np
 
     from falsework.assembly.state import complete_state

@@ -24,17 +24,16 @@ if TYPE_CHECKING:
     from falsework.stability import Stability
 
 SHOWN = 8
-"""Steps that are printed for people; `falsework check --steps` shows all."""
+"""Number of steps that are printed; `falsework check --steps` shows all."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MakeReplan(JudgingCommand):
-    """Plan again from the current state, such as when a part is late or a robot is down.
+    """Plan again from the current state, for instance when a part is late or a robot has failed.
 
-    STRUCTURE may also be a run, the folder that `falsework train` wrote: its policy then proposes the steps. Searches
-    step in where it fails, and every state of the answer is proven stable. With --direction assembly the plan goes on
-    building from the state, with disassembly it takes down what is there. Exit code 1 if there is no plan or none
-    was found.
+    STRUCTURE may also be a run, the folder that `falsework train` wrote: its policy then proposes the steps, and
+    searches take over where it fails. Every state of the new plan is certified as stable. With --direction assembly the
+    plan adds parts to the state, with disassembly it removes them. Exit code 1 if there is no plan or none was found.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -63,7 +62,7 @@ class MakeReplan(JudgingCommand):
     seed: int = 0
     """Random seed; results are reproducible on one machine unless the deadline is reached."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
-    """Seconds until the best proven answer is returned, loading not counted."""
+    """Seconds after which the best certified plan so far is returned, loading not counted."""
     compare: Annotated[Path | None, arg(metavar="PLAN", help_behavior_hint=UNSET)] = None
     """Old plan to compare with."""
     confidences: bool = False
@@ -76,7 +75,7 @@ class MakeReplan(JudgingCommand):
     """Solver; `auto` takes a GPU where there is one and it is faster."""
 
     def run(self, output: Output) -> Exit:
-        """Ask, prove, compare, save."""
+        """Replan, compare, save."""
         from falsework.replanning.plan_diff import difference
         from falsework.replanning.replanner import Replanner
         from falsework.search.plans.plan_file import load_plan
@@ -109,7 +108,7 @@ class MakeReplan(JudgingCommand):
         return Exit.DONE
 
     def _load(self) -> tuple[Assembly, Any, dict[str, Any], int, bool]:
-        """Structure, policy if there is one, where the structure came from, robots, and whether ways must be clear."""
+        """Structure, policy if there is one, where the structure came from, robots, and whether exits must be clear."""
         folder = Path(self.structure.spec)
         if not (folder / "run.json").is_file():
             robots = 2 if self.robots is None else self.robots
@@ -178,14 +177,14 @@ class MakeReplan(JudgingCommand):
             others = ", ".join(str(path) for path in paths[1:])
             output.say(f"alternatives in {others}; the two plans most alike differ by {least:.2f} of 1")
         if len(paths) < self.alternatives:
-            output.note(f"{len(paths)} different plans were found of the {self.alternatives} asked for")
+            output.note(f"only {len(paths)} of the {self.alternatives} requested plans were found")
         if answer.deadline_passed:
-            output.note("the deadline cut the work short; more time may give more plans, or missing parts later")
+            output.note("the deadline ended the search; more time may give more plans, or need missing parts later")
 
     def _refuse(
         self, assembly: Assembly, oracle: Stability, request: Request, answer: ReplanResult, output: Output
     ) -> None:
-        """Say why there is no plan, and what moves where the search broke off."""
+        """Report why there is no plan, and which parts move where the search ended."""
         from falsework.cli.failure import explain
         from falsework.cli.velocity_text import describe, motions
         from falsework.search.problem.result import Outcome

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanRobots(Command):
-    """Plan arm motions that take a structure apart and so, in reverse, build it.
+    """Plan arm motions that disassemble a structure and, in reverse, assemble it.
 
-    Actions and motions are planned together: every state stands, and so does a replay of them in the order of assembly,
-    every motion is free of collisions, one robot moves at a time. Exit code 1 if no plan was found; the report says
-    which parts no robot reaches, what is in the way, and how far it came, and what was found is saved all the same.
+    Actions and motions are planned together: every state is stable, a replay in assembly order succeeds, every motion
+    is collision-free, and one robot moves at a time. Exit code 1 if no plan was found; the report lists parts out of
+    reach and obstacles, and how far the search got. A partial plan is saved in any case.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -128,7 +128,7 @@ class PlanRobots(Command):
                     f"every state proven stable (criterion {self.criterion}, {result.statistics['seconds']:.1f} s)"
                 )
                 if replay is not None:
-                    output.say(f"the replay stands; parts move by at most {replay.moved * 1e3:.3g} mm")
+                    output.say(f"the replay succeeds; parts move by at most {replay.moved * 1e3:.3g} mm")
                 return Exit.DONE
             output.note(f"the {len(saved)} steps that were found are in {self.out}")
         else:
@@ -153,12 +153,12 @@ class PlanRobots(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class CheckRobots(Command):
-    """Verify all motions of a robot plan with libraries that share nothing with the planner, and every state.
+    """Verify all motions of a robot plan by independent libraries, and the stability of every state.
 
-    Pinocchio moves the arms and Coal looks for collisions, every 0.01 rad, of the meshes of parts and links; links of
-    built-in arms, which have none, are the convex pieces that they are described by. Limits of position, velocity and
-    acceleration are checked, and that motions join. The stability of the states is decided by the exact solver. Exit
-    code 1 if anything is wrong.
+    Pinocchio computes the kinematics and Coal the collisions of the meshes of parts and links, every 0.01 rad; built-in
+    arms have no meshes, so their convex pieces are checked. Limits of position, velocity and acceleration and the
+    continuity of motions are checked too. The exact solver checks the stability of the states. Exit code 1 if anything
+    is wrong.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -240,7 +240,7 @@ class CheckRobots(Command):
         links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
         output.say(
             f"{self.plan}: no collision in {report.samples} configurations of {report.trajectories} motions (links of "
-            f"{links}), limits kept{states}"
+            f"{links}), all within limits{states}"
         )
         return Exit.DONE
 
@@ -273,7 +273,7 @@ class ExportRobots(Command):
     rate: float = 50.0
     """Rows per second, for csv."""
     assembly_order: bool = False
-    """Write the motions in the order of assembly, whatever the order of the plan."""
+    """Write the motions in assembly order, even if the plan is a disassembly."""
 
     def run(self, output: Output) -> Exit:
         """Load and write."""

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Serve(JudgingCommand):
-    """Answer requests for plans and verdicts over HTTP, until it is interrupted.
+    """Serve plans and verdicts over HTTP until interrupted.
 
-    STRUCTURE may be the folder of a trained run, whose policy then proposes. The address that is printed has a page
-    that describes all requests. Only this machine can connect unless --host says otherwise; then clients must show
-    the token.
+    STRUCTURE may be the folder of a trained run, whose policy then proposes actions. A page at the printed address
+    documents all requests. Only this machine can connect; with --host, others can too, and clients must send the
+    token.
     """
 
     examples: ClassVar[tuple[str, ...]] = (

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class MakeSheet(Command):
     """Write a plan as assembly instructions: which part to place, which to hold, which to release.
 
-    As a PDF to print, with a picture and a box to tick for every step, or as CSV. Always in the order of assembly; what
-    a plan calls a robot is a support here: a robot, a prop or a pair of hands.
+    The sheet is a PDF to print, with a picture and a box to tick for every step, or CSV, always in assembly order. The
+    robots of the plan appear as supports, which may be robots, props or pairs of hands.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -43,7 +43,7 @@ class MakeSheet(Command):
     def run(self, output: Output) -> Exit:
         """Load, lay out, write."""
         from falsework.cli.planning import writable
-        from falsework.interop.assembly_instructions import assembly_instructions, instructions_csv, write_sheet
+        from falsework.interop.instruction_table import assembly_instructions, instructions_csv, write_sheet
         from falsework.search.plans.plan_file import load_plan
         from falsework.search.plans.plan_source import structure_of_plan
 
@@ -62,7 +62,7 @@ class MakeSheet(Command):
         else:
             from dataclasses import replace
 
-            from falsework.interop.assembly_instructions_pdf import CAMERA, instructions_pdf
+            from falsework.interop.instruction_pdf import CAMERA, instructions_pdf
 
             camera = replace(CAMERA, azimuth=self.azimuth, elevation=self.elevation)
             with output.bar("drawing") as show:

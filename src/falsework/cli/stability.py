@@ -17,11 +17,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckStability(JudgingCommand):
-    """Say whether a structure or states of it are stable, with a proof.
+    """Check the stability of a structure, or of some of its states, with a certificate for each.
 
-    A state has one value a part: 0 removed, 1 installed, 2 held; boundary parts are always 2. For a state that is
-    unstable or slides, the parts that would move are named, and how they would. Exit code 1 if any state does not
-    stand.
+    A state has one value per part: 0 removed, 1 installed, 2 held; boundary parts are always 2. For a state that is
+    unstable or slides, the output describes which parts would move and how. Exit code 1 if any state is not stable.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -38,7 +37,7 @@ class CheckStability(JudgingCommand):
     """Solver; `auto` takes a GPU where there is one and it is faster."""
 
     def run(self, output: Output) -> Exit:
-        """Judge the states and say how the unstable ones fail."""
+        """Compute the verdicts and describe how unstable states fail."""
         import numpy as np
 
         from falsework.assembly.state import as_states, complete_state

@@ -1,4 +1,4 @@
-"""Options that say what a picture, a film or the page shows."""
+"""Options that select what a picture, a video or the viewer shows."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ViewableOptions(LoadOptions):
     """Order in which the steps of a plan are shown."""
 
     def open(self, robots: int = 2) -> Viewable:
-        """Tell what it is and read it.
+        """Detect the kind of the file or structure and read it.
 
         Args:
             robots: of a structure that no plan says it of.

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 class Train(JudgingCommand):
     """Train a policy that proposes the next action from any state of a structure.
 
-    Searches find states, the policy imitates the actions that they found, and then improves by its own rollouts. The
-    result is a folder, the run, with weights, configuration and logs. Interrupted at any moment, the same command
-    with --resume goes on. Under torchrun several processes share the work.
+    The policy imitates the actions that searches found, then improves by its own rollouts. The result is a folder, the
+    run, with weights, configuration and logs. An interrupted training is continued by the same command with --resume.
+    Under torchrun several processes share the work.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -122,6 +122,6 @@ class Train(JudgingCommand):
             f"{result.steps} steps in {result.seconds:.0f} s; {result.solved} states learned from"
         )
         if result.interrupted:
-            output.note(f"interrupted; falsework train ... --out {self.out} --resume goes on")
+            output.note(f"interrupted; falsework train ... --out {self.out} --resume continues")
             return Exit.INTERRUPTED
         return Exit.DONE

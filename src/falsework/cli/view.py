@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class View(JudgingCommand):
-    """Show a plan, run, robot plan, state graph or structure on a page in the browser.
+    """Show a plan, run, robot plan, state graph or structure in the browser.
 
-    Play the steps, click parts, look at forces, mark what has gone wrong and plan anew. The page is served to this
-    machine alone unless --host says otherwise. Ends with Ctrl-C.
+    The page plays the steps, shows data of clicked parts and contact forces, and replans after marked disruptions. It
+    is served to this machine only, unless --host is given, until Ctrl-C.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -39,7 +39,7 @@ class View(JudgingCommand):
     port: int = 8080
     """Port to serve at; the next free one is taken if it is not free."""
     robots: int = 2
-    """Number of robots where the file does not give one."""
+    """Number of robots, if the file does not contain it."""
     deadline: float = 60.0
     """Time limit of replanning."""
     browser: bool = False

@@ -7,21 +7,19 @@ needs nothing but this package.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+import math
+from collections.abc import Hashable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from falsework.assembly.model import DENSITY, FRICTION, Assembly
-from falsework.errors import AssemblyError, InputError, MeshError
-from falsework.geometry.contact.interfaces import ContactSettings
-from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.geometry.mesh.polygon import triangulate
+from falsework.assembly.draft import Block, Draft, InterfaceSource
+from falsework.assembly.model import Assembly
+from falsework.errors import InputError
 from falsework.geometry.mesh.read import unit_length
-from falsework.geometry.mesh.repair import check_mesh
 from falsework.utils.json_text import parse_json
 
 LARGEST_FILE = 512 * 1024 * 1024
@@ -29,19 +27,8 @@ LARGEST_FILE = 512 * 1024 * 1024
 
 _IDENTITY = np.eye(4)
 _MESHES = {"compas.datastructures/Mesh", "compas_assembly.datastructures/Block"}
+_MODELS = {"compas_model.models/Model", "compas_dem.models/BlockModel"}
 _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-
-
-@dataclass(frozen=True, eq=False)
-class _Block:
-    """Data of one part in a COMPAS file."""
-
-    name: str
-    vertices: NDArray[np.float64]
-    faces: list[list[int]]
-    support: bool = False
-    said: Mapping[str, Any] = field(default_factory=dict)
-    """Its attributes."""
 
 
 def is_compas(path: Path | str) -> bool:
@@ -54,53 +41,44 @@ def is_compas(path: Path | str) -> bool:
 
 
 def load_compas(
-    path: Path | str,
-    *,
-    unit: str | None = None,
-    density: ArrayLike | None = None,
-    friction: float | None = None,
-    boundary: ArrayLike | None = None,
-    ground: bool = False,
-    contact_settings: ContactSettings | None = None,
+    path: Path | str, *, unit: str | None = None, interfaces: InterfaceSource = "found", **options: Any
 ) -> Assembly:
     """Read an assembly from a file of COMPAS data.
 
     Blocks are meshes in a list or a dictionary, the blocks of a compas_assembly `Assembly`, or the elements of a
-    compas_dem `BlockModel` with their transformations. Supports (`is_support`) are boundary. Attributes `density` and
-    `friction`, which `write_compas` adds, are read too. COMPAS data have no unit.
+    compas_dem `BlockModel` with their transformations, of this version or an older one, alone or in a `Problem`.
+    Supports (`is_support`) are boundary. Attributes `density` and `friction`, which `write_compas` adds, the densities
+    of materials and the friction of a `Problem` are read too. COMPAS data have no unit.
 
     Args:
         path: file that `compas.json_dump` wrote.
         unit: unit of the coordinates; metres if not given.
-        density: kg/m3.
-        friction: coefficient of friction of every contact.
-        boundary: ids of the parts that are fixed for ever; the supports if not given.
-        ground: add a fixed slab under the lowest point, as the last part.
-        contact_settings: tolerances.
+        interfaces: `found` finds the contacts from the meshes, `stored` takes the interfaces of the file, `compare`
+            finds them and warns where the stored ones differ.
+        options: density, friction, boundary, ground and contact_settings, as for `load_assembly`.
+
+    Raises:
+        InputError: no such file, not COMPAS data, no block in it, or no interfaces where they are asked for.
+        MeshError: a block that does not bound a solid.
+        AssemblyError: the blocks make no assembly, or the stored interfaces do not fit them.
+    """
+    return read_compas(path, unit=unit).assemble(interfaces=interfaces, **options)
+
+
+def read_compas(path: Path | str, *, unit: str | None = None) -> Draft:
+    """Read the parts and interfaces of a file of COMPAS data, unchecked.
+
+    Args:
+        path: file that `compas.json_dump` wrote.
+        unit: unit of the coordinates; metres if not given.
 
     Raises:
         InputError: no such file, not COMPAS data, or no block in it.
-        MeshError: a block that does not bound a solid.
-        AssemblyError: the blocks make no assembly.
     """
     path, scale = Path(path), unit_length(unit or "m")
-    blocks = _Reader(path).blocks()
-    meshes = tuple(_solid(block, scale) for block in _named(blocks))
-    numbers = [float(block.said["density"]) for block in blocks if _is_number(block.said.get("density"))]
-    said_friction = {block.said["friction"] for block in blocks if _is_number(block.said.get("friction"))}
-    if friction is None and len(said_friction) > 1:
-        raise AssemblyError(f"{path} has blocks of different friction; give one for all with --friction")
-    if boundary is None:
-        boundary = [number for number, block in enumerate(blocks) if block.support]
-    return Assembly.from_meshes(
-        meshes,
-        boundary=boundary,
-        density=density if density is not None else numbers if len(numbers) == len(blocks) else DENSITY,
-        friction=next(iter(said_friction), FRICTION) if friction is None else friction,
-        name=path.stem,
-        ground=ground,
-        contact_settings=contact_settings or ContactSettings(),
-    )
+    reader = _Reader(path)
+    blocks = reader.blocks()
+    return Draft.of(path, scale, blocks, reader.interfaces)
 
 
 class _Reader:
@@ -108,8 +86,10 @@ class _Reader:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self.interfaces: list[dict[str, Any]] = []
+        """Interfaces of the blocks that were read, as `Draft.of` takes them."""
 
-    def blocks(self) -> list[_Block]:
+    def blocks(self) -> list[Block]:
         if not self._path.is_file():
             raise InputError(f"there is no file {self._path}; give one that compas.json_dump wrote")
         if self._path.stat().st_size > LARGEST_FILE:
@@ -126,10 +106,10 @@ class _Reader:
         except RecursionError:
             self._fail("it is nested too deeply")
         if not found:
-            self._fail("there is no block in it", "give a list of meshes, an Assembly or a BlockModel")
+            self._fail("there is no block in it", "give a list of meshes, an Assembly, a BlockModel or a Problem")
         return found
 
-    def _find(self, data: Any) -> Iterator[_Block]:
+    def _find(self, data: Any) -> Iterator[Block]:
         """Yield all blocks in a value, in their order."""
         if isinstance(data, list):
             for item in data:
@@ -146,54 +126,116 @@ class _Reader:
         content: dict[str, Any] = _content(data)
         if kinds & _MESHES or kind in ("compas.geometry/Polyhedron", "compas.geometry/Box"):
             yield self._block(data, _IDENTITY)
-        elif "compas_assembly.datastructures/Assembly" in kinds:
+        elif "compas_assembly.datastructures/Assembly" in kinds or _is_assembly(content):
             yield from self._assembly(content)
-        elif "compas_model.models/Model" in kinds:
+        elif kinds & _MODELS:
             yield from self._model(content)
+        elif kind == "compas_dem.problem/Problem":
+            yield from self._problem(content)
         elif str(kind).startswith(("compas.geometry/", "compas_model.", "compas_dem.")):
             return  # points, frames and the like have no volume
         else:
             yield from self._find(content)
 
-    def _assembly(self, content: dict[str, Any]) -> Iterator[_Block]:
+    def _assembly(self, content: dict[str, Any]) -> Iterator[Block]:
         """Yield blocks of a compas_assembly `Assembly`: the nodes of its graph."""
-        graph = content["graph"]
-        graph = graph.get("data", graph)
+        graph = _inner(content["graph"])
         default = graph.get("default_node_attributes") or {}
         common = {key: value for key, value in content.get("attributes", {}).items() if key == "friction"}
+        self._read_edges(graph, "interfaces", {key: (id(graph), key) for key in graph["node"]})
         for key, node in graph["node"].items():
             attributes = {**default, **node}
             if attributes.get("block"):
                 block = self._block(attributes["block"], _IDENTITY, fallback=str(key))
                 yield replace(
-                    block, support=block.support or bool(attributes.get("is_support")), said={**common, **block.said}
+                    block,
+                    support=block.support or bool(attributes.get("is_support")),
+                    attributes={**common, **block.attributes},
+                    key=(id(graph), key),
                 )
 
-    def _model(self, content: dict[str, Any]) -> Iterator[_Block]:
+    def _model(self, content: dict[str, Any]) -> Iterator[Block]:
         """Yield elements of a compas_model `Model`, such as a `BlockModel`, where their places in its tree put them."""
         elements = content["elements"]
+        if isinstance(elements, list):  # before version 0.3 of compas_model
+            elements = {element["guid"]: element for element in elements}
+        materials = content.get("materials") or {}
+        graph = _inner(content.get("graph") or {"node": {}})
+        self._read_edges(
+            graph, "contacts", {key: (id(elements), node.get("element")) for key, node in graph["node"].items()}
+        )
 
-        def walk(node: dict[str, Any], above: NDArray[np.float64]) -> Iterator[_Block]:
+        def walk(node: dict[str, Any], above: NDArray[np.float64]) -> Iterator[Block]:
             for child in node.get("children") or []:
                 guid = child.get("element")
                 place = above
                 if guid in elements:
                     element = elements[guid]
-                    inside = element.get("data", element)
+                    inside = _inner(element)
                     place = above @ _matrix(inside.get("transformation"))
-                    geometry = inside.get("geometry")
+                    geometry = inside.get("geometry") or inside.get("shape")
                     if geometry:
                         name = element.get("name") or inside.get("name")
                         block = self._block(geometry, place)
                         support = bool(inside.get("is_support")) or block.support
-                        yield replace(block, name=str(name or block.name), support=support)
+                        attributes = dict(block.attributes)
+                        material = inside.get("material")
+                        if isinstance(materials, dict) and material in materials:
+                            attributes.setdefault("density", _inner(materials[material]).get("density"))
+                        yield replace(
+                            block,
+                            name=str(name or block.name),
+                            support=support,
+                            attributes=attributes,
+                            key=(id(elements), guid),
+                        )
                 yield from walk(child, place)
 
-        tree = content["tree"]
-        root = tree.get("data", tree)["root"]
-        yield from walk(root, _matrix(content.get("transformation")))
+        yield from walk(_inner(content["tree"])["root"], _matrix(content.get("transformation")))
 
-    def _block(self, data: dict[str, Any], place: NDArray[np.float64], fallback: str = "") -> _Block:
+    def _problem(self, content: dict[str, Any]) -> Iterator[Block]:
+        """Yield blocks of a compas_dem `Problem`: those of its model, with its friction; held blocks are supports."""
+        if not content.get("model"):
+            self._fail("its Problem names a model that is not in it", "write the BlockModel instead")
+        properties = _inner(content.get("contact_properties") or {})
+        law = _inner(properties.get("contact_model") or {})
+        friction = math.tan(math.radians(law["phi"])) if law.get("phi") is not None else law.get("mu")
+        groups = content.get("boundary_conditions") or []
+        held = set()
+        for group in groups if isinstance(groups, list) else [groups]:
+            for entry in _inner(group).get("displacements") or []:
+                held.add(str(_inner(entry)["block_index"]))
+        model = _inner(content["model"])
+        nodes = _inner(model.get("graph") or {"node": {}})["node"]
+        guids = {node.get("element") for key, node in nodes.items() if str(key) in held}
+        for block in self._find(content["model"]):
+            assert isinstance(block.key, tuple)
+            attributes = dict(block.attributes)
+            if friction is not None:
+                attributes["friction"] = friction
+            yield replace(block, support=block.support or block.key[1] in guids, attributes=attributes)
+
+    def _read_edges(self, graph: dict[str, Any], name: str, keys: dict[str, Hashable]) -> None:
+        """Keep the interfaces at the edges of a graph.
+
+        Args:
+            graph: its content.
+            name: attribute of an edge that lists them.
+            keys: key of the block at each node.
+        """
+        for one, others in (graph.get("edge") or {}).items():
+            for two, attributes in (others or {}).items():
+                found = (attributes or {}).get(name) or []
+                for interface in found if isinstance(found, list) else [found]:
+                    inside = _inner(interface)
+                    points = [_inner(point) if isinstance(point, dict) else point for point in inside["points"]]
+                    frame = _inner(inside.get("frame") or {})
+                    axes = frame.get("xaxis"), frame.get("yaxis")
+                    normal = np.cross(*np.array(axes, dtype=float)) if None not in axes else np.array([0.0, 0.0, 1.0])
+                    entry = {"keys": (keys.get(one), keys.get(two)), "points": points, "normal": normal}
+                    self.interfaces.append(entry)
+
+    def _block(self, data: dict[str, Any], place: NDArray[np.float64], fallback: str = "") -> Block:
         """Return one mesh, polyhedron or box."""
         content: dict[str, Any] = _content(data)
         name = data.get("name") or (content.get("attributes") or {}).get("name") or fallback
@@ -215,38 +257,16 @@ class _Reader:
         vertices = vertices @ place[:3, :3].T + place[:3, 3]
         if np.linalg.det(place[:3, :3]) < 0:
             faces = [face[::-1] for face in faces]
-        return _Block(str(name), vertices, faces, bool(attributes.get("is_support")), attributes)
+        return Block(str(name), vertices, faces, bool(attributes.get("is_support")), attributes)
 
     def _fail(self, what: str, remedy: str = "write it again with compas.json_dump") -> NoReturn:
         raise InputError(f"{self._path} cannot be read as COMPAS data: {what}; {remedy}")
 
 
-def _named(blocks: list[_Block]) -> list[_Block]:
-    """Return blocks with names that tell them apart: their own, or numbers if those do not."""
-    names = [block.name for block in blocks]
-    if all(names) and len(set(names)) == len(names):
-        return blocks
-    return [replace(block, name=str(number)) for number, block in enumerate(blocks)]
-
-
-def _solid(block: _Block, scale: float) -> TriangleMesh:
-    """Return a block as a checked mesh of triangles, in metres."""
-    faces: list[list[int]] = []
-    for face in block.faces:
-        if len(face) < 3 or min(face) < 0 or max(face) >= len(block.vertices):
-            raise MeshError(f"part {block.name}: a face uses a vertex that is not there; write the model again")
-        corners = [[0, 1, 2]] if len(face) == 3 else triangulate(block.vertices[face])
-        faces.extend([face[corner] for corner in triangle] for triangle in corners)
-    if not faces:
-        raise MeshError(f"part {block.name} has no faces; leave it out of the model")
-    return check_mesh(block.name, block.vertices * scale, np.array(faces, dtype=np.int64))
-
-
 def _box(content: dict[str, Any]) -> NDArray[np.float64]:
     """Return corners of a box, shape (8, 3)."""
     size = np.array([content["xsize"], content["ysize"], content["zsize"]], dtype=float) / 2
-    frame = content["frame"]
-    frame = frame.get("data", frame)
+    frame = _inner(content["frame"])
     x, y = (np.array(frame[axis], dtype=float) for axis in ("xaxis", "yaxis"))
     axes = np.stack([x, y, np.cross(x, y)])
     corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]) * size
@@ -257,11 +277,17 @@ def _matrix(transformation: Any) -> NDArray[np.float64]:
     """Return a COMPAS transformation as a matrix, shape (4, 4); the identity for none."""
     if not transformation:
         return _IDENTITY
-    content = transformation.get("data", transformation)
-    matrix = np.array(content["matrix"], dtype=float)
+    matrix = np.array(_inner(transformation)["matrix"], dtype=float)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ValueError("a transformation is a matrix of shape (4, 4)")
     return matrix
+
+
+def _is_assembly(content: Any) -> bool:
+    """Return whether an object of any class, such as a `CRA_Assembly`, has blocks at the nodes of a graph."""
+    graph = _inner(content.get("graph") or {}) if isinstance(content, dict) else {}
+    nodes = graph.get("node") if isinstance(graph, dict) else None
+    return isinstance(nodes, dict) and any(isinstance(node, dict) and "block" in node for node in nodes.values())
 
 
 def _content(data: dict[str, Any]) -> Any:
@@ -269,5 +295,6 @@ def _content(data: dict[str, Any]) -> Any:
     return data["data"] if "data" in data else data["value"]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+def _inner(data: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of an object that may or may not be wrapped with the name of its class."""
+    return data.get("data", data)

@@ -1,4 +1,4 @@
-"""Formats that a structure, a plan or a robot plan is exported in, told apart by the name of the file."""
+"""Export formats of structures, plans and robot plans, chosen by file suffix or name."""
 
 from __future__ import annotations
 

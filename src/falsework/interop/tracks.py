@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Value = TypeVar("Value", bool, int)
 
 REACH = 0.75
-"""How far a part travels on its way in or out, in diagonals of the structure."""
+"""Length of an insertion or removal path, in diagonals of the structure."""
 PAUSE = 0.1
 """Share of a step, at its end, in which nothing moves."""
 

@@ -18,8 +18,8 @@ from falsework.learn.data.dataset import save_dataset as save_dataset
 from falsework.learn.data.dataset import task_for as task_for
 from falsework.learn.env.environment import Environment as Environment
 from falsework.learn.env.environment import EnvironmentCounters as EnvironmentCounters
+from falsework.learn.env.environment import Rollouts as Rollouts
 from falsework.learn.env.gymnasium_env import DisassemblyEnv as DisassemblyEnv
-from falsework.learn.env.rollout import Rollouts as Rollouts
 from falsework.learn.env.rollout import roll_out as roll_out
 from falsework.learn.networks.factory import make_policy as make_policy
 from falsework.learn.networks.factory import transfer as transfer

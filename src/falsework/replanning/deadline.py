@@ -1,4 +1,4 @@
-"""Deadlines, and accounts of the time spent on the way."""
+"""Deadlines, and records of the time spent."""
 
 from __future__ import annotations
 

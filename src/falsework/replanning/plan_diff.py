@@ -68,7 +68,7 @@ class Difference:
 
     @property
     def text(self) -> str:
-        """All of it in a few words for people."""
+        """Summary in one line."""
         if self.same:
             return f"the plan stays as it was; steps left: {self.new_steps}"
         pieces = []

@@ -37,7 +37,7 @@ class PolicyGuide:
         *,
         task: Task | None = None,
     ) -> None:
-        """Ask `policy`, a `torch.nn.Module` as `falsework.learn.networks.policy.make_policy` makes them.
+        """Prepare a guide with `policy`, a `torch.nn.Module` as `falsework.learn.make_policy` returns it.
 
         Args:
             policy: called with states, and with targets if it was trained for two states.

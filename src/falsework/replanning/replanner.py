@@ -35,10 +35,10 @@ Finished = Callable[[int, ReplanResult], None]
 
 
 class Replanner:
-    """Replanner of one structure; kernels, verdicts and proofs are kept for later requests.
+    """Replanner of one structure; kernels, verdicts and proofs are cached for later requests.
 
-    One object serves one structure and one policy; requests of several threads wait for each other. Hand requests
-    that come together to `replan_many`, which asks network and oracle about all of them at once.
+    One object serves one structure and one policy; requests of several threads wait for each other. Pass
+    concurrent requests to `replan_many`, which evaluates network and oracle for all of them together.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Replanner:
         Args:
             assembly: the structure.
             policy: proposes actions, a `torch.nn.Module` as of `falsework.learn.networks.policy`; None searches alone.
-            oracle: decides stability; hand in the one you have, for it remembers what it was asked.
+            oracle: decides stability; pass an existing one to reuse its cache.
             settings: how hard to try.
 
         Raises:
@@ -196,7 +196,7 @@ def replan(
         assembly: the structure.
         state: current state of the structure, shape (parts,).
         policy: proposes actions, a `torch.nn.Module` as of `load_policy`; None searches alone.
-        oracle: decides stability; hand in the one you have, for it remembers what it was asked.
+        oracle: decides stability; pass an existing one to reuse its cache.
         settings: how hard to try.
         options: the other fields of `Request`, such as target, robots, missing and deadline. Loading the structure into
             the solver comes on top of a deadline; a `Replanner` has done that already.

@@ -27,12 +27,12 @@ class Request:
     """
 
     state: ArrayLike
-    """Where things stand: 0 removed, 1 installed, 2 held, shape (parts,)."""
+    """Current state: 0 removed, 1 installed, 2 held, shape (parts,)."""
     target: ArrayLike | None = None
-    """Where they shall go, shape (parts,)."""
+    """Target state, shape (parts,)."""
     direction: Direction | None = None
-    """Which way; if not given, the one that leads to the target, or where parts are missing that the state does not
-    have, assembly, or else disassembly."""
+    """Direction; by default the one that leads to the target, assembly if the state lacks the missing parts, else
+    disassembly."""
     robots: int = 2
     """Parts that can be held at a time."""
     missing: Sequence[int] = ()
@@ -40,15 +40,15 @@ class Request:
     fixed: Sequence[int] = ()
     """Parts that are neither held nor released, neither inserted nor removed."""
     alternatives: int = 1
-    """Number of plans wanted, as different from each other as possible."""
+    """Number of requested plans, as different from each other as possible."""
     seed: int = 0
-    """Same seed, same machine, same answer, unless a deadline cuts the work short."""
+    """Random seed: same seed, same machine, same answer, unless the deadline is reached."""
     deadline: float | None = None
-    """Seconds after which the best proven answer so far is handed back."""
+    """Seconds after which the best proven answer so far is returned."""
     removable_only_if_clear: bool = False
-    """Move a part only if it has a straight way in or out."""
+    """Move a part only if it has a collision-free straight path in or out."""
     confidences: bool = False
-    """Hand back what the policy thinks of every action in every state of the plan."""
+    """Return the action probabilities of the policy in every state of the plan."""
 
     def way(self, assembly: Assembly) -> Direction:
         """Return whether parts are added or taken away.

@@ -21,9 +21,9 @@ class Stage(StrEnum):
     """Stage that found the first plan, or proved that there is none."""
 
     NONE = "none"
-    """The question is open."""
+    """No stage found an answer."""
     RULES = "rules"
-    """The state is the target already, or one of the two does not stand."""
+    """The state is the target already, or one of the two is not stable."""
     GREEDY = "policy greedy"
     """The most probable actions of the policy."""
     SAMPLED = "policy sampled"
@@ -33,7 +33,7 @@ class Stage(StrEnum):
     SEARCH = "search"
     """A beam search without a policy."""
     EXHAUSTIVE = "exhaustive"
-    """A search through all states that can be reached."""
+    """A search through all reachable states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class ReplanResult:
     """Result of one request."""
 
     plans: tuple[Plan, ...]
-    """Proven plans from the state to the target, in the direction that was asked for; the first is the best."""
+    """Proven plans from the state to the target, in the requested direction; the first is the best."""
     outcome: Outcome
     """Found; proved impossible; or not found, which says nothing about whether there is a plan."""
     decided_by: Stage
@@ -50,12 +50,12 @@ class ReplanResult:
     steps: int
     """Actions between the state and the target."""
     reached: int
-    """Actions of the longest stable way that was found, from the state on; `steps` if there is a plan."""
+    """Number of actions on the longest stable path found from the state; `steps` if there is a plan."""
     seconds: float
     spent: Mapping[str, float] = field(default_factory=dict)
     """Seconds by what they went into: policy, verdicts, proofs; the rest is search and bookkeeping."""
     verdicts: int = 0
-    """States that the oracle was asked about."""
+    """States checked by the oracle."""
     deadline_passed: bool = False
     """Whether the deadline cut the work short: more time might give a plan, or a better one."""
     reason: str = ""

@@ -169,7 +169,7 @@ class _Turns:
         """Search for a turn; the result if the search is at its end.
 
         Raises:
-            KeyboardInterrupt: somebody at the keyboard wants an end.
+            KeyboardInterrupt: interrupted from the keyboard.
         """
         self._left, self._session, self._told, session.busy = self._levels, session, False, True
         try:

@@ -37,7 +37,7 @@ _LOOKED_AT = 16
 
 @dataclass(frozen=True)
 class ReplanSettings:
-    """How hard a replanner tries."""
+    """Effort of a replanner in each stage."""
 
     samples: int | None = None
     """Rollouts drawn from the probabilities of the policy, 0 for none. If not given, 16 on a GPU, which takes as long
@@ -110,7 +110,7 @@ class ReplanSession:
         self.prefix = self.task.start[None]
         """States that are known to stand, from the start on: where the policy's most probable actions led."""
         self.infeasible = False
-        """Whether one of the ends does not stand, so that looking for a plan is in vain."""
+        """Whether start or target is not stable, so that no plan exists."""
         self._chosen = False
         self._fell_by: dict[bytes, Stage] = {}
         """Who proposed the routes whose replays fell."""
@@ -208,7 +208,7 @@ class ReplanSession:
             name = "state" if (row == 0) == (self.way is Direction.DISASSEMBLY) else "target"
             self._unstable = (self.task.start, self.task.target)[row][None]
             word = "slides" if slides else "could be proved neither stable nor unstable"
-            self._why = f"the {name} {'does not stand' if proved else word}"
+            self._why = f"the {name} {'is not stable' if proved else word}"
             if proved:
                 self.outcome, self.decided_by = Outcome.PROVED_IMPOSSIBLE, Stage.RULES
             self.infeasible = True
@@ -276,7 +276,7 @@ class ReplanSession:
         if self._why:
             return self._why
         if self.outcome is Outcome.PROVED_IMPOSSIBLE:
-            return "every state that can be reached was looked at"
+            return "every reachable state was examined"
         if self.replayer is not None and self.replayer.fallen is not None:
             return (
                 f"no plan was found that stands when it is replayed in the order of assembly: the best of "

@@ -1,4 +1,4 @@
-"""Plans: in which order to hold and remove parts so that every state on the way is stable."""
+"""Assembly sequence planning: searches for sequences of actions whose states are all stable."""
 
 from falsework.utils.lazy import lazy_exports
 

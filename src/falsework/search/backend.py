@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def beam_search(
     task: Task, oracle: Stability, settings: BeamSettings = BeamSettings(), device: str = "auto"
 ) -> Iterator[tuple[BeamSearch | DeviceBeam, bool]]:
-    """Yield a beam search on the device asked for, shared with the other processes if `torchrun` started several.
+    """Yield a beam search on the given device, shared with the other processes if `torchrun` started several.
 
     Args:
         task: rules between start and target.

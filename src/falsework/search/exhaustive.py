@@ -77,7 +77,7 @@ class ExhaustiveSearch:
 
         Args:
             progress: called after every level.
-            stop: asked before every level; true stops the search, which can then be run on.
+            stop: called before every level; true stops the search, which can then be run on.
         """
         result = self._beam.run(progress=progress, stop=lambda: self.gave_up or (stop is not None and stop()))
         limit, interrupted = result.limit, result.interrupted

@@ -43,7 +43,7 @@ class TaskRules(TypedDict, total=False):
     missing: Sequence[int]
     """Parts not delivered yet; assembly does without them for as long as possible."""
     removable_only_if_clear: bool
-    """Remove a part only if it has a straight way out."""
+    """Remove a part only if it has a free straight exit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Planning:
     alternatives: Alternatives
     """How much the plans differ; its routes are those of `plans`."""
     fallen: Plan | None = None
-    """Where no plan was found whose replay stands: the one that comes farthest, with where it falls."""
+    """Without a plan whose replay succeeds: the one whose replay gets farthest, with the step at which it fails."""
 
     @property
     def found(self) -> bool:
@@ -85,11 +85,11 @@ def find_plans(
         assembly: the structure.
         task: rules between start and target, where they are not given by name.
         robots: parts that can be held at a time; 2 where no task says it.
-        oracle: decides stability; hand in the one you have, for it remembers what it was asked.
+        oracle: decides stability; pass an existing one to reuse its cache.
         settings: how hard to look, and how many plans.
         guide: scores actions; by default parts with much support go in first.
         progress: called after every level of every attempt.
-        stop: asked before every level; true ends the search with what was found so far.
+        stop: called before every level; true ends the search with the plans found so far.
         checkpoint: file that the search is saved to now and then and resumed from if it is there; removed at the end.
         forces: keep the contact forces that prove each state in the plans; for a thousand parts half a gigabyte a plan.
         rules: start, target, fixed, missing and removable_only_if_clear; see `TaskRules`. Without them the complete

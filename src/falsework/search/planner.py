@@ -67,9 +67,9 @@ class Planner:
         self.routes: list[Route] = []
         """Plans found so far; the first keeps missing parts out longest."""
         self.states = np.empty((0, task.part_count), dtype=np.uint8)
-        """States found on the way to alternative plans, shape (count, parts)."""
+        """States found by the searches for alternative plans, shape (count, parts)."""
         self.fallen: tuple[Route, int] | None = None
-        """Of the routes whose replay falls the one that comes farthest, and the step of assembly at which it falls."""
+        """Route whose replay gets farthest before it fails, and the step of assembly at which it fails."""
         self._oracle = oracle
         self._replayer = getattr(oracle, "replayer", None)
         self._forbidden, self._falls = self.states[:0], 0
@@ -99,7 +99,7 @@ class Planner:
         """Take a route that is known instead of looking for one; only later missing parts and alternatives are left.
 
         Args:
-            route: way from start to target whose states are known to be stable.
+            route: path from start to target whose states are known to be stable.
 
         Raises:
             InputError: the planner has begun already, or the route is of another task.
@@ -111,11 +111,11 @@ class Planner:
         self._next_trial(begin=True)
 
     def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Search on until there is nothing left to do or somebody stops it.
+        """Search until all requested plans are found, all searches end, or `stop` returns true.
 
         Args:
             progress: called after every level of every attempt.
-            stop: asked before every level; true stops the search, which can then be saved or run on.
+            stop: called before every level; true stops the search, which can then be saved or continued.
 
         Returns:
             The plans found, the first one first, or how far the search came.
@@ -140,7 +140,7 @@ class Planner:
         return self._result(interrupted)
 
     def save(self, path: Path | str) -> None:
-        """Write the search as it stands, to be resumed by `load`."""
+        """Write the current search, to be resumed by `load`."""
         beams, arrays = {}, {}
         for direction, beam in self._beams.items():
             beams[direction.value], packed = beam.pack()
@@ -172,7 +172,7 @@ class Planner:
         *,
         guide: Guide | None = None,
     ) -> Planner:
-        """Read a search that `save` wrote and go on where it stood.
+        """Read a search that `save` wrote, to continue it.
 
         Raises:
             InputError: no such file, a damaged one, or one of another task or other settings.
@@ -224,7 +224,7 @@ class Planner:
             if self._falls < _MOST_FALLS:
                 beam.search.forbid(self._forbidden)
             else:
-                limit = f"{self._falls} plans were found in which every state stands, and the replay of each falls"
+                limit = f"{self._falls} plans were found whose states are stable, and the replay of each fails"
                 self._failed(replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit))
         elif result.found:
             begin = not self.routes

@@ -18,14 +18,14 @@ _TRIAL_WIDTH = 4
 
 @dataclass(frozen=True)
 class PlannerSettings:
-    """How hard to look for plans."""
+    """Effort of a search for plans."""
 
     width: int = 64
     """Widest beam that is tried before giving up."""
     directions: tuple[Direction, ...] = _BOTH
     """Ends from which to search, in turn."""
     alternatives: int = 1
-    """Number of plans wanted."""
+    """Number of requested plans."""
     seed: int = 0
     """Same seed, same machine, same result."""
 

@@ -6,38 +6,41 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Any, Literal
+from typing import Any
 
 from fastapi import FastAPI, Request, Response
+from pydantic import BaseModel, ValidationError
 from starlette.exceptions import HTTPException
 
 from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
+from falsework.service import schema as description
 from falsework.service.docs_page import page_of
 from falsework.service.metrics import Metrics
 from falsework.service.middleware import INSIDE, App, ServiceMiddleware
 from falsework.service.pool import Pool, Reply
-from falsework.service.schema import Schema
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import refusal
 
-ABOUT = """Another plan, now, for the structure that this service is for, and verdicts with proofs.
+ABOUT = """Replanning and stability verdicts for one structure.
 
-Every state of every plan is proven stable before it is sent. Errors are one line that says what to do. Times are in
-seconds but for `deadline`, which is in milliseconds; masses in kg, places in metres, z up."""
+Every state of every plan is certified as stable before the plan is sent. Errors are one line with a remedy. Times are
+in seconds, except `deadline` in milliseconds; masses in kg, positions in metres, z up."""
 _GONE_EVERY = 0.2
-"""Seconds between two looks whether a client still waits."""
+"""Seconds between two checks whether the client is still connected."""
 _JSON = "application/json"
+_PNG = "image/png"
 _WORDS = {
-    400: "not a request that this service takes",
+    400: "not a valid request",
     401: "no token, or a wrong one",
     408: "the request came too slowly",
     413: "the request is too large",
     415: "not JSON",
-    422: "the request makes no sense for this structure; the error says why",
+    422: "the request does not fit this structure; the error gives the reason",
     431: "the header is too large",
-    500: "the request failed inside",
+    500: "internal error",
+    501: "this service cannot draw; the error says what to install",
     503: "busy, starting or stopping; try again",
 }
 
@@ -71,47 +74,73 @@ def application(assembly: Assembly, pool: Pool, settings: ServiceSettings, metri
         openapi_url=None,
         redirect_slashes=False,
     )
-    schema = Schema.of(assembly, settings)
-    _add_questions(app, schema, pool)
-    _add_reports(app, schema, pool, metrics)
+    models = description.models_of(assembly, settings)
+    _add_questions(app, assembly, pool, settings, models)
+    _add_reports(app, assembly, pool, metrics)
     app.add_exception_handler(HTTPException, _refuse)
     app.add_exception_handler(Exception, _admit)
-    app.openapi = _describe(app, schema)  # type: ignore[method-assign]
+    app.openapi = _describe(app, models, settings)  # type: ignore[method-assign]
     _add_pages(app)
     return ServiceMiddleware(app, settings, metrics)
 
 
-def _add_questions(app: FastAPI, schema: Schema, pool: Pool) -> None:
-    """Add the routes for plans and for verdicts."""
+def _add_questions(
+    app: FastAPI, assembly: Assembly, pool: Pool, settings: ServiceSettings, models: description.Models
+) -> None:
+    """Add the routes for work: plans, verdicts and pictures."""
 
-    def route(name: Literal["replan", "stability"], parse: Callable[[bytes], tuple[Any, float]]) -> Any:
-        async def answer(request: Request) -> Response:
-            kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-            if kind != _JSON:
-                return _response(Reply(415, refusal(f"send JSON, with Content-Type: {_JSON}")))
-            try:
-                payload, seconds = parse(await request.body())
-            except InputError as error:
-                return _response(Reply(422, refusal(str(error))))
-            return await _wait(request, pool.ask(name, payload, seconds))
+    async def replan(request: Request) -> Response:
+        wanted = await _read(request, models.replan, assembly)
+        if isinstance(wanted, Response):
+            return wanted
+        payload = wanted.model_dump(exclude={"deadline"})
+        try:
+            for name in ("state", "target"):
+                if payload[name] is not None:
+                    payload[name] = description.read_state(payload[name], assembly)
+        except InputError as error:
+            return _response(Reply(422, refusal(str(error))))
+        seconds = wanted.model_dump(include={"deadline"})["deadline"] / 1000
+        return await _wait(request, pool.ask("replan", payload, seconds))
 
-        answer.__name__ = name  # which the description shows as the id of the operation
-        return answer
+    async def stability(request: Request) -> Response:
+        wanted = await _read(request, models.stability, assembly)
+        if isinstance(wanted, Response):
+            return wanted
+        given = wanted.model_dump()
+        try:
+            states = description.read_states(given["states"], assembly)
+        except InputError as error:
+            return _response(Reply(422, refusal(str(error))))
+        return await _wait(request, pool.ask("stability", (states, given["explain"]), settings.stability_seconds))
 
-    replan, stability = route("replan", schema.parse_replan), route("stability", schema.parse_stability)
-    app.add_api_route("/replan", replan, **_route("POST", "Plan anew from a state", "ReplanAnswer", "ReplanRequest"))
+    async def picture(request: Request) -> Response:
+        wanted = await _read(request, models.picture, assembly)
+        if isinstance(wanted, Response):
+            return wanted
+        payload = wanted.model_dump()
+        try:
+            if payload["plan"] is None and payload["step"] is not None:
+                raise InputError("step: a state has no steps; give the plan too, or leave step out")
+            payload["state"] = description.read_state(payload["state"], assembly)
+        except InputError as error:
+            return _response(Reply(422, refusal(str(error))))
+        return await _wait(request, pool.ask("picture", payload, settings.picture_seconds), media=_PNG)
+
+    app.add_api_route("/replan", replan, **_route("POST", "Replan from a state", "ReplanAnswer", "ReplanRequest"))
     app.add_api_route(
-        "/stability", stability, **_route("POST", "Judge states, with proofs", "StabilityAnswer", "StabilityRequest")
+        "/stability", stability, **_route("POST", "Stability verdicts of states", "StabilityAnswer", "StabilityRequest")
     )
+    app.add_api_route("/picture", picture, **_route("POST", "Draw a state or a plan", _PNG, "PictureRequest"))
 
 
-def _add_reports(app: FastAPI, schema: Schema, pool: Pool, metrics: Metrics) -> None:
+def _add_reports(app: FastAPI, assembly: Assembly, pool: Pool, metrics: Metrics) -> None:
     """Add the routes for health, structure and metrics."""
     written: list[bytes] = []
 
     async def structure() -> Response:
         if not written:
-            record = schema.structure_record(policy=bool(pool.policy))
+            record = description.structure_record(assembly, policy=bool(pool.policy))
             written.append(json.dumps(record, ensure_ascii=True).encode())
         return Response(written[0], media_type=_JSON)
 
@@ -130,13 +159,13 @@ def _add_reports(app: FastAPI, schema: Schema, pool: Pool, metrics: Metrics) -> 
         return Response(metrics.text(pool.waiting, sum(pool.ready.values())), media_type="text/plain; version=0.0.4")
 
     app.add_api_route("/structure", structure, **_route("GET", "The structure and its parts", "Structure"))
-    app.add_api_route("/health", health, **_route("GET", "Whether the service takes requests", "Health"))
+    app.add_api_route("/health", health, **_route("GET", "Readiness of the workers", "Health"))
     about = _route("GET", "Counters for Prometheus", None)
     app.add_api_route("/metrics", count, **about)
 
 
 def _add_pages(app: FastAPI) -> None:
-    """The description, for machines and for people."""
+    """Add the OpenAPI description and the documentation page."""
     written: dict[str, bytes] = {}
 
     async def openapi() -> Response:
@@ -156,8 +185,15 @@ def _add_pages(app: FastAPI) -> None:
 
 def _route(method: str, summary: str, answer: str | None, question: str | None = None) -> dict[str, Any]:
     """Return the OpenAPI options of a route."""
-    content = {_JSON: {"schema": _ref(answer)}} if answer else {"text/plain": {"schema": {"type": "string"}}}
+    if answer is None:
+        content = {"text/plain": {"schema": {"type": "string"}}}
+    elif answer == _PNG:
+        content = {_PNG: {"schema": {"type": "string", "format": "binary"}}}
+    else:
+        content = {_JSON: {"schema": _ref(answer)}}
     refused = (400, 401, 431, 500, 503) if question is None else (400, 401, 408, 413, 415, 422, 431, 500, 503)
+    if answer == _PNG:
+        refused += (501,)
     responses: dict[int | str, dict[str, Any]] = {
         status: {"description": _WORDS[status], "content": {_JSON: {"schema": _ref("Error")}}} for status in refused
     }
@@ -181,7 +217,7 @@ def _ref(model: str) -> dict[str, str]:
     return {"$ref": f"#/components/schemas/{model}"}
 
 
-def _describe(app: FastAPI, schema: Schema) -> Callable[[], dict[str, Any]]:
+def _describe(app: FastAPI, models: description.Models, settings: ServiceSettings) -> Callable[[], dict[str, Any]]:
     """Makes the OpenAPI description: what FastAPI knows of the routes, with the schemas of this structure."""
     generate = app.openapi
     written: list[dict[str, Any]] = []
@@ -189,12 +225,12 @@ def _describe(app: FastAPI, schema: Schema) -> Callable[[], dict[str, Any]]:
     def describe() -> dict[str, Any]:
         if not written:
             document = generate()
-            document["components"] = {"schemas": schema.components()}
+            document["components"] = {"schemas": description.components(models)}
             for path in document["paths"].values():
                 for operation in path.values():
                     answers = operation["responses"]
                     operation["responses"] = {code: answer for code, answer in answers.items() if answer.get("content")}
-            if schema.settings.token is not None:
+            if settings.token is not None:
                 document["components"]["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
                 document["security"] = [{"token": []}]
                 document["paths"]["/health"]["get"]["security"] = []
@@ -204,28 +240,40 @@ def _describe(app: FastAPI, schema: Schema) -> Callable[[], dict[str, Any]]:
     return describe
 
 
-async def _wait(request: Request, question: Any) -> Response:
-    """Wait for an answer as long as somebody wants it."""
+async def _read(request: Request, model: type[BaseModel], assembly: Assembly) -> BaseModel | Response:
+    """The request as its model has it, or what is wrong with it."""
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if kind != _JSON:
+        return _response(Reply(415, refusal(f"send JSON, with Content-Type: {_JSON}")))
+    try:
+        return model.model_validate_json(await request.body())
+    except ValidationError as error:
+        return _response(Reply(422, refusal(description.complaint(error, assembly.part_count))))
+
+
+async def _wait(request: Request, question: Any, *, media: str = _JSON) -> Response:
+    """Wait for an answer while the client is connected."""
     task = asyncio.ensure_future(question)
     try:
         while not task.done():
             await asyncio.wait({task}, timeout=_GONE_EVERY)
             if not task.done() and await request.is_disconnected():
                 raise ConnectionError
-        return _response(task.result())
+        return _response(task.result(), media)
     finally:
         task.cancel()
 
 
-def _response(reply: Reply) -> Response:
+def _response(reply: Reply, media: str = _JSON) -> Response:
+    """Return a reply as a response; `media` is the type of an answer, a refusal is JSON."""
     headers = {"Retry-After": "1"} if reply.status == 503 else None
-    return Response(reply.body, reply.status, headers=headers, media_type=_JSON)
+    return Response(reply.body, reply.status, headers=headers, media_type=media if reply.status == 200 else _JSON)
 
 
 async def _refuse(_: Request, error: Exception) -> Response:
     """What the router refuses, such as a path that is not there."""
     assert isinstance(error, HTTPException)
-    text = {404: "there is nothing here; / says what there is", 405: "not this way; / says how"}
+    text = {404: "there is nothing here; / lists the requests", 405: "this method is not allowed; / lists the requests"}
     body = refusal(text.get(error.status_code, "this request cannot be served"))
     return Response(body, error.status_code, headers=error.headers, media_type=_JSON)
 

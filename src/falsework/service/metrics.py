@@ -6,8 +6,10 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, gene
 
 _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 _SIZES = (1, 2, 4, 8, 16, 32, 64)
-PATHS = frozenset({"/", "/docs", "/openapi.json", "/replan", "/stability", "/structure", "/health", "/metrics"})
-"""Paths that are counted by name; all others together, so that nobody can fill the memory with names."""
+PATHS = frozenset(
+    {"/", "/docs", "/openapi.json", "/replan", "/stability", "/picture", "/structure", "/health", "/metrics"}
+)
+"""Paths that are counted by name; all others together, so that requests cannot fill the memory with names."""
 
 
 class Metrics:

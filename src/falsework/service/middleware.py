@@ -21,7 +21,7 @@ Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 OPEN_PATHS = frozenset({"/health"})
-"""Answered without a token: whoever watches the service need not be able to use it."""
+"""Answered without a token, so that monitoring needs none."""
 INSIDE = "the request failed inside; the log of the service says why"
 _HOSTS = frozenset({b"localhost", b"127.0.0.1", b"[::1]"})
 _HEADERS = [

@@ -28,6 +28,8 @@ from falsework.service.worker import NOT_YET, Done, Failed, Item, Kind, Ready, W
 from falsework.stability.verdict import Criterion
 
 KINDS: tuple[Kind, ...] = get_args(Kind)
+STANDING: tuple[Kind, ...] = ("replan", "stability")
+"""Kinds whose workers start with the service; the one that draws starts with the first picture."""
 START_SECONDS = 300.0
 """For a worker to load its structure."""
 _TRIES = 2
@@ -37,6 +39,10 @@ _HEAD_START = 0.02
 """Seconds before the deadline at which a worker is to be done, so that its answer is here in time."""
 _BACKOFF = (0.0, 0.5, 2.0, 10.0)
 """Seconds before a worker is replaced that never got as far as to take a request, by how often that happened."""
+_TOO_MUCH: dict[Kind, str] = {
+    "stability": "verdict within {seconds:g} s; try again, or ask about fewer states",
+    "picture": "picture within {seconds:g} s; try again, or ask for a smaller one",
+}
 _QUIET = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 log = logging.getLogger("falsework.service")
@@ -48,7 +54,7 @@ class Reply:
 
     status: int
     body: bytes
-    """JSON."""
+    """JSON, or a picture as PNG."""
 
 
 @dataclass(eq=False)
@@ -65,7 +71,7 @@ class PendingRequest:
 
     @property
     def open(self) -> bool:
-        """Whether somebody still wants to know."""
+        """Whether the answer is still awaited."""
         return not self.future.done()
 
 
@@ -104,6 +110,8 @@ class Pool:
         self._started: asyncio.Future[None] | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._closing = False
+        self._draws = False
+        """Whether a worker that draws was started."""
 
     @property
     def busy(self) -> int:
@@ -117,8 +125,8 @@ class Pool:
 
     @property
     def ready(self) -> dict[Kind, int]:
-        """Workers of each kind that take requests."""
-        return {kind: sum(worker.ready for worker in self._workers if worker.kind == kind) for kind in KINDS}
+        """Workers that take requests, of each kind that starts with the service."""
+        return {kind: sum(worker.ready for worker in self._workers if worker.kind == kind) for kind in STANDING}
 
     async def start(self) -> None:
         """Start all workers and wait until each has loaded the structure.
@@ -130,7 +138,7 @@ class Pool:
         for name, value in _QUIET.items():
             os.environ.setdefault(name, value)
         self._started = asyncio.get_running_loop().create_future()
-        for kind in KINDS:
+        for kind in STANDING:
             for _ in range(self.settings.workers if kind == "replan" else 1):
                 self._replace(kind)
         try:
@@ -166,6 +174,9 @@ class Pool:
             seconds: time that it has from now on.
         """
         loop = asyncio.get_running_loop()
+        if kind == "picture" and not self._draws:
+            self._draws = True
+            self._replace(kind)
         if len(self._queues[kind]) >= self.settings.queue:
             self._queues[kind] = [entry for entry in self._queues[kind] if entry[2].open]
             heapq.heapify(self._queues[kind])
@@ -194,9 +205,9 @@ class Pool:
         self._planned.pop(kind, None)
         team = [worker for worker in self._workers if worker.kind == kind]
         idle = [worker for worker in team if worker.ready and worker.busy is None]
-        most = self.settings.batch if kind == "replan" else self.settings.stability_batch
+        most = {"replan": self.settings.batch, "stability": self.settings.stability_batch, "picture": 1}[kind]
         for place, worker in enumerate(idle):
-            # One of several takes few at a time, so that what is urgent finds somebody soon.
+            # One of several takes few at a time, so that an urgent request finds an idle worker soon.
             limit = min(most, _EXPRESS) if worker is team[0] and len(team) > 1 else most
             batch = self._take(kind, limit, share=len(idle) - place)
             if not batch:
@@ -335,10 +346,10 @@ class Pool:
         if not ticket.open:
             return
         self._metrics.late(ticket.kind)
-        if ticket.kind == "stability":
-            _give(ticket, Reply(503, refusal(f"no verdict within {seconds:g} s; try again, or ask about fewer states")))
-        else:
+        if ticket.kind == "replan":
             _give(ticket, Reply(200, not_yet(seconds, self.settings.criterion)))
+        else:
+            _give(ticket, Reply(503, refusal(f"no {_TOO_MUCH[ticket.kind].format(seconds=seconds)}")))
 
 
 def not_yet(seconds: float, criterion: Criterion) -> bytes:

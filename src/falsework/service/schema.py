@@ -12,7 +12,7 @@ from pydantic.json_schema import models_json_schema
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states, complete_state, empty_state
-from falsework.errors import InputError, StateError
+from falsework.errors import StateError
 from falsework.search.plans.plan_file import plan_schema
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import NOT_YET
@@ -21,6 +21,8 @@ from falsework.stability.verdict import Criterion
 SHORTEST_DEADLINE = 10
 """Milliseconds."""
 MOST_ROBOTS, MOST_ALTERNATIVES = 64, 8
+MOST_FRAMES, NARROWEST, WIDEST = 24, 80, 1600
+"""States of a contact sheet, and pixels across each."""
 _SHOWN = 160
 """Characters of a complaint that quote what came in."""
 _REF = "#/components/schemas/{model}"
@@ -40,6 +42,10 @@ def whole(least: int, most: int) -> Any:
     return Annotated[int, Field(ge=least, le=most), BeforeValidator(_whole)]
 
 
+def _degrees(most: float) -> Any:
+    return Annotated[float, Field(ge=-most, le=most, allow_inf_nan=False)]
+
+
 class Strict(BaseModel):
     """Base of request models that forbid unknown fields."""
 
@@ -47,147 +53,21 @@ class Strict(BaseModel):
 
 
 @dataclass(frozen=True)
-class Schema:
-    """Requests and answers for one structure and the bounds of a service."""
+class Models:
+    """Request models for one structure."""
 
-    assembly: Assembly
-    settings: ServiceSettings
     replan: type[BaseModel]
     stability: type[BaseModel]
-
-    @classmethod
-    def of(cls, assembly: Assembly, settings: ServiceSettings) -> Schema:
-        """Return the schema of a structure, which says how long a state is, under the bounds of a service."""
-        return cls(assembly, settings, *_models(assembly, settings))
-
-    def parse_replan(self, body: bytes) -> tuple[dict[str, Any], float]:
-        """Return a request for plans, states as arrays, and its deadline in seconds.
-
-        Raises:
-            InputError: what is wrong with it, in one line.
-        """
-        wanted = self._parsed(self.replan, body)
-        deadline = wanted.pop("deadline") / 1000
-        return wanted | {name: self._state(wanted[name]) for name in ("state", "target") if wanted[name]}, deadline
-
-    def parse_stability(self, body: bytes) -> tuple[tuple[States, bool], float]:
-        """Return states to judge, shape (states, parts), whether to explain, and the seconds for it.
-
-        Raises:
-            InputError: what is wrong with the request, in one line.
-        """
-        wanted, rows = self._parsed(self.stability, body), []
-        for number, value in enumerate(wanted["states"]):
-            try:
-                rows.append(self._state(value))
-            except StateError as error:
-                raise StateError(f"states {number}: {error}") from None
-        return (np.stack(rows), wanted["explain"]), self.settings.stability_seconds
-
-    def _parsed(self, model: type[BaseModel], body: bytes) -> dict[str, Any]:
-        try:
-            return model.model_validate_json(body).model_dump()
-        except ValidationError as error:
-            raise InputError(_complaint(error, self.assembly.part_count)) from None
-
-    def _state(self, value: Any) -> States:
-        if value == "complete":
-            return complete_state(self.assembly.boundary)
-        if value == "empty":
-            return empty_state(self.assembly.boundary)
-        return as_states(value, self.assembly.boundary)[0]
-
-    def components(self) -> dict[str, Any]:
-        """Return schemas of everything that goes in and out, by name, for the OpenAPI description."""
-        _, generated = models_json_schema(
-            [(self.replan, "validation"), (self.stability, "validation")], ref_template=_REF
-        )
-        number, count = {"type": "number", "minimum": 0}, {"type": "integer", "minimum": 0}
-        numbers = {"type": "array", "items": count}
-        verdict = {
-            "verdict": {
-                "enum": ["stable", "slides", "unstable", "undecided"],
-                "description": "slides: forces in balance exist, but the contacts do not bring them about; the state "
-                "does not stand",
-            },
-            "proof": {
-                "enum": ["displacement", "forces", "velocity", "none"],
-                "description": "displacement: of a state that is stable under the criterion contact; forces: of "
-                "balance, of a state that slides or that is stable under the criterion equilibrium",
-            },
-            "residual": {"description": "share of gravity", "anyOf": [{"type": "number"}, {"type": "null"}]},
-            "moving": {**numbers, "description": "parts that move, the fastest first; only on request"},
-        }
-        criterion = {
-            "enum": list(get_args(Criterion)),
-            "description": "what stable means. contact: compliant contacts without prestress bring every part to rest; "
-            "equilibrium: contact forces in balance exist",
-        }
-        answer = {
-            "criterion": criterion,
-            "outcome": {
-                "enum": ["found", "proved_impossible", "not_found", NOT_YET],
-                "description": f"{NOT_YET}: the deadline passed before there was a plan, or a proof that there is none",
-            },
-            "decided_by": {"type": "string"},
-            "direction": {"enum": ["assembly", "disassembly", None]},
-            "steps": {"description": "actions to the target", "anyOf": [count, {"type": "null"}]},
-            "reached": {"description": "actions of the longest stable way that was found", **count},
-            "seconds": number,
-            "deadline_passed": {"type": "boolean", "description": "more time might give a plan, or a better one"},
-            "reason": {"type": "string", "description": "why there is no plan"},
-            "moving": {**numbers, "description": "parts that move where the search broke off"},
-            "plans": {"type": "array", "items": {"$ref": _REF.format(model="Plan")}},
-            "distances": {"type": "array", "items": {"type": "array", "items": number}},
-        }
-        part = {"part": count, "name": {"type": "string"}, "boundary": {"type": "boolean"}, "mass": number}
-        part |= {"center": {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}}
-        structure = {
-            "name": {"type": "string"},
-            "identity": {"type": "string"},
-            "friction": number,
-            "contacts": count,
-            "policy": {"type": "boolean", "description": "whether a trained policy proposes actions"},
-            "parts": {"type": "array", "items": _object(part)},
-        }
-        health = {"status": {"enum": ["ok", "starting"]}, "planners": count, "judges": count, "waiting": count}
-        return {
-            **generated.get("$defs", {}),
-            **_plan_components(),
-            "ReplanAnswer": _object(answer),
-            "Verdict": _object(verdict, optional=("moving",)),
-            "StabilityAnswer": _object(
-                {"criterion": criterion, "verdicts": {"type": "array", "items": {"$ref": _REF.format(model="Verdict")}}}
-            ),
-            "Structure": _object(structure),
-            "Health": _object(health),
-            "Error": _object({"error": {"type": "string", "description": "one line that says what to do"}}),
-        }
-
-    def structure_record(self, *, policy: bool) -> dict[str, Any]:
-        """Return the answer to `GET /structure`."""
-        assembly = self.assembly
-        return {
-            "name": assembly.name,
-            "identity": assembly.identity,
-            "friction": assembly.friction,
-            "contacts": len(assembly.contacts),
-            "policy": policy,
-            "parts": [
-                {
-                    "part": part,
-                    "name": name,
-                    "boundary": bool(assembly.boundary[part]),
-                    "mass": float(f"{assembly.mass.mass[part]:.6g}"),
-                    "center": [float(f"{value:.6g}") for value in assembly.mass.center[part]],
-                }
-                for part, name in enumerate(assembly.names)
-            ],
-        }
+    picture: type[BaseModel]
 
 
-def _models(assembly: Assembly, settings: ServiceSettings) -> tuple[type[BaseModel], type[BaseModel]]:
-    """Return the models of the requests for plans and for verdicts."""
+def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
+    """Return requests as they must be for a structure and the bounds of a service.
+
+    Args:
+        assembly: says how long a state is.
+        settings: bounds.
+    """
     parts = assembly.part_count
     values = Annotated[
         list[Literal[0, 1, 2]],
@@ -198,55 +78,106 @@ def _models(assembly: Assembly, settings: ServiceSettings) -> tuple[type[BaseMod
     numbers = Annotated[list[whole(0, parts - 1)], Field(max_length=parts, json_schema_extra={"uniqueItems": True})]
     longest = round(1000 * settings.longest_deadline)
     replan: dict[str, Any] = {
-        "state": (state, Field(default="complete", description="where things stand; boundary parts are always 2")),
+        "state": (state, Field(default="complete", description="current state; boundary parts are always 2")),
         "target": (
             state | None,
-            Field(default=None, description="where they shall go; by default complete in assembly, else empty"),
+            Field(default=None, description="target state; by default complete in assembly, else empty"),
         ),
         "direction": (
             Literal["assembly", "disassembly"] | None,
             Field(
                 default=None,
-                description="assembly adds parts, disassembly takes them away; by default what leads to the target, "
-                "assembly where parts are missing that the state does not have, else disassembly",
+                description="assembly adds parts, disassembly removes them; by default the direction of the target, "
+                "assembly if the state lacks the missing parts, else disassembly",
             ),
         ),
         "missing": (
             numbers,
-            Field(default=[], description="parts not delivered yet; they go in as late as can be"),
+            Field(default=[], description="parts not delivered yet; they are placed as late as possible"),
         ),
         "fixed": (numbers, Field(default=[], description="parts that must not be held or removed")),
         "robots": (whole(1, MOST_ROBOTS), Field(default=2, description="parts that can be held at a time")),
-        "alternatives": (whole(1, MOST_ALTERNATIVES), Field(default=1, description="plans wanted")),
+        "alternatives": (whole(1, MOST_ALTERNATIVES), Field(default=1, description="number of plans")),
         "removable_only_if_clear": (
             bool,
-            Field(default=False, description="move parts along free straight ways only"),
+            Field(default=False, description="move parts along collision-free straight lines only"),
         ),
         "seed": (whole(0, 2**31 - 1), Field(default=0, description="same seed, same answer")),
         "deadline": (
             whole(SHORTEST_DEADLINE, longest),
             Field(
                 default=round(1000 * settings.deadline),
-                description="milliseconds until the answer: the best proven one so far",
+                description="milliseconds until the response, with the best certified plan so far",
             ),
         ),
     }
     stability: dict[str, Any] = {
         "states": (Annotated[list[state], Field(min_length=1, max_length=settings.states)], ...),
-        "explain": (bool, Field(default=False, description="name the parts that move in states that do not stand")),
+        "explain": (bool, Field(default=False, description="list the parts that move in states that are not stable")),
     }
-    return (
+    picture: dict[str, Any] = {
+        "state": (state, Field(default="complete", description="drawn unless there is a plan")),
+        "plan": (
+            dict[str, Any] | None,
+            Field(default=None, description="a plan as in an answer; drawn as a contact sheet of its states"),
+        ),
+        "step": (
+            whole(0, 2**31 - 1) | None,
+            Field(default=None, description="draws the state after this step of the plan alone; 0 is the beginning"),
+        ),
+        "frames": (whole(1, MOST_FRAMES), Field(default=12, description="states of a contact sheet")),
+        "proof": (
+            bool,
+            Field(default=False, description="draw the forces of a single state, or the motion if it does not stand"),
+        ),
+        "width": (
+            whole(NARROWEST, WIDEST) | None,
+            Field(default=None, description="pixels across each state; by default 1200, on a contact sheet 480"),
+        ),
+        "azimuth": (_degrees(360.0), Field(default=-58.0, description="of the camera, degrees about z")),
+        "elevation": (_degrees(89.0), Field(default=24.0, description="of the camera, degrees above the horizon")),
+    }
+    return Models(
         create_model(
             "ReplanRequest",
             __base__=Strict,
-            __doc__="Where things stand, where they shall go, and what has changed.",
+            __doc__="Current state, target, and constraints of a new plan.",
             **replan,
         ),
-        create_model("StabilityRequest", __base__=Strict, __doc__="States to judge.", **stability),
+        create_model("StabilityRequest", __base__=Strict, __doc__="States to check.", **stability),
+        create_model("PictureRequest", __base__=Strict, __doc__="A state or a plan to draw.", **picture),
     )
 
 
-def _complaint(error: ValidationError, parts: int) -> str:
+def read_state(value: Any, assembly: Assembly) -> States:
+    """Return a state in a request as an array, shape (parts,).
+
+    Raises:
+        StateError: a boundary part that is not 2.
+    """
+    if value == "complete":
+        return complete_state(assembly.boundary)
+    if value == "empty":
+        return empty_state(assembly.boundary)
+    return as_states(value, assembly.boundary)[0]
+
+
+def read_states(values: list[Any], assembly: Assembly) -> States:
+    """Return states in a request as an array, shape (states, parts).
+
+    Raises:
+        StateError: a boundary part that is not 2.
+    """
+    rows = []
+    for number, value in enumerate(values):
+        try:
+            rows.append(read_state(value, assembly))
+        except StateError as error:
+            raise StateError(f"states {number}: {error}") from None
+    return np.stack(rows)
+
+
+def complaint(error: ValidationError, parts: int) -> str:
     """Return the first thing that is wrong with a request, in one line."""
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
     place = [str(piece) for piece in first["loc"]]
@@ -258,6 +189,95 @@ def _complaint(error: ValidationError, parts: int) -> str:
     if first["type"] == "extra_forbidden":
         return f"there is no entry {ascii(place[0])[:_SHOWN]} in this request; /docs lists those that there are"
     return f"{' '.join(place)[:_SHOWN]}: {first['msg'][:_SHOWN]}"
+
+
+def components(models: Models) -> dict[str, Any]:
+    """Return schemas of everything that goes in and out, by name, for the OpenAPI description."""
+    _, generated = models_json_schema(
+        [(model, "validation") for model in (models.replan, models.stability, models.picture)], ref_template=_REF
+    )
+    number, count = {"type": "number", "minimum": 0}, {"type": "integer", "minimum": 0}
+    numbers = {"type": "array", "items": count}
+    verdict = {
+        "verdict": {
+            "enum": ["stable", "slides", "unstable", "undecided"],
+            "description": "slides: forces in balance exist, but the contacts do not produce them; the state is "
+            "not stable",
+        },
+        "proof": {
+            "enum": ["displacement", "forces", "velocity", "none"],
+            "description": "displacement: of a state that is stable under the criterion contact; forces: of balance, "
+            "of a state that slides or that is stable under the criterion equilibrium",
+        },
+        "residual": {"description": "share of gravity", "anyOf": [{"type": "number"}, {"type": "null"}]},
+        "moving": {**numbers, "description": "parts that move, the fastest first; only on request"},
+    }
+    criterion = {
+        "enum": list(get_args(Criterion)),
+        "description": "stability criterion. contact: compliant contacts without prestress bring every part to rest; "
+        "equilibrium: contact forces in balance exist",
+    }
+    answer = {
+        "criterion": criterion,
+        "outcome": {
+            "enum": ["found", "proved_impossible", "not_found", NOT_YET],
+            "description": f"{NOT_YET}: the deadline passed before there was a plan, or a proof that there is none",
+        },
+        "decided_by": {"type": "string"},
+        "direction": {"enum": ["assembly", "disassembly", None]},
+        "steps": {"description": "actions to the target", "anyOf": [count, {"type": "null"}]},
+        "reached": {"description": "actions of the longest stable path found", **count},
+        "seconds": number,
+        "deadline_passed": {"type": "boolean", "description": "more time might give a plan, or a better one"},
+        "reason": {"type": "string", "description": "why there is no plan"},
+        "moving": {**numbers, "description": "parts that move where the search ended"},
+        "plans": {"type": "array", "items": {"$ref": _REF.format(model="Plan")}},
+        "distances": {"type": "array", "items": {"type": "array", "items": number}},
+    }
+    part = {"part": count, "name": {"type": "string"}, "boundary": {"type": "boolean"}, "mass": number}
+    part |= {"center": {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}}
+    structure = {
+        "name": {"type": "string"},
+        "identity": {"type": "string"},
+        "friction": number,
+        "contacts": count,
+        "policy": {"type": "boolean", "description": "whether a trained policy proposes actions"},
+        "parts": {"type": "array", "items": _object(part)},
+    }
+    health = {"status": {"enum": ["ok", "starting"]}, "planners": count, "judges": count, "waiting": count}
+    return {
+        **generated.get("$defs", {}),
+        **_plan_components(),
+        "ReplanAnswer": _object(answer),
+        "Verdict": _object(verdict, optional=("moving",)),
+        "StabilityAnswer": _object(
+            {"criterion": criterion, "verdicts": {"type": "array", "items": {"$ref": _REF.format(model="Verdict")}}}
+        ),
+        "Structure": _object(structure),
+        "Health": _object(health),
+        "Error": _object({"error": {"type": "string", "description": "one line with a remedy"}}),
+    }
+
+
+def structure_record(assembly: Assembly, *, policy: bool) -> dict[str, Any]:
+    """Return the answer to `GET /structure`."""
+    return {
+        "name": assembly.name,
+        "identity": assembly.identity,
+        "friction": assembly.friction,
+        "contacts": len(assembly.contacts),
+        "policy": policy,
+        "parts": [
+            {
+                "part": part,
+                "name": name,
+                "boundary": bool(assembly.boundary[part]),
+                "mass": float(f"{assembly.mass.mass[part]:.6g}"),
+                "center": [float(f"{value:.6g}") for value in assembly.mass.center[part]],
+            }
+            for part, name in enumerate(assembly.names)
+        ],
+    }
 
 
 def _plan_components() -> dict[str, Any]:

@@ -30,10 +30,10 @@ def run_service(
     run: Path | None = None,
     started: Callable[[str], None] | None = None,
 ) -> None:
-    """Serve one structure until the process is told to stop.
+    """Serve one structure until the process is terminated.
 
     Args:
-        assembly: the structure; its ways out are computed first, if that was not done.
+        assembly: the structure; its clearance table is computed first, if absent.
         settings: where to listen, and bounds.
         run: folder of a trained policy.
         started: called with the address once requests are taken.

@@ -31,9 +31,9 @@ class ServiceSettings:
     port: int = 8080
     """0 for any free one."""
     token: str | None = field(default=None, repr=False)
-    """What clients must show; needed wherever other machines can reach the service."""
+    """Token that clients must send; required if other machines can reach the service."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Processes that plan; one more judges stability."""
+    """Number of planning processes; one more computes verdicts."""
     batch: int = 8
     """Requests that a worker takes at a time to plan together."""
     stability_batch: int = 64
@@ -59,6 +59,8 @@ class ServiceSettings:
     longest_deadline: float = 60.0
     stability_seconds: float = 10.0
     """For verdicts."""
+    picture_seconds: float = 60.0
+    """For a picture, the start of the process that draws included."""
     states: int = 256
     """States in one request about stability."""
     grace: float = 0.015

@@ -1,7 +1,7 @@
 """Worker processes: each loads the structure once and answers batches until its pipe closes.
 
 A worker knows nothing of HTTP. It takes `(kind, items)` from its pipe and puts back one `Done` an item, as soon as it
-has it, and `None` after the last. What it sends is the text of the answer, so that nobody has to look at it again.
+has it, and `None` after the last. It sends the text of the answer, which needs no further processing.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.errors import InputError
+from falsework.errors import DependencyError, InputError
 from falsework.search.plans.plan_file import plan_to_dict
 from falsework.search.problem.result import Outcome
+from falsework.service.picture import PictureOrder, draw_png
 from falsework.stability.motion import motion_of
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import CpuSettings, StabilitySettings
@@ -30,7 +31,7 @@ from falsework.stability.verdict import Criterion, Proof, Verdict, Verdicts
 if TYPE_CHECKING:
     from falsework.replanning.replanner import Replanner, ReplanResult
 
-Kind = Literal["replan", "stability"]
+Kind = Literal["replan", "stability", "picture"]
 
 NOT_YET = "not_yet"
 """Outcome of a request whose deadline passed before there was a plan: not a no, and not a plan."""
@@ -77,7 +78,8 @@ class Item:
 
     number: int
     payload: Any
-    """Fields of `falsework.replanning.request.Request`, or for stability `(states, explain)`."""
+    """Fields of `falsework.replanning.request.Request`, or of `falsework.service.picture.PictureOrder`, or for
+    stability `(states, explain)`."""
     seconds: float
     """Time that is left for it."""
 
@@ -90,7 +92,7 @@ class Done:
     status: int
     """As in HTTP."""
     body: bytes
-    """JSON."""
+    """JSON, or a picture as PNG."""
     label: str = ""
     """Who decided, for the statistics."""
 
@@ -99,7 +101,7 @@ def work(pipe: Connection, config: WorkerConfig) -> None:
     """Answer batches until the pipe closes; what a new process runs."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that talks to clients; it closes the pipe
     try:
-        bench = _Planner(config) if config.kind == "replan" else _Judge(config)
+        bench = {"replan": _Planner, "stability": _Judge, "picture": _Painter}[config.kind](config)
     except InputError as error:
         pipe.send(Failed(" ".join(str(error).split())))
         return
@@ -219,6 +221,30 @@ class _Planner:
             for item, _ in good:
                 if item.number in open_items:
                     self.answer([item], pipe)
+
+
+class _Painter:
+    """Worker loop for requests for pictures."""
+
+    policy = ""
+
+    def __init__(self, config: WorkerConfig) -> None:
+        os.nice(_BACKGROUND)
+        self._oracle = Stability(config.assembly, one_thread(config.criterion))
+
+    def answer(self, items: Sequence[Item], pipe: Connection) -> None:
+        """One picture after the other."""
+        for item in items:
+            try:
+                pipe.send(Done(item.number, 200, draw_png(self._oracle, PictureOrder(**item.payload)), "drawn"))
+            except DependencyError as error:
+                pipe.send(Done(item.number, 501, refusal(str(error)), "refused"))
+            except InputError as error:
+                pipe.send(Done(item.number, 422, refusal(str(error)), "refused"))
+            except Exception as error:
+                log.exception("a picture failed")
+                reason = f"the picture failed inside ({type(error).__name__})"
+                pipe.send(Done(item.number, 500, refusal(reason), "failed"))
 
 
 def replan_record(answer: ReplanResult, criterion: Criterion) -> dict[str, Any]:

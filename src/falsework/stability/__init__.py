@@ -1,4 +1,4 @@
-"""Does a partial structure stand while robots hold some of its parts? With a proof either way."""
+"""Stability of partial structures with held parts, with a certificate for each verdict."""
 
 from falsework.utils.lazy import lazy_exports
 

@@ -24,7 +24,7 @@ def motion_of(assembly: Assembly, verdicts: Verdicts, row: int) -> NDArray[np.fl
         row: of the state in question.
 
     Returns:
-        `(linear, angular)` about the centres of mass, shape (parts, 6); None where the state stands or is undecided,
+        `(linear, angular)` about the centres of mass, shape (parts, 6); None where the state is stable or undecided,
         and where no motion is known.
     """
     verdict = verdicts.verdict[row]

@@ -37,9 +37,9 @@ class Counters:
     """Numbers of queries to the oracle, by the solver that answered."""
 
     asked: int = 0
-    """States asked about, repetitions included."""
+    """Number of requested states, repetitions included."""
     cached: int = 0
-    """Answered because the same state had been asked before."""
+    """Number of states answered from the cache."""
     by_monotonicity: int = 0
     """Answered because a proof of another state holds for this one."""
     cpu: int = 0
@@ -63,8 +63,8 @@ class Counters:
 class Stability:
     """Stability oracle of one structure, with proofs.
 
-    One object serves one structure under one set of settings. It keeps what it learns: ask the same object
-    again rather than making a new one.
+    One object serves one structure under one set of settings. It caches verdicts, so reuse it instead of making a
+    new one.
     """
 
     def __init__(self, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> None:
@@ -95,7 +95,7 @@ class Stability:
         return Replayer(self.assembly, self.settings, solver=self._cpu)
 
     def check(self, states: ArrayLike) -> Verdicts:
-        """Judge states and return the proofs, each accepted by the certificate checker.
+        """Check states and return verdicts with certificates, each verified by the certificate checker.
 
         Args:
             states: one state `(parts,)` or a batch `(batch, parts)`; 0 removed, 1 installed, 2 held.
@@ -128,7 +128,7 @@ class Stability:
         return verdicts[back]
 
     def judge(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> Verdicts:
-        """Judge states without returning forces and velocities, from the cache where it can.
+        """Check states without certificates, from the cache if possible.
 
         Every verdict rests on a proof found in float64; the cache remembers the verdict, not the proof.
 

@@ -81,7 +81,7 @@ class StabilitySettings:
     the criterion of the paper."""
     cone: Cone | None = None
     """Friction cone: the paper's octagon, or Coulomb's quadratic cone. None: quadratic under `contact`, where the
-    octagon would make verdicts depend on how contact frames are turned, and octagon under `equilibrium`."""
+    octagon would make verdicts depend on the orientation of contact frames, and octagon under `equilibrium`."""
     gravity: float = 9.81
     """m/s2 along -z."""
     tolerance: float = TOLERANCE
@@ -92,8 +92,8 @@ class StabilitySettings:
     stiffness_ratio: float = TANGENTIAL_RATIO
     """Tangential over normal stiffness of a contact, under the criterion `contact`."""
     solver: SolverName = "cpu"
-    """Who is asked first; what it leaves undecided goes to the exact solver. `auto` takes the GPU, where there is
-    one, for batches that it judges faster than the processor."""
+    """First solver; states that it leaves undecided go to the exact solver. `auto` takes the GPU, where there is
+    one, for batches on which it is faster than the processor."""
     cpu: CpuSettings = CpuSettings()
     gpu: GpuSettings = GpuSettings()
 

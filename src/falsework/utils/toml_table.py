@@ -113,7 +113,7 @@ class Table:
         return list(self._values)
 
     def done(self) -> None:
-        """Raise for a key that nobody asked for: most often a typing error."""
+        """Raise for a key that was not read: most often a typing error."""
         for key in self._values:
             if key not in self._known:
                 near = difflib.get_close_matches(key, self._known, 1)

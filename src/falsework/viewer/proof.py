@@ -29,11 +29,11 @@ class StateProof:
     stable: bool
     decided: bool
     words: str
-    """One line for people."""
+    """Summary in one line."""
     arrows: dict[str, Arrows]
     """By what they show: contact forces, friction, gravity; or motion; or sliding."""
     moved: dict[int, NDArray[np.float64]] = field(default_factory=dict)
-    """Of a state that does not stand: vertices of the parts that move, a little later; by part, shape (vertices, 3)."""
+    """For a state that is not stable: displaced vertices of the moving parts; by part, shape (vertices, 3)."""
     slides: bool = False
     """Whether forces in equilibrium exist although parts move: only under the criterion `contact`."""
 

@@ -1,4 +1,4 @@
-"""One call each: show a plan in the browser, draw it, play it as a video."""
+"""Functions that show, draw and animate plans, structures, runs and state graphs."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ def picture(
     if not proofs:
         return PictureReport(shows, tuple(places))
     fallen = _unstable(proofs)
-    note = proofs[single].words if single is not None else f"{len(fallen)} of them do not stand"
+    note = proofs[single].words if single is not None else f"{len(fallen)} of them are not stable"
     return PictureReport(f"{shows}; {note}", tuple(places), fallen)
 
 
@@ -232,10 +232,10 @@ def animate(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> PictureReport:
-    """Play a plan as a video, MP4 or GIF, without a screen.
+    """Render a plan as a video, MP4 or GIF, without a display.
 
     Args:
-        subject: an object or a file as `open_file` takes it, with steps to play.
+        subject: an object or a file as `open_file` takes it, with steps to animate.
         path: file to write; it ends in .mp4 or .gif.
         structure: structure of a plan or graph that does not name it.
         seconds: length of a step.
@@ -249,14 +249,14 @@ def animate(
         options: as for `viewable_of`.
 
     Raises:
-        InputError: nothing to play, another kind of file, sizes that cannot be drawn, or a file that cannot be written.
+        InputError: nothing to animate, another kind of file, invalid sizes, or a file that cannot be written.
         DependencyError: Pillow or imageio-ffmpeg is not installed.
     """
     check_film(width, seconds, rate)
     shown = viewable_of(subject, structure, **options)
     timeline = shown.timeline
     if len(timeline) == 0:
-        raise InputError(f"{shown.assembly.name} has no steps to play; give a plan, as `falsework plan` writes it")
+        raise InputError(f"{shown.assembly.name} has no steps to animate; give a plan, as `falsework plan` writes it")
     places = tuple(range(len(timeline) + 1))
     proofs = shown.proofs(places, criterion) if verdicts else {}
     camera = Camera(azimuth, elevation, width, 2 * round(0.35 * width), 0.95)
@@ -271,7 +271,7 @@ def animate(
         progress=progress,
     )
     fallen = _unstable(proofs)
-    note = f"; {len(fallen)} of {len(proofs)} states do not stand" if verdicts else ""
+    note = f"; {len(fallen)} of {len(proofs)} states are not stable" if verdicts else ""
     shows = f"{len(timeline)} steps in {count} pictures{note}"
     return PictureReport(shows, places, fallen if verdicts else None, pictures=count)
 

@@ -69,7 +69,7 @@ class Timeline:
         """
         check_identity(plan, assembly)
         apart = plan if plan.direction is Direction.DISASSEMBLY else plan.reverse()
-        # Robots are given out in the order of the plan, so that nobody changes hands on the way.
+        # Robots are given out in the order of the plan, so that no held part changes robots on the way.
         if who is None:
             who = holders(plan.states, assembly.boundary)
             who = who if plan.direction is Direction.DISASSEMBLY else who[::-1]

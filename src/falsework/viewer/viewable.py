@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Viewable:
-    """A plan, run, robot plan, state graph or structure with all that pictures and the page show of it."""
+    """Plan, run, robot plan, state graph or structure with everything that pictures and the viewer need."""
 
     kind: Literal["plan", "run", "robot plan", "graph", "structure"]
     assembly: Assembly

@@ -43,7 +43,7 @@ def generator() -> Any:
 
 
 def tell(curriculum: Curriculum, generator: Any, count: int, success: bool, surrogate: float = 1.0):
-    batch = curriculum.sample(count, generator)
+    batch: Any = curriculum.sample(count, generator)
     curriculum.record_outcomes(batch.rows, torch.full((count,), success), torch.full((count,), surrogate))
     return batch
 
@@ -54,7 +54,7 @@ def test_every_state_is_drawn_before_any_is_drawn_again(arch, generator) -> None
     rows = torch.cat([tell(curriculum, generator, 25, success=False).rows for _ in range(len(curriculum) // 25)])
     assert len(rows.unique()) == len(rows)
     rest = len(curriculum) - len(rows)
-    draw = curriculum.sample(25, generator)
+    draw: Any = curriculum.sample(25, generator)
     assert not set(draw.rows[:rest].tolist()) & set(rows.tolist())
     assert torch.equal(draw.states, curriculum._starts[draw.rows])
     assert not environment.rules.reached(curriculum._starts).any()
@@ -64,11 +64,11 @@ def test_states_of_high_surrogate_loss_are_drawn_by_their_rank(arch, generator) 
     environment, states = arch
     curriculum = make(environment.rules, states, growing=False, rank_power=0.8, correction=0.0)
     count = len(curriculum)
-    everything = curriculum.sample(count, generator)
+    everything: Any = curriculum.sample(count, generator)
     curriculum.record_outcomes(
         everything.rows, torch.ones(count, dtype=torch.bool), torch.arange(count, dtype=torch.float32)
     )
-    drawn = curriculum.sample(40_000, generator)
+    drawn: Any = curriculum.sample(40_000, generator)
     share = torch.bincount(drawn.rows, minlength=count)[everything.rows.flip(0)] / 40_000
     expected = torch.arange(1, count + 1, dtype=torch.float32).pow(-0.8)
     assert torch.allclose(share, expected / expected.sum(), atol=0.01)
@@ -87,7 +87,7 @@ def test_entropy_rises_where_rollouts_keep_failing(arch, generator) -> None:
     count = len(curriculum)
     seen = []
     for success in (False, False, False, False, True):
-        draw = curriculum.sample(count, generator)
+        draw: Any = curriculum.sample(count, generator)
         curriculum.record_outcomes(draw.rows, torch.full((count,), success), torch.ones(count))
         seen.append(float(curriculum._entropy[draw.rows[0]]))
         curriculum._visited.zero_()
@@ -119,8 +119,9 @@ def test_what_is_added_is_drawn_first(arch, generator) -> None:
         tell(curriculum, generator, 40, success=True)
     before = len(curriculum)
     curriculum.add(states[40:60])
-    assert set(curriculum.sample(20, generator).rows.tolist()) == set(range(before, before + 20))
-    with pytest.raises(InputError, match="either all states of a curriculum have targets or none"):
+    sampled: Any = curriculum.sample(20, generator)
+    assert {*sampled.rows.tolist()} == set(range(before, before + 20))
+    with pytest.raises(InputError, match="give all of them targets or none"):
         curriculum.add(states[:2], states[:2])
 
 

@@ -13,6 +13,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
 from safetensors.torch import load_file  # noqa: E402
+from torch import Tensor  # noqa: E402
 
 from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError, TrainingError  # noqa: E402
@@ -76,8 +77,8 @@ def fine_tuner(arch: Assembly, data: Dataset, *, settings: PpoPhase = SMALL, see
 
 def with_targets(
     environment: Environment,
-    starts: torch.Tensor,
-    targets: torch.Tensor,
+    starts: Tensor,
+    targets: Tensor,
     settings: PpoPhase = SMALL,
     *,
     tasks: GoalSampler | None = None,
@@ -267,9 +268,7 @@ def test_hindsight_teaches_paths_to_visited_states() -> None:
     assert gained[1] > gained[0]
 
 
-def collect(
-    environment: Environment, policy: Policy, starts: torch.Tensor, targets: torch.Tensor | None = None
-) -> Transitions:
+def collect(environment: Environment, policy: Policy, starts: Tensor, targets: Tensor | None = None) -> Transitions:
     options = {"discount": 1.0, "gae_lambda": 0.9, "probabilities": True}
     return collect_transitions(environment, policy, starts, targets, environment.generator(1), **options)
 
@@ -358,12 +357,12 @@ def test_no_loss_is_taken_at_held_out_states(arch: Assembly, data: Dataset) -> N
     assert not ppo._solved.is_held_out(ppo._solved.states).any()
 
 
-def recorded(ppo: PPO) -> list[torch.Tensor]:
+def recorded(ppo: PPO) -> list[Tensor]:
     """States, and targets if there are any, that a loss is taken at from now on."""
-    seen: list[torch.Tensor] = []
+    seen: list[Tensor] = []
     network: Callable[..., Any] = ppo._network
 
-    def record(states: torch.Tensor, targets: torch.Tensor | None = None) -> Any:
+    def record(states: Tensor, targets: Tensor | None = None) -> Any:
         seen.extend([states] if targets is None else [states, targets])
         return network(states, targets)
 
@@ -482,7 +481,7 @@ def test_the_guard_names_the_step_that_failed_even_where_nothing_can_be_written(
     guard.check()
     silent = NanGuard()
     silent.watch(torch.tensor(torch.nan), batch, "step 9")
-    with pytest.raises(TrainingError, match="at step 9; go on from the last checkpoint"):
+    with pytest.raises(TrainingError, match="at step 9; continue from the last checkpoint"):
         silent.check()
 
 

@@ -64,7 +64,7 @@ def test_forbidden_states_are_in_no_pair(bottle_graph: StateGraph) -> None:
     assert len(pairs) == 2000
     assert (index.find(pairs.states) < 0).all()
     assert (index.find(pairs.targets) < 0).all()
-    with pytest.raises(InputError, match="no way leads between two states of this graph"):
+    with pytest.raises(InputError, match="no path connects two states of this graph"):
         PairSource(bottle_graph, held_out=bottle_graph.states)
 
 

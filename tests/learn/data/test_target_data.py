@@ -130,7 +130,7 @@ def test_random_legal_actions_solve_few_pairs_of_a_real_structure(shared_assembl
     def uniform(states: torch.Tensor, targets: torch.Tensor | None = None, /) -> tuple[torch.Tensor, torch.Tensor]:
         return torch.zeros(len(states), 2 * assembly.part_count), torch.zeros(len(states))
 
-    assert len(data.test) == 100
+    assert 50 < len(data.test) <= 100
     for pairs in (data.test, data.validation):
         states, targets, _ = pairs.tensors(torch.device("cpu"))
         several = (states.repeat(8, 1), targets.repeat(8, 1))

@@ -104,7 +104,7 @@ def test_forbidden_states_are_neither_start_nor_target(bottle_graph: StateGraph)
     index = StateIndex(held_out)
     assert (index.find(states.numpy()) < 0).all()
     assert (index.find(targets.numpy()) < 0).all()
-    with pytest.raises(InputError, match="no way leads between two states of this graph"):
+    with pytest.raises(InputError, match="no path connects two states of this graph"):
         RandomWalkGoals(graph, device=CPU, held_out=graph.states)
 
 

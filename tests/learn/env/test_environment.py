@@ -11,8 +11,8 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly, load_assembly, load_structure  # noqa: E402
 from falsework.errors import InputError, StateError  # noqa: E402
-from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.env.rollout import Rollouts, choose_actions, play, roll_out  # noqa: E402
+from falsework.learn.env.environment import Environment, Rollouts  # noqa: E402
+from falsework.learn.env.rollout import choose_actions, play, roll_out  # noqa: E402
 from falsework.search import Direction, StateGraph, Task, find_plans, task_of  # noqa: E402
 from falsework.search.device.oracle import DeviceOracle, HostOracle, without_fallback  # noqa: E402
 from falsework.stability import Stability, StabilitySettings, Verdict, Verdicts  # noqa: E402

@@ -169,4 +169,4 @@ def test_bad_input_is_one_clear_line(arch: Assembly) -> None:
 def test_without_gymnasium_the_extra_is_named() -> None:
     program = "import sys; sys.modules['gymnasium'] = None; import falsework.learn.env.gymnasium_env"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert "DependencyError: this face of the environment needs gymnasium; pip install" in done.stderr
+    assert "DependencyError: the Gymnasium environment needs gymnasium; pip install" in done.stderr

@@ -140,7 +140,7 @@ def test_a_policy_of_one_state_is_masked_to_targets(tmp_path: Path, capsys: pyte
 def test_a_policy_of_two_states_learns_targets(method: Any, tmp_path: Path) -> None:
     settings = TrainSettings(
         phases=tuple(replace(one, batch=64) if isinstance(one, ImitationPhase) else one for one in METHODS[method]),
-        steps=120 if method == "imitation" else 20,
+        steps={"imitation": 500, "default": 120, "paper": 20}[method],
         policy=PolicySettings("resmlp", goal_conditioned=True, channels=32, layers=1),
         pairs=500,
         widths=(8,),

@@ -88,16 +88,16 @@ def interrupted(arch: Any, settings: TrainSettings, folder: Path, at: int, **opt
 
 
 def test_a_small_arch_is_learned_completely(tmp_path: Path) -> None:
-    """All states of a wider search than the ones that were learned from."""
+    """And most states of a wider search, although the mirror images of these are held out as well."""
     arch = load_structure("arch:blocks=9")
     policy = PolicySettings("transformer", channels=32, layers=2, heads=4)
-    settings = TrainSettings(phases=METHODS["imitation"], steps=120, policy=policy)
+    settings = TrainSettings(phases=METHODS["imitation"], steps=160, policy=policy)
     begun = time.process_time()  # of one thread: other work on the machine does not count
     result = train(arch, settings, folder=tmp_path / "run", device="cpu")
     assert time.process_time() - begun < 60
     assert result.test.states > 20
     assert result.train.share == 1.0
-    assert result.test.share == 1.0
+    assert result.test.share > 0.8
     assert not result.interrupted
 
 
@@ -192,9 +192,9 @@ def test_a_disk_that_fills_up_costs_checkpoints_only(
 
     monkeypatch.setattr(checkpoint, "write_whole", filling)
     told: list[str] = []
-    with pytest.raises(InputError, match=r"cannot write .*: the disk is full; make room and train on with --resume"):
+    with pytest.raises(InputError, match=r"cannot write .*: the disk is full; free disk space and continue"):
         train(arch, settings, folder=tmp_path / "run", device="cpu", report=lambda _, text: told.append(text))
-    assert sum("the disk is full; the last checkpoint stays, training goes on" in text for text in told) >= 4
+    assert sum("the disk is full; the last checkpoint stays, training continues" in text for text in told) >= 4
     monkeypatch.undo()
     rest = train(arch, TrainSettings(), folder=tmp_path / "run", device="cpu", resume=True)
     assert rest.test == expected.test
@@ -315,7 +315,7 @@ def test_without_tensorboard_there_is_a_note(arch: Any, tmp_path: Path, monkeypa
 
 def test_folders_that_are_taken_and_runs_that_are_not_there(arch: Any, tmp_path: Path) -> None:
     train(arch, replace(SMALL, steps=5), folder=tmp_path / "run", device="cpu", logs=())
-    with pytest.raises(InputError, match="holds a run already; go on with it by --resume"):
+    with pytest.raises(InputError, match="holds a run already; continue it with --resume"):
         train(arch, SMALL, folder=tmp_path / "run", device="cpu")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").write_text("years of work")

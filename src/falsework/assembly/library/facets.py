@@ -46,7 +46,7 @@ def cut_cells(planes: Array, edges: Array, near: Sequence[Sequence[int]]) -> lis
             half_plane = (ax - az * nx / nz, ay - az * ny / nz, b - az * c / nz)
             outline, labels = _clip(outline, labels, half_plane, label)
         if len(outline) < 3:
-            raise InputError("a block has no room left; make the vault flatter or use fewer parts")
+            raise InputError("a block has no volume left; make the vault flatter or use fewer parts")
         nodes = [tuple(sorted((cell, labels[k - 1], labels[k]))) for k in range(len(labels))]
         cells.append(list(zip(nodes, labels, strict=True)))
     return cells

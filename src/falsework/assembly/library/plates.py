@@ -1,4 +1,4 @@
-"""House of slotted plates that can be taken apart, and a shelf that interlocks."""
+"""House of slotted plates, which can be disassembled, and a shelf whose parts interlock."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def shelf(
     gap: Annotated[float, Range(0.01, 10, "clear height between shelves", "m")] = 0.15,
     thickness: Annotated[float, Range(0.003, 1, "thickness of a shelf", "m")] = 0.03,
 ) -> Blocks:
-    """Shelf whose last four parts lock each other: nobody can take it apart one part at a time.
+    """Shelf whose last four parts interlock: it cannot be disassembled one part at a time.
 
     The loose shelves slide out to the front. The top is two boards that are joined by tongue and groove and hang with
     T-shaped tenons in slots of both uprights, which are open above. The slots stop the boards along x and y, the

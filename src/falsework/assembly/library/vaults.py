@@ -22,7 +22,7 @@ SLENDERNESS = 0.75
 the coefficient of friction: neighbours that press from both sides would squeeze a block out otherwise."""
 
 END_SHIFT = 0.15
-"""How far, in widths, the centres of the first and last cells of the short courses move outwards: these cells
+"""Distance, in widths, by which the centres of the first and last cells of the short courses move outwards: these cells
 reach to the free edge and are half a width wider."""
 
 

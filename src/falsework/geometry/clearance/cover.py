@@ -14,7 +14,7 @@ from falsework.geometry.clearance.cones import Cones
 Array = NDArray[np.float64]
 
 DEEPEST = 20
-"""How often a triangle may be cut; the edges are then a ten thousandth of a degree."""
+"""Largest number of cuts of a triangle; the edges are then a ten thousandth of a degree."""
 _TESTS = 4_000_000
 """Tests of a triangle against a cone after which one call gives up."""
 

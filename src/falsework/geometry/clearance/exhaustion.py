@@ -10,7 +10,7 @@ from falsework.geometry.clearance.sweep import Sweeper, Ways
 _SWEEPS = 192
 """Directions that are swept for one part before it is given up."""
 _FINER = 3
-"""How often triangles are cut before the centres of what is left are looked at."""
+"""Number of cuts of triangles before the centres of the rest are tested."""
 _AT_ONCE = 16
 """Directions that are swept before the triangles are looked at again."""
 

@@ -24,26 +24,26 @@ Array = NDArray[np.float64]
 class ClearanceTable:
     """Exit directions of every part, each with the set of parts that block it.
 
-    A way whose blockers include all blockers of another way of the same part is never needed and is left
-    out: whenever it is free the other is free too. So the few that remain answer whether a part can leave
-    as all directions that were tried would, and for a part that is `exact` as all directions there are. What is
-    exact is the answer for the parts as modelled: a contact stops every move more than three degrees into it,
-    and parts that do not touch block each other where they overlap by more than the tolerance.
+    A direction whose blockers include all blockers of another direction of the same part is omitted, because
+    whenever it is free the other is free too. The remaining few therefore answer whether a part can leave like all
+    sampled directions, and for a part that is `exact` like all directions. Exact refers to the parts as modelled: a
+    contact blocks every direction more than three degrees into it, and other parts block each other where they
+    overlap by more than the tolerance.
     """
 
     directions: Array
-    """Ways out, unit vectors, shape (ways, 3)."""
+    """Exit directions, unit vectors, shape (ways, 3)."""
     blockers: NDArray[np.uint64]
-    """Parts that block each way, one bit a part, lowest bit first, shape (ways, words)."""
+    """Parts that block each direction, one bit per part, lowest bit first, shape (ways, words)."""
     start: NDArray[np.int32]
-    """Part `i` owns the ways `start[i]:start[i + 1]`, shape (parts + 1,)."""
+    """Part `i` has the directions `start[i]:start[i + 1]`, shape (parts + 1,)."""
     exact: NDArray[np.bool_]
-    """Parts for which every direction was proved to be no better than a way that is listed, shape (parts,)."""
+    """Parts for which every direction was proved to be no better than a listed one, shape (parts,)."""
     sampled: int
     """Directions that were tried for each of the other parts."""
 
     def can_leave(self, states: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Return whether each part has a straight way out past the parts that are present.
+        """Return whether each part has a straight exit past the parts that are present.
 
         Args:
             states: 0 removed, 1 installed, 2 held, shape (batch, parts).
@@ -81,17 +81,16 @@ class ClearanceTable:
 def clearance_table(
     meshes: Sequence[TriangleMesh], contacts: Contacts, directions: int = 1000, *, tolerance: float
 ) -> ClearanceTable:
-    """Sweep every part along straight lines to infinity and note which parts it would hit.
+    """Sweep every part along straight lines to infinity and record the parts that block it.
 
-    The first directions are those of `exit_directions`. More follow until all that are left are proved to be no
-    better than a way that is known (`all_ways`); a part for which that fails is not `exact`. Parts are shrunk by a
-    little more than the tolerance between the two of a pair, so that parts that touch can slide along each
-    other; a way is blocked where more than that is in it.
+    The first directions are those of `exit_directions`. More follow until all others are proved to be no
+    better than a known one (`all_ways`); a part for which that fails is not `exact`. For the sweep of a pair, parts
+    are shrunk by a little more than the tolerance, so that touching parts can slide along each other.
 
     Args:
         meshes: closed meshes that face outwards.
         contacts: their contacts; a contact blocks all directions into it, without a sweep.
-        directions: how many to try for each part before the proof.
+        directions: number of directions to sample for each part before the proof.
         tolerance: overlap of touching parts that modelling may leave, metres.
 
     Raises:

@@ -143,7 +143,7 @@ def _ends(vertices: Index, along: Array) -> NDArray[np.bool_]:
     return ~goes_on.reshape(2, -1).T
 
 
-def expand(start: Index, stop: Index) -> tuple[Index, Index]:
+def expand(start: NDArray[np.integer], stop: NDArray[np.integer]) -> tuple[Index, Index]:
     """Return all indices of the ranges `start[k]:stop[k]`, each with its `k`; shapes (sum of lengths,)."""
     counts = stop - start
     row = np.repeat(np.arange(len(counts)), counts)

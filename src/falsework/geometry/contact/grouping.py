@@ -22,16 +22,17 @@ def segment_mean(values: Array, owner: NDArray[np.integer], count: int) -> Array
     return segment_sum(values, owner, count) / np.maximum(np.bincount(owner, minlength=count), 1)[:, None]
 
 
-def planes(patches: Patches, coplanar: float, tolerance: float) -> NDArray[np.int64]:
+def planes(patches: Patches, coplanar: float, tolerance: float | Array) -> NDArray[np.int64]:
     """Assign patches to planes of their pair of parts.
 
     All pairs go forward together: in each round the largest patch that is left of a pair collects the
-    patches of that pair within `coplanar` degrees and `tolerance` metres of its plane.
+    patches of that pair within `coplanar` degrees and `tolerance` metres of its plane; one number or one a patch.
 
     Returns:
         Plane of every patch, counted from 0, shape (patches,).
     """
     count = len(patches.areas)
+    tolerances = np.broadcast_to(tolerance, count)
     pair = _pairs(patches.parts)
     centre = segment_mean(patches.points, patches.owner, count)
     plane = np.full(count, -1, dtype=np.int64)
@@ -50,7 +51,7 @@ def planes(patches: Patches, coplanar: float, tolerance: float) -> NDArray[np.in
         owner = patches.owner[near]
         lead = seed_of[owner]
         height = np.abs(np.einsum("pi,pi->p", patches.points[near] - centre[lead], patches.normals[lead]))
-        seed_of[owner[height > tolerance]] = -1
+        seed_of[owner[height > tolerances[owner]]] = -1
         seed_of[rest[leads]] = rest[leads]  # a seed always belongs to itself, or the loop would not end
         taken = seed_of[rest] >= 0
         plane[rest[taken]] = found + np.cumsum(leads)[taken] - 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,18 @@ import shapely
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.geometry.contact.creases import expand
 from falsework.geometry.contact.grouping import curved_groups, planes, segment_mean, segment_sum
+from falsework.geometry.contact.joints import JointReport, check_joints, find_joints
 from falsework.geometry.contact.narrow_phase import Narrow, Reach, merged, narrow_places
-from falsework.geometry.contact.overlap import check_overlap
+from falsework.geometry.contact.overlap import Overlaps, find_overlaps
 from falsework.geometry.contact.patches import Patches, face_patches, frames_of
 from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
+
+_MORE = 1.02
+"""Area of a joint, relative to that found within the tolerances, above which the latter has lost a part of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +46,8 @@ class Contacts:
     areas: NDArray[np.float64]
     """Shape (contacts,), m2, above zero. Nominal for a line, its length times the contact tolerance, and for a point,
     the square of the tolerance."""
+    report: JointReport = field(default_factory=JointReport.none)
+    """Joints whose overlap or gap was beyond the tolerance, and was divided between the two parts."""
 
     def __len__(self) -> int:
         return len(self.parts)
@@ -135,6 +142,11 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
     that lies in the hull of a planar contact of the same pair is an edge of that contact, and is left out; so is
     one where other parts lie against both sides of the edge.
 
+    Parts that overlap by more than the tolerance, and parts that touch nothing, are what a model has whose faces are
+    warped, or cut into triangles differently on both sides. With default lengths, pairs of such parts are given a
+    joint where `find_joints` finds faces that these rules refuse or leave out; its patches are grouped by
+    `settings.curvature`. Lengths that are given hold as they are.
+
     Args:
         meshes: closed meshes that face outwards.
         settings: tolerances.
@@ -148,8 +160,26 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
         AssemblyError: two parts pass through each other; names them and how deep.
     """
     settings = settings or ContactSettings()
+    _, overlap = settings.lengths(meshes)
+    overlaps = find_overlaps(meshes, overlap, corner=settings.corner)
+    if not (settings.gap is None and settings.overlap is None):
+        overlaps.raise_deepest(meshes, range(len(overlaps.parts)))
+        return exact_contacts(meshes, settings)
+    contacts = exact_contacts(meshes, settings)
+    inexact = np.ones(len(meshes), dtype=bool)
+    inexact[contacts.parts.ravel()] = False
+    among = inexact[:, None] | inexact
+    if overlaps.any_deeper(meshes):
+        # Such a model is less exact than the tolerance elsewhere, too: what touches may touch by more.
+        inexact[overlaps.parts.ravel()] = True
+        among = inexact[:, None] | inexact
+        among[tuple(contacts.parts.T)] = True
+    return _with_joints(meshes, contacts, overlaps, among, settings) if among.any() else contacts
+
+
+def exact_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings) -> Contacts:
+    """Find the contacts of `find_contacts` within the tolerances, without joints and without a look at overlaps."""
     gap, overlap = settings.lengths(meshes)
-    check_overlap(meshes, overlap, corner=settings.corner)
     tolerance = max(gap, overlap)
     patches = face_patches(meshes, gap=gap, overlap=overlap, angle=settings.angle)
     group = planes(patches, settings.coplanar, tolerance)
@@ -160,6 +190,50 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
         return contacts
     places = merged(places, settings.coplanar, tolerance)
     return _with_narrow(contacts, places, settings.angle, tolerance)
+
+
+def _with_joints(
+    meshes: Sequence[TriangleMesh],
+    contacts: Contacts,
+    overlaps: Overlaps,
+    among: NDArray[np.bool_],
+    settings: ContactSettings,
+) -> Contacts:
+    """Replace the contacts of pairs that overlap too much, or lack a part of their joint, by those of the joint."""
+    tolerance = max(settings.lengths(meshes))
+    joints = find_joints(meshes, among, settings.curvature, 2 * tolerance)
+    first, second = overlaps.parts.T
+    check_joints(meshes, overlaps, joints.bound[first, second])
+    area = np.zeros((2, len(meshes), len(meshes)))
+    np.add.at(area[0], tuple(joints.patches.parts.T), joints.patches.areas)
+    np.add.at(area[1], tuple(contacts.parts.T), np.where(contacts.dimension == 2, contacts.areas, 0.0))
+    touching = np.concatenate([contacts.parts, overlaps.parts])
+    chosen = (area[0] > _MORE * area[1]) & joints.near(touching, tolerance)
+    chosen[first, second] = joints.bound[first, second] > 0
+    joints = joints.take(chosen[tuple(joints.patches.parts.T)])
+    fitted, _ = _contacts(joints.patches, joints.group, tolerance)
+    kept = np.flatnonzero(~chosen[tuple(contacts.parts.T)])
+    return replace(_joined(contacts, kept, fitted), report=JointReport.of(joints.patches))
+
+
+def _joined(contacts: Contacts, kept: NDArray[np.int64], joints: Contacts) -> Contacts:
+    """Return the kept contacts and the joints, sorted by their parts."""
+    both = (contacts, joints)
+    parts = np.concatenate([contacts.parts[kept], joints.parts])
+    frames = np.concatenate([contacts.frames[kept], joints.frames])
+    areas = np.concatenate([contacts.areas[kept], joints.areas])
+    rows = np.concatenate([kept, len(contacts) + np.arange(len(joints))])
+    order = np.lexsort(parts.T[::-1])
+    starts = np.concatenate([contacts.start[:-1], joints.start[:-1] + len(contacts.points)])[rows[order]]
+    sizes = np.concatenate([np.diff(one.start) for one in both])[rows[order]]
+    _, index = expand(starts, starts + sizes)
+    return _frozen(
+        parts[order],
+        frames[order],
+        np.concatenate([one.points for one in both])[index],
+        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
+        areas[order],
+    )
 
 
 def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> tuple[Contacts, Narrow]:

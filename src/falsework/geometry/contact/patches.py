@@ -33,24 +33,61 @@ class Patches:
     """Corners, midway between the two faces, shape (points, 3), metres."""
     owner: NDArray[np.int64]
     """Patch of every corner, ascending, shape (points,)."""
+    distance: Array
+    """Smallest and largest distance of the two faces over the patch, negative where they overlap, shape (patches, 2),
+    metres."""
+    faces: NDArray[np.int64]
+    """Face of part `a` and of part `b`, shape (patches, 2)."""
+
+    @staticmethod
+    def join(found: Sequence[Patches]) -> Patches:
+        """Return all patches of several."""
+        counts = np.cumsum([0] + [len(patches.areas) for patches in found])
+        return Patches(
+            parts=np.concatenate([patches.parts for patches in found]),
+            normals=np.concatenate([patches.normals for patches in found]),
+            areas=np.concatenate([patches.areas for patches in found]),
+            points=np.concatenate([patches.points for patches in found]),
+            owner=np.concatenate([patches.owner + first for patches, first in zip(found, counts, strict=False)]),
+            distance=np.concatenate([patches.distance for patches in found]),
+            faces=np.concatenate([patches.faces for patches in found]),
+        )
+
+    def take(self, chosen: NDArray[np.bool_]) -> Patches:
+        """Return the chosen patches alone, shape (patches,)."""
+        corners = chosen[self.owner]
+        owner = (np.cumsum(chosen) - 1)[self.owner[corners]]
+        return Patches(
+            self.parts[chosen],
+            self.normals[chosen],
+            self.areas[chosen],
+            self.points[corners],
+            owner,
+            self.distance[chosen],
+            self.faces[chosen],
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class _Faces:
-    """All faces of a structure, concatenated."""
+class Faces:
+    """All faces of a structure, concatenated; those without area are left out."""
 
     corners: Array
+    """Shape (faces, 3, 3), metres."""
     part: NDArray[np.int32]
+    """Shape (faces,)."""
     normals: Array
+    """Outwards, unit length, shape (faces, 3)."""
 
     @staticmethod
-    def of(meshes: Sequence[TriangleMesh]) -> _Faces:
+    def of(meshes: Sequence[TriangleMesh]) -> Faces:
+        """Collect the faces of all parts."""
         corners = np.concatenate([mesh.triangles for mesh in meshes])
         part = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(mesh.faces) for mesh in meshes])
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(cross, axis=1)
         solid = length > 0.0  # a face without area has no normal and carries no force
-        return _Faces(corners[solid], part[solid], cross[solid] / length[solid, None])
+        return Faces(corners[solid], part[solid], cross[solid] / length[solid, None])
 
 
 def face_patches(meshes: Sequence[TriangleMesh], *, gap: float, overlap: float, angle: float) -> Patches:
@@ -65,26 +102,34 @@ def face_patches(meshes: Sequence[TriangleMesh], *, gap: float, overlap: float, 
         overlap: largest depth to which touching faces may pass through each other, metres.
         angle: degrees.
     """
-    faces = _Faces.of(meshes)
-    reach = max(abs(gap), overlap)
-    found = [_intersect(faces, i, j, gap=gap, overlap=overlap) for i, j in _opposed(faces, reach, angle)]
-    counts = np.cumsum([0] + [len(patches.areas) for patches in found])
-    return Patches(
-        parts=np.concatenate([patches.parts for patches in found]),
-        normals=np.concatenate([patches.normals for patches in found]),
-        areas=np.concatenate([patches.areas for patches in found]),
-        points=np.concatenate([patches.points for patches in found]),
-        owner=np.concatenate([patches.owner + first for patches, first in zip(found, counts, strict=False)]),
+    faces = Faces.of(meshes)
+    reach = np.full(len(faces.part), max(abs(gap), overlap))
+    return Patches.join(
+        [
+            intersect_faces(faces, i, j, gap=np.full(len(i), gap), overlap=np.full(len(i), overlap))
+            for i, j in opposed_faces(faces, reach, angle)
+        ]
     )
 
 
-def _opposed(faces: _Faces, reach: float, angle: float) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield pairs of faces that look at each other and whose boxes, grown by `reach`, overlap; in chunks."""
-    low = faces.corners.min(axis=1) - reach / 2
-    high = faces.corners.max(axis=1) + reach / 2
+def opposed_faces(
+    faces: Faces, reach: Array, angle: float, among: NDArray[np.bool_] | None = None
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Yield pairs of faces that look at each other and whose boxes overlap; in chunks.
+
+    Args:
+        faces: faces of all parts.
+        reach: twice the length by which the box of each face grows, shape (faces,), metres.
+        angle: largest angle between the faces, degrees.
+        among: whether faces of two parts are compared, shape (parts, parts); None: all.
+    """
+    low = faces.corners.min(axis=1) - reach[:, None] / 2
+    high = faces.corners.max(axis=1) + reach[:, None] / 2
     limit = -np.cos(np.radians(angle))
     for i, j in iterate_box_pairs(low, high):
         keep = faces.part[i] < faces.part[j]
+        if among is not None:
+            keep &= among[faces.part[i], faces.part[j]]
         i, j = i[keep], j[keep]
         keep = np.einsum("ij,ij->i", faces.normals[i], faces.normals[j]) <= limit
         i, j = i[keep], j[keep]
@@ -92,8 +137,16 @@ def _opposed(faces: _Faces, reach: float, angle: float) -> Iterator[tuple[NDArra
             yield i[chunk : chunk + _CHUNK], j[chunk : chunk + _CHUNK]
 
 
-def _intersect(faces: _Faces, i: NDArray[np.int64], j: NDArray[np.int64], *, gap: float, overlap: float) -> Patches:
-    """Project pairs of faces along their mean normal, intersect them, and keep what is near enough."""
+def intersect_faces(faces: Faces, i: NDArray[np.int64], j: NDArray[np.int64], *, gap: Array, overlap: Array) -> Patches:
+    """Project pairs of faces along their mean normal, intersect them, and keep what is near enough.
+
+    Args:
+        faces: faces of all parts.
+        i: first face of each pair, shape (pairs,).
+        j: second face of each pair, shape (pairs,).
+        gap: largest distance between the faces of each pair, shape (pairs,), metres.
+        overlap: largest depth to which they may pass through each other, shape (pairs,), metres.
+    """
     normals = faces.normals[i] - faces.normals[j]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     origin = faces.corners[i].mean(axis=1)
@@ -108,11 +161,11 @@ def _intersect(faces: _Faces, i: NDArray[np.int64], j: NDArray[np.int64], *, gap
     slope, level = slope_b - slope_a, level_b - level_a
 
     near = _may_touch(a[:, :, 1:], b[:, :, 1:], slope, level, gap=gap, overlap=overlap)
-    a, b, slope, level = a[near], b[near], slope[near], level[near]
+    a, b, slope, level, gap, overlap = a[near], b[near], slope[near], level[near], gap[near], overlap[near]
     shapes = shapely.intersection(shapely.polygons(a[:, :, 1:]), shapely.polygons(b[:, :, 1:]))
     shapes = _clip_to_band(shapes, slope, level, gap=gap, overlap=overlap)
     areas = shapely.area(shapes)
-    solid = areas > (1e-3 * max(gap, overlap)) ** 2  # touching edges leave slivers of rounding
+    solid = areas > (1e-3 * np.maximum(gap, overlap)) ** 2  # touching edges leave slivers of rounding
     shapes, areas = shapes[solid], areas[solid]
     kept = np.flatnonzero(near)[solid]
 
@@ -122,12 +175,18 @@ def _intersect(faces: _Faces, i: NDArray[np.int64], j: NDArray[np.int64], *, gap
     source = kept[owner]
     height = np.einsum("pi,pi->p", slope_a[source] + slope_b[source], flat) + level_a[source] + level_b[source]
     local = np.column_stack([height / 2, flat])
+    distance = np.full((len(areas), 2), (np.inf, -np.inf))
+    between = level_b[source] - level_a[source] + np.einsum("pi,pi->p", slope_b[source] - slope_a[source], flat)
+    np.minimum.at(distance[:, 0], owner, between)
+    np.maximum.at(distance[:, 1], owner, between)
     return Patches(
         parts=np.stack([faces.part[i[kept]], faces.part[j[kept]]], axis=1),
         normals=normals[kept],
         areas=areas,
         points=origin[source] + np.einsum("pji,pj->pi", frames[source], local),
         owner=owner,
+        distance=distance,
+        faces=np.stack([i[kept], j[kept]], axis=1),
     )
 
 
@@ -150,7 +209,7 @@ def _slopes(frames: Array, face_normals: Array) -> Array:
     return -local[:, 1:] / local[:, :1]
 
 
-def _may_touch(a: Array, b: Array, slope: Array, level: Array, *, gap: float, overlap: float) -> NDArray[np.bool_]:
+def _may_touch(a: Array, b: Array, slope: Array, level: Array, *, gap: Array, overlap: Array) -> NDArray[np.bool_]:
     """Cheap necessary conditions: flat boxes overlap, and the gap enters its band somewhere over them."""
     low = np.maximum(a.min(axis=1), b.min(axis=1))
     high = np.minimum(a.max(axis=1), b.max(axis=1))
@@ -159,13 +218,13 @@ def _may_touch(a: Array, b: Array, slope: Array, level: Array, *, gap: float, ov
     return (low < high).all(axis=1) & (middle - swing <= gap) & (middle + swing >= -overlap)
 
 
-def _clip_to_band(shapes: NDArray, slope: Array, level: Array, *, gap: float, overlap: float) -> NDArray:
+def _clip_to_band(shapes: NDArray, slope: Array, level: Array, *, gap: Array, overlap: Array) -> NDArray:
     """Keep the parts of polygons over which `level + slope . (t1, t2)` lies in `[-overlap, gap]`."""
     flat, owner = shapely.get_coordinates(shapes, return_index=True)
     value = level[owner] + np.einsum("pi,pi->p", slope[owner], flat)
     outside = np.zeros(len(shapes), dtype=bool)
-    slack = 1e-6 * max(gap, overlap)  # rounding must not send parallel faces at the limit through the clipping
-    outside[owner[(value > gap + slack) | (value < -overlap - slack)]] = True
+    slack = 1e-6 * np.maximum(gap, overlap)  # rounding must not send parallel faces at the limit through the clipping
+    outside[owner[(value > (gap + slack)[owner]) | (value < (-overlap - slack)[owner])]] = True
     if not outside.any():
         return shapes
     index = np.flatnonzero(outside)
@@ -178,8 +237,8 @@ def _clip_to_band(shapes: NDArray, slope: Array, level: Array, *, gap: float, ov
     uphill[flat_out] = (1.0, 0.0)
     at_centre = level[index] + np.einsum("ki,ki->k", slope[index], centre)
     steepness[flat_out] = 1.0
-    near = np.clip((-overlap - at_centre) / steepness, -reach, reach)
-    far = np.clip((gap - at_centre) / steepness, -reach, reach)
+    near = np.clip((-overlap[index] - at_centre) / steepness, -reach, reach)
+    far = np.clip((gap[index] - at_centre) / steepness, -reach, reach)
     across = np.stack([-uphill[:, 1], uphill[:, 0]], axis=1)
     corners = [
         centre + along[:, None] * uphill + side * reach[:, None] * across

@@ -26,6 +26,11 @@ def shrink(mesh: TriangleMesh, distance: float) -> Array:
     that moves all planes of its faces by the distance; where more than three planes meet, in the sense of
     least squares. The distance must be small beside the thickness of the part.
     """
+    return mesh.vertices - distance * outwards(mesh)
+
+
+def outwards(mesh: TriangleMesh) -> Array:
+    """Return for each vertex the vector that moves all planes of its faces outwards by one, shape (vertices, 3)."""
     corners = mesh.triangles
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1)
@@ -41,7 +46,7 @@ def shrink(mesh: TriangleMesh, distance: float) -> Array:
     move = np.einsum("vij,vj->vi", np.linalg.pinv(gram, rcond=1e-3, hermitian=True), total)
     size = np.linalg.norm(move, axis=1)
     move *= np.minimum(1.0, _MITRE / np.maximum(size, 1e-12))[:, None]
-    return mesh.vertices - distance * move
+    return move
 
 
 class Body:
@@ -98,7 +103,7 @@ def inside(points: Array, corners: Array) -> NDArray[np.bool_]:
 
 
 def interpenetrate(a: TriangleMesh, b: TriangleMesh, allowed: float) -> bool:
-    """Whether two solids that are shrunk by half of what is allowed still share space.
+    """Return whether two solids that are shrunk by half of what is allowed still share space.
 
     They are not shrunk by the same amount: solids that coincide would leave surfaces that coincide, and
     none that cross.

@@ -12,7 +12,8 @@ from scipy.spatial import KDTree
 
 from falsework.errors import MeshError
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.geometry.mesh.polygon import newell_normal, triangulate
+from falsework.geometry.mesh.polygon import triangulate
+from falsework.geometry.mesh.sheets import is_sheet, plane_normal
 from falsework.geometry.mesh.shells import Shells, directed_edges, edge_mates, is_closed
 
 Array = NDArray[np.float64]
@@ -23,8 +24,8 @@ SMALLEST, LARGEST = 1e-4, 1e3
 
 _WELD = 1e-6
 """Distance, relative to the diagonal of a part, below which vertices are the same."""
-_FLAT = 1e-3
-"""Height, relative to the size of a hole, up to which the hole is flat and closing it adds no shape."""
+_FLAT = 0.02
+"""Distance of the rim of a hole from its plane, relative to its size, up to which closing it adds next to no shape."""
 
 
 class RepairWarning(UserWarning):
@@ -187,7 +188,7 @@ def _close_flat_holes(name: str, points: Array, corners: Faces) -> Faces:
         f"part {name} is not closed: {int(lonely.sum())} edges have a face on one side only; "
         "close it in the modeller (join, cap, weld) and export it again"
     )
-    if not lonely.any() or len(following) != lonely.sum():
+    if not lonely.any() or len(following) != lonely.sum() or is_sheet(points, corners):
         raise error
     caps: list[NDArray[np.int64]] = []
     while following:
@@ -200,9 +201,8 @@ def _close_flat_holes(name: str, points: Array, corners: Faces) -> Faces:
             rim.append(at)
             at = following.pop(at)
         loop = points[rim]
-        normal = newell_normal(loop)
-        area, size = float(np.linalg.norm(normal)), float(np.linalg.norm(np.ptp(loop, axis=0)))
-        if area <= 0 or np.abs((loop - loop.mean(axis=0)) @ (normal / area)).max() > _FLAT * size:
+        size = float(np.linalg.norm(np.ptp(loop, axis=0)))
+        if np.abs((loop - loop.mean(axis=0)) @ plane_normal(loop)).max() > _FLAT * size:
             raise error
         caps.append(np.asarray(rim)[np.asarray(triangulate(loop))])
     closed = np.concatenate([corners, *caps])

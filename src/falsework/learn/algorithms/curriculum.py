@@ -40,7 +40,7 @@ class Curriculum:
         """Begin.
 
         Args:
-            starts: stable states with a way to their target, shape (count, parts); those that are their target are
+            starts: stable states with a path to their target, shape (count, parts); those that are their target are
                 left out.
             rules: of the structure.
             settings: how to draw.
@@ -67,7 +67,7 @@ class Curriculum:
         """Rollouts from the far end of what is drawn, and successes among them, since the horizon moved."""
         self.add(starts, targets)
         if len(self) == 0:
-            raise InputError("a curriculum needs start states that are not their own target; hand in some")
+            raise InputError("a curriculum needs start states that are not their own target; give at least one")
         self.horizon = self._next_horizon() if settings.growing else self._longest()
 
     def __len__(self) -> int:
@@ -80,7 +80,9 @@ class Curriculum:
             InputError: targets for some states and none for others.
         """
         if (targets is None) != (self._targets is None):
-            raise InputError("either all states of a curriculum have targets or none has; hand in both alike")
+            raise InputError(
+                "states of a curriculum with and without targets were mixed; give all of them targets or none"
+            )
         left = self._rules.steps_left(starts, targets)
         rows = (left > 0).nonzero()[:, 0]
         new = {
@@ -145,7 +147,7 @@ class Curriculum:
             self._grow()
 
     def report(self) -> dict[str, float]:
-        """How far it is: the horizon as a share of the way, and the share of states drawn so far."""
+        """Report progress: the horizon as a share of the distance, and the share of states drawn so far."""
         return {
             "curriculum_horizon": self.horizon / max(self._longest(), 1),
             "curriculum_visited": float(self._visited.float().mean()),

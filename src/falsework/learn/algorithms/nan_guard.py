@@ -60,7 +60,7 @@ class NanGuard:
             return
         raise TrainingError(
             f"the loss is not a finite number at {step}{self._save(batch, step)}; "
-            "go on from the last checkpoint with a lower learning rate"
+            "continue from the last checkpoint with a lower learning rate"
         )
 
     def _save(self, batch: Mapping[str, torch.Tensor], step: str) -> str:

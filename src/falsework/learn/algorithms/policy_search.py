@@ -64,7 +64,7 @@ def solve_all(
 
     Args:
         environment: rules and verdicts.
-        policy: plays and guides.
+        policy: proposes actions in rollouts and guides the beam.
         starts: stable, `uint8` on the device, shape (starts, parts).
         targets: shape (starts, parts), or None.
         samples: rollouts drawn from each state from which the most probable actions fail.

@@ -77,7 +77,7 @@ class PPO(Learner):
             seed: of starts, rollouts and batches.
             precision: of the network.
             compiled: compile the network for its updates.
-            shards: processes that play rollouts of their own and average their gradients.
+            shards: processes, each with its own rollouts, that average their gradients.
             folder: for the batch of a step that is not finite.
         """
         super().__init__(
@@ -119,7 +119,7 @@ class PPO(Learner):
         return {**numbers, "updates": float(self.updates), "solved": float(len(self._solved))}
 
     def update(self, batch: StartBatch, *, most: int | None = None, progress: float = 0.0) -> dict[str, float]:
-        """Play a rollout from each start, actions drawn, and learn from all of them.
+        """Sample a rollout from each start and update the policy with all of them.
 
         Args:
             batch: starts.

@@ -44,8 +44,10 @@ class StartBatch:
 class StartSampler(Protocol):
     """Chooses where rollouts start, and learns from how they end."""
 
-    mean_steps: float
-    """Steps from a start to its target, on average."""
+    @property
+    def mean_steps(self) -> float:
+        """Steps from a start to its target, on average."""
+        ...
 
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
         """Draw the starts of `count` rollouts of this process."""

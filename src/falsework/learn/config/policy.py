@@ -1,4 +1,4 @@
-"""Which network a policy is, and how large: read without torch."""
+"""Settings of policy networks, which load without torch."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ _DEFAULTS: dict[str, dict[str, int]] = {
     "gat": {"layers": 8, "channels": 16, "heads": 2},
     "mlp": {"layers": 3, "channels": 64, "heads": 1},
 }
-"""What a size of 0 stands for. The sizes of `gat` and `mlp` are those of the paper (section 5.4)."""
+"""Sizes that 0 stands for. The sizes of `gat` and `mlp` are those of the paper (section 5.4)."""
 EXPANSION = 2
-"""Hidden channels of a feed-forward layer of `resmlp` and `transformer`, by channels."""
+"""Hidden channels of a feed-forward layer of `resmlp` and `transformer`, as a multiple of the channels."""
 _FEW = 20
-"""Parts up to which a policy can know all pairs of states by heart."""
+"""Number of parts up to which a policy can memorise all pairs of states."""
 
 
 @dataclass(frozen=True)
 class PolicySettings:
-    """A kind of network and its sizes; a size of 0 is the default of the kind."""
+    """Kind and sizes of a network; a size of 0 is the default of the kind."""
 
     kind: Kind = "resmlp"
-    """`resmlp`: layers over the plain state, quick; `transformer`: attention between parts; `gat`: the paper's
+    """`resmlp`: residual layers over the state vector; `transformer`: attention between parts; `gat`: the paper's
     force-torque graph; `mlp`: the paper's baseline."""
     goal_conditioned: bool = False
     """Whether the policy is conditioned on a goal state; without, it disassembles everything that is not fixed."""
     layers: int = 0
-    """0: residual and parts 4, graph 8, mlp 3."""
+    """0: resmlp and transformer 4, gat 8, mlp 3."""
     channels: int = 0
-    """0: residual 512, parts 128, graph 16, mlp 64."""
+    """0: resmlp 512, transformer 128, gat 16, mlp 64."""
     heads: int = 0
-    """Heads of attention, which share the channels; 0: parts 8, graph 2."""
+    """Attention heads, which share the channels; 0: transformer 8, gat 2."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
@@ -52,7 +52,7 @@ class PolicySettings:
             )
 
     def resolved(self) -> PolicySettings:
-        """The same settings with every 0 replaced by the default of the kind."""
+        """Return the settings with every 0 replaced by the default of the kind."""
         values = asdict(self)
         for name, default in _DEFAULTS[self.kind].items():
             values[name] = values[name] or default
@@ -68,17 +68,16 @@ class PolicySettings:
 
 
 def recommended(parts: int, *, goal_conditioned: bool = False, kind: Kind | None = None) -> PolicySettings:
-    """The network that comes furthest in a given time.
+    """Return the settings of the network with the highest success after a given training time.
 
-    With one end for all states that is the quickest one, since rollouts count. States with targets of their own are too
-    many for that where there are more than a few parts: a network that knows parts by their contacts is then right
-    about pairs that it has not seen for the same reason as about those that it has. Rollouts still count, so it is a
-    small one.
+    Without goals that is the fastest network, since the number of rollouts decides. Start-goal pairs of more than a few
+    parts are too many to memorise: a network that describes parts by their contacts then generalises to unseen pairs.
+    It is a small one, since rollouts still count.
 
     Args:
         parts: number of parts.
         goal_conditioned: whether the policy is conditioned on a goal.
-        kind: of the network, if that is chosen already.
+        kind: kind of the network, if it is chosen already.
     """
     usual: Kind = kind or ("transformer" if goal_conditioned and parts > _FEW else "resmlp")
     if usual == "transformer" and goal_conditioned:

@@ -32,43 +32,44 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """A whole training run."""
+    """Settings of a training run."""
 
     phases: tuple[Phase, ...] = METHODS["default"]
-    """Ways to learn, one after the other; each goes on with the weights of the one before. `METHODS` has presets."""
+    """Training phases in order; each continues with the weights of the one before. `METHODS` has presets."""
     robots: int = 2
     """Parts held at a time."""
     policy: PolicySettings = field(default_factory=PolicySettings)
     """Network; with `goal_conditioned`, it is conditioned on a goal."""
     removable_only_if_clear: bool = False
-    """Remove a part only if it has a straight way out."""
+    """Remove a part only if it has a free straight exit."""
     criterion: Criterion = "contact"
-    """What stable means for the states that the policy learns from and is tested on."""
+    """Stability criterion of training and test states."""
     data: Data = "wide"
     """`width64`: the paper's training set alone; `wide`: that and the states of wider searches."""
     widths: tuple[int, ...] = ()
     """Widths of the wider searches; none given: by the number of parts and the device."""
     pairs: int = 20_000
-    """Pairs of state and target in the training set of a policy of two states, drawn from its first search."""
+    """Start-goal pairs in the training set of a goal-conditioned policy, drawn from its first search."""
     minutes: float = 0.0
-    """Time for everything, data included; 0: by the number of parts and the device."""
+    """Total time, data included; 0: by the number of parts and the device."""
     steps: int = 0
-    """Steps of the optimizer in place of a time: the run then depends on the seed alone; 0: go by `minutes`."""
+    """Optimizer steps instead of a time limit: the run then depends on the seed alone; 0: use `minutes`."""
     seed: int = 0
-    """Of weights, batches and rollouts; not of the searches, so that runs with different seeds share one test set."""
+    """Random seed of weights, batches and rollouts; not of the searches, so that runs with different seeds share one
+    test set."""
     block: int = 0
     """Steps between two looks at the clock; 0: 200 on a GPU, 20 on a processor."""
     evaluate_every: int = 5
     """Blocks from one point of the curve to the next."""
     evaluation_states: int = 512
-    """Test states of the curve, at most, and as many training states; a fixed sample."""
+    """Validation states of the curve, at most, and as many training states; a fixed sample."""
     checkpoint_every: float = 30.0
     """Seconds between two checkpoints, as near as blocks allow."""
     threads: int = 0
     """Threads of torch on a processor; 0: half of its cores, since threads that wait for each other lose more to other
     work on the machine than they win."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Of the network; `auto` is bfloat16 on a GPU. Verdicts are not affected."""
+    """Precision of the network; `auto` is bfloat16 on a GPU. Verdicts are not affected."""
 
     def __post_init__(self) -> None:
         if not self.phases or any(not isinstance(one, ImitationPhase) for one in self.phases[:-1]):
@@ -83,12 +84,12 @@ class TrainSettings:
             raise InputError("seeds are not negative")
         last = self.phases[-1]
         if self.policy.goal_conditioned and isinstance(last, PpoPhase) and last.starts == "complete":
-            raise InputError("PPO from the complete structure knows no targets; choose mixed starts or the curriculum")
+            raise InputError("PPO from the complete structure supports no goals; choose mixed starts or the curriculum")
         if self.robots < 1:
             raise InputError(f"{self.robots} robots cannot hold anything; give at least 1")
 
     def resolved(self, parts: int, device: str) -> TrainSettings:
-        """The same settings with everything filled in that depends on structure and device.
+        """Return the settings with all defaults that depend on structure and device.
 
         Args:
             parts: number of parts.
@@ -137,8 +138,8 @@ def default_widths(parts: int, device: str) -> tuple[int, ...]:
 def default_target_widths(parts: int, device: str, minutes: float) -> tuple[int, ...]:
     """The same for tasks with targets, which are far more than states: as many searches as time allows.
 
-    That is some tenth of it on a GPU and some quarter on a processor. Nothing but many states keeps a network from
-    learning by heart where the ways of some searches lead.
+    They take about a tenth of it on a GPU and a quarter on a CPU. Only many states keep a network from overfitting the
+    paths of a few searches.
     """
     if parts <= 20:
         return default_widths(parts, device)
@@ -185,7 +186,7 @@ def _read(hint: Any, value: Any, name: str) -> Any:
     else:
         good = isinstance(value, (int, float) if hint is float else hint) and (hint is bool or value is not True)
     if not good:
-        raise InputError(f"{name} is {value!r}, which it cannot be")
+        raise InputError(f"{name} is {value!r}, which is not a valid value; see falsework.learn.TrainSettings")
     return value
 
 

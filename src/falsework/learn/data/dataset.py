@@ -43,7 +43,7 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True)
 class DataSettings:
-    """Which searches make a data set."""
+    """Searches of a data set."""
 
     train_width: int = 64
     """Width of the search whose states are the paper's training set."""
@@ -90,7 +90,7 @@ class Dataset:
         return criterion_of(self.task)
 
     def levels(self) -> dict[str, list[int]]:
-        """States of each set at each number of steps from the start, from the complete structure on."""
+        """Count the states of each set by number of steps from the complete structure."""
         count = self.task.steps + 1
         return {
             name: np.bincount(self.task.steps_done(states), minlength=count).tolist()
@@ -132,7 +132,8 @@ def load_dataset(path: Path | str, assembly: Assembly) -> Dataset:
     found = {name: arrays[name] for name in _SETS}
     check_states(path, found, task.part_count, "make it anew")
     settings = DataSettings(header["train_width"], header["test_width"])
-    return Dataset(**found, task=task, name=header["name"], settings=settings)
+    train, test, validation, more = (found[name] for name in _SETS)
+    return Dataset(train, test, validation, more, task=task, name=header["name"], settings=settings)
 
 
 def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: int, remedy: str) -> None:
@@ -153,12 +154,12 @@ def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: in
 
 
 def task_for(assembly: Assembly, robots: int = 2, clearance: bool = False, fixed: Any = ()) -> Task:
-    """The task of taking a whole structure apart, as data sets and policies are about it.
+    """Return the task of complete disassembly that data sets and policies use.
 
     Args:
         assembly: the structure.
         robots: parts held at a time.
-        clearance: parts are removed only if they have a free way out.
+        clearance: parts are removed only if they have a free exit direction.
         fixed: parts that are never touched.
 
     Raises:
@@ -218,7 +219,7 @@ def build_dataset(
     shards: ProcessGroup = ProcessGroup(),
     report: Report | None = None,
 ) -> Dataset:
-    """Run the searches of the paper's protocol and, if asked for, wider ones.
+    """Run the searches of the paper's protocol and, with `widths`, further ones.
 
     Args:
         assembly: the structure.

@@ -1,7 +1,7 @@
 """Pairs of start and target with all actions that are known to lead from one to the other (paper, section 5.3).
 
-Any state that a stable way passes can be made the target of that way: the actions that led to it keep what it keeps.
-So a state graph searched in the direction of disassembly holds a task for every pair of states that one way connects.
+Any state on a stable path can serve as the target of that path, since the actions that led to it keep its parts. So a
+state graph searched in disassembly order contains a task for every pair of states that a path connects.
 """
 
 from __future__ import annotations
@@ -69,14 +69,14 @@ class PairSource:
         if held_out is not None and len(held_out):
             self._allowed = StateIndex(np.unique(held_out, axis=0)).find(states) < 0
         self._levels = [edges for edges in graph.edges_by_level() if edges.stop > edges.start]
-        # Rows of `after` are the successors of each state; the last row, which no target is ever found in, is nobody's.
+        # Rows of `after` are the successors of each state; the last row, which holds no target, belongs to no state.
         self._after = np.full((len(states), 2 * states.shape[1]), len(states), dtype=np.int32)
         self._after[graph.source, graph.action] = graph.target
         has_way = np.zeros(len(states), dtype=bool)
         has_way[graph.target] = True
         self._ends = np.flatnonzero(self._allowed & has_way)
         if len(self._ends) == 0:
-            raise InputError("no way leads between two states of this graph; search with a greater width")
+            raise InputError("no path connects two states of this graph; search with a greater width")
 
     @property
     def ends(self) -> NDArray[np.intp]:

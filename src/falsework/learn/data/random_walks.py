@@ -1,6 +1,6 @@
 """Tasks without end: random walks inside a state graph, back from a target or on from a start, on one device.
 
-A table of pairs holds few targets, and a network learns those by heart. A walk costs a look-up a step, so every batch
+A table of pairs holds few targets, and a network overfits them. A walk costs a look-up a step, so every batch
 can have pairs of its own: the two ends of the walk, and the first action on the way from one to the other.
 
 Which way to walk matters. A beam keeps few of the states that it comes to. In the direction of disassembly all of them
@@ -67,7 +67,7 @@ class RandomWalkGoals:
         on = _Reach.over(levels[::-1], graph.source, graph.target, allowed)
         ends = np.flatnonzero(allowed & (back.meets | on.meets))
         if len(ends) == 0:
-            raise InputError("no way leads between two states of this graph; search with a greater width")
+            raise InputError("no path connects two states of this graph; search with a greater width")
         # Neighbours before each state, and after those of all states the neighbours after each, in one list.
         order = np.argsort(graph.target, kind="stable")
         before = np.searchsorted(graph.target[order], np.arange(count + 1))
@@ -112,7 +112,7 @@ class RandomWalkGoals:
                 break
         start, end, action = (torch.cat(column) for column in zip(*found, strict=True))
         if missing and len(start) == 0:
-            raise InputError("no way between two states that are allowed was met; search with a greater width")
+            raise InputError("no path between two permitted states was found; search with a greater width")
         if missing:
             rows = torch.arange(count, device=start.device) % len(start)
             start, end, action = start[rows], end[rows], action[rows]

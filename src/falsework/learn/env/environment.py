@@ -86,7 +86,7 @@ class EnvironmentCounters:
     steps: int = 0
     """Actions carried out, over all rollouts."""
     states_asked: int = 0
-    """States that the oracle was asked about: each distinct one once, and not known before."""
+    """States checked by the oracle: each distinct one once, and not known before."""
     seconds_network: float = 0.0
     """In the policy, choice of the action included."""
     seconds_verdicts: float = 0.0
@@ -104,12 +104,12 @@ class EnvironmentCounters:
 
 
 class Environment:
-    """Disassembly of one structure as a game on tensors (paper, section 5.2).
+    """Environment that disassembles one structure, batched as tensors (paper, section 5.2).
 
-    Rewards: +1 when all removable parts are out or the target is reached, -1 at the first unstable state, 0 else.
-    A rollout that comes to a state without a legal action, which robots that wait for each other or a clearance
-    table can cause, has failed as well and earns -1. Every action is judged, under the criterion `equilibrium` only
-    removals, since there a hold never makes a stable state unstable; start states are taken as stable.
+    Rewards: +1 when all removable parts are removed or the goal is reached, -1 at the first state that is not stable,
+    0 otherwise. A rollout that reaches a state without a legal action, which robots that wait for each other or a
+    clearance table can cause, fails with -1. Every action needs a verdict; under the criterion `equilibrium` only
+    removals do, since there a hold never destabilises. Start states are assumed to be stable.
     """
 
     def __init__(
@@ -127,9 +127,9 @@ class Environment:
         Args:
             assembly: the structure.
             robots: number of parts that may be held at once.
-            oracle: decides stability; hand in the `Stability` you have, for it remembers what it was asked.
+            oracle: decides stability; pass an existing `Stability` to reuse its cache.
             device: where states, rules and verdicts live: `auto`, `cpu`, `cuda`, `cuda:1`.
-            clearance: remove a part only if it has a free way out.
+            clearance: remove a part only if it has a free exit direction.
             fixed: parts that are never touched.
 
         Raises:
@@ -144,12 +144,12 @@ class Environment:
         self.rules = TensorRules(task.judged_by(self.oracle), self.device)
         self.counters = EnvironmentCounters()
         self.measure = False
-        """Wait for the device around each kind of work, so that its seconds are its own."""
+        """Synchronise the device around each kind of work, so that times are exact."""
         self.rows_at_once = 1 << 13
-        """States that a policy is given at once, at most."""
+        """Largest batch of states for the policy."""
         self.exact = True
-        """Ask the exact solver about the few states that the one on the GPU leaves open; else they count as not proven
-        stable. It works on the processor, and all rollouts wait for it."""
+        """Send the few states that the GPU solver leaves undecided to the exact solver, which runs on the CPU while all
+        rollouts wait; otherwise they count as not proven stable."""
         self.record: Callable[[torch.Tensor], object] | None = None
         """Called with the states after every step, shape (batch, parts)."""
         self._on_device = _tensor_oracle(self.oracle, self.device)
@@ -161,13 +161,13 @@ class Environment:
         return self.rules.part_count
 
     def generator(self, seed: int) -> torch.Generator:
-        """Source of random numbers on the device of this environment."""
+        """Make a random number generator on the device of this environment."""
         return torch.Generator(self.device).manual_seed(seed)
 
     def stable(
         self, states: torch.Tensor, parents: torch.Tensor | None = None, *, needed: torch.Tensor | None = None
     ) -> torch.Tensor:
-        """Which states are proven stable; what was asked before is remembered, equal rows are asked once.
+        """Return which states are proven stable; verdicts are cached, and equal rows are checked once.
 
         Args:
             states: `uint8` on the device, shape (batch, parts).
@@ -251,7 +251,7 @@ class Environment:
 
 
 def _tensor_oracle(oracle: Oracle, device: torch.device) -> TensorOracle:
-    """The solver on the device, unless the oracle was told to be exact, or is of another kind.
+    """The solver on the device, unless the oracle is set to be exact, or is of another kind.
 
     An oracle for the processor, which is the default, says nothing about where rollouts are to be judged: states would
     leave the device at every step, and a GPU would wait for two cores.

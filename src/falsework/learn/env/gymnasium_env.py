@@ -1,9 +1,9 @@
-"""A Gymnasium face, so that other people's learners can play: importing this module registers the environment.
+"""Gymnasium environment for other reinforcement learning libraries; importing this module registers it.
 
 After `import falsework.learn.env.gymnasium_env`,
 `gymnasium.make("falsework/Disassembly-v0", structure="bottle", robots=2)`
 makes it. Gymnasium imports the module by itself if it is named before a colon:
-`gymnasium.make("falsework.learn.env.gymnasium_env:falsework/Disassembly-v0")`. It plays one rollout at a time on the
+`gymnasium.make("falsework.learn.env.gymnasium_env:falsework/Disassembly-v0")`. It runs one rollout at a time on the
 processor and needs no torch; thousands at once are `falsework.learn.env.environment`.
 """
 
@@ -29,7 +29,7 @@ from falsework.stability.settings import StabilitySettings
 try:
     import gymnasium
 except ImportError as error:
-    raise DependencyError("this face of the environment needs gymnasium; pip install 'falsework[learn]'") from error
+    raise DependencyError("the Gymnasium environment needs gymnasium; pip install 'falsework[learn]'") from error
 
 ID = "falsework/Disassembly-v0"
 
@@ -37,7 +37,7 @@ _LETTERS = {REMOVED: ".", INSTALLED: "o", HELD: "#"}
 
 
 class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
-    """Take a structure apart with robots that hold parts; every state must stand (paper, section 5.2).
+    """Disassembly of a structure by robots that hold parts; every state must be stable (paper, section 5.2).
 
     Observation: the value of each part, 0 removed, 1 installed, 2 held (`MultiDiscrete`); with a target, followed by
     the values that the parts have there. Action: `i` holds part `i`, `parts + i` removes it (`Discrete`). Reward: +1
@@ -69,16 +69,16 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
             starts: stable states that episodes start from, one drawn evenly for each, shape (count, parts), or a state
                 graph, of which those are taken that lead to its target; the complete structure if not given.
             target: state to end in, shape (parts,); nothing but boundary and fixed parts if not given.
-            clearance: remove a part only if it has a free way out.
+            clearance: remove a part only if it has a free exit direction.
             fixed: parts that are never touched.
             illegal: what an illegal action does: `end` the episode with reward -1, or raise an `error`.
-            oracle: decides stability; hand in the one you have, for it remembers what it was asked. If not given, one
+            oracle: decides stability; pass an existing one to reuse its cache. If not given, one
                 of the criterion of the graph, else of the default.
             render_mode: None or `ansi`.
 
         Raises:
             InputError: no such structure, fewer than one robot, or another value of `illegal`.
-            StateError: a start that is malformed, has no way to the target by the rules, or no legal action.
+            StateError: a start that is malformed, cannot reach the target under the rules, or no legal action.
         """
         if illegal not in ("end", "error"):
             raise InputError(f"illegal is {illegal!r}; choose 'end' or 'error'")
@@ -116,7 +116,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
             options: `start`, a state to begin with instead, shape (parts,).
 
         Raises:
-            StateError: a start that is malformed, has no way to the target by the rules, or no legal action.
+            StateError: a start that is malformed, cannot reach the target under the rules, or no legal action.
         """
         super().reset(seed=seed)
         start = (options or {}).get("start")
@@ -152,11 +152,11 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         return self._observe(), float(success) - float(failed), success or failed, False, info
 
     def action_masks(self) -> Mask:
-        """Legal actions, shape (2 parts,); the name that sb3-contrib's MaskablePPO looks for."""
+        """Legal actions, shape (2 parts,); under the name that sb3-contrib's MaskablePPO expects."""
         return self._mask.copy()
 
     def render(self) -> str | None:  # type: ignore[override]
-        """The state as a line: removed `.`, installed `o`, held `#`, one character a part, and the last action."""
+        """Return the state as a line (removed `.`, installed `o`, held `#`) and the last action."""
         if self.render_mode is None:
             return None
         return "".join(_LETTERS[int(value)] for value in self._state) + (f" {self._last}" if self._last else "")
@@ -193,7 +193,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         else:
             states = as_states(starts, self.assembly.boundary)
         if len(states) == 0:
-            raise StateError("there is no start state; hand in states that lead to the target")
+            raise StateError("there is no start state; give states that lead to the target")
         return self._checked(states)
 
     def _checked(self, states: States) -> States:

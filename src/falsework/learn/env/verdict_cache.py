@@ -1,4 +1,4 @@
-"""Verdicts already known, kept beside the states that are asked about."""
+"""Cache of verdicts on the device."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ NETWORKS: dict[str, type[Policy]] = {
 def make_policy(
     assembly: Assembly, settings: PolicySettings | None = None, device: torch.device | str = "cpu", seed: int = 0
 ) -> Policy:
-    """A policy with random weights; the same seed gives the same weights on every device.
+    """Make a policy with random weights; the same seed gives the same weights on every device.
 
     Args:
         assembly: structure whose actions it proposes.
@@ -59,7 +59,7 @@ def describe(policy: nn.Module) -> dict[str, Any]:
 def transfer(
     weights: Mapping[str, Tensor], settings: PolicySettings, assembly: Assembly, device: torch.device | str = "cpu"
 ) -> Policy:
-    """A policy for a structure with the weights of a policy trained on another one.
+    """Make a policy for a structure with the weights of a policy trained on another one.
 
     Args:
         weights: `state_dict` of the trained policy.

@@ -1,4 +1,4 @@
-"""What a network is told of the geometry of a structure: numbers of parts and of pairs of parts.
+"""Geometric features of parts and pairs of parts, the input of a policy network.
 
 All of it is invariant to translation and to the unit of length, and made once for a structure. Lengths are in units of
 a typical part, so that a joint looks the same in a small structure and in a large one. Where a part stands in the

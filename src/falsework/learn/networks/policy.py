@@ -15,7 +15,7 @@ from falsework.learn.config.policy import PolicySettings
 
 
 class Policy(nn.Module):
-    """What all networks share: the parts of their structure, and how states become numbers.
+    """Base of all networks: the parts of the structure, and the encoding of states.
 
     What belongs to the structure is kept in buffers that `state_dict` leaves out, so that the weights of a network
     that knows no part by its number load into the network of any other structure.
@@ -37,7 +37,7 @@ class Policy(nn.Module):
 
     @property
     def kinds_of_part(self) -> int:
-        """Number of values that `classes` tells apart."""
+        """Number of values of `classes`."""
         return 12 if self.settings.goal_conditioned else 4
 
     def numbers(self, states: Tensor, targets: Tensor | None) -> Tensor:
@@ -96,7 +96,7 @@ def masked_log_probabilities(logits: Tensor, mask: Tensor) -> Tensor:
 
 @torch.no_grad()
 def confidences(policy: nn.Module, states: Tensor, mask: Tensor, targets: Tensor | None = None) -> Tensor:
-    """How sure a policy is of each action: its probability among the legal ones.
+    """Return the probability of each action among the legal ones.
 
     Args:
         policy: as `make_policy` makes it.

@@ -1,4 +1,4 @@
-"""Runs on disk: a folder with the configuration, the weights, and what is needed to go on; nothing is pickled."""
+"""Runs on disk: a folder with configuration, weights and a checkpoint to resume from; nothing is pickled."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ _KEYS = {"format", "structure", "settings", "policy", "results", "versions"}
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A trained policy with the structure that it is for."""
+    """Trained policy with its structure and settings."""
 
     folder: Path
     assembly: Assembly
     settings: TrainSettings
     policy: policies.Policy
-    """With the trained weights, on the device asked for, ready to be asked."""
+    """Policy with the trained weights, in evaluation mode."""
     metadata: dict[str, Any]
     """What `run.json` says."""
 
@@ -207,7 +207,7 @@ def load_weights(policy: torch.nn.Module, path: Path) -> None:
 
 
 class CheckpointFile:
-    """The one file from which an interrupted training goes on; a new one replaces the old only once it is whole."""
+    """The one file from which an interrupted training continues; a new one replaces the old only once it is whole."""
 
     def __init__(self, folder: Path) -> None:
         """Look after the checkpoint of the run in `folder`."""
@@ -225,7 +225,7 @@ class CheckpointFile:
             state: JSON values.
 
         Returns:
-            Empty, or why it could not be written: training goes on, and the next one may have more room.
+            Empty, or why it could not be written: training continues, and the next one may have more room.
         """
         from safetensors.torch import save
 
@@ -237,7 +237,7 @@ class CheckpointFile:
         try:
             write_whole(self.path, lambda file: file.write(content))
         except (OSError, InputError) as error:
-            return f"{_reason(error)}; the last checkpoint stays, training goes on"
+            return f"{_reason(error)}; the last checkpoint stays, training continues"
         return ""
 
     def load(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
@@ -274,7 +274,7 @@ def _write(path: Path, content: bytes) -> None:
     try:
         write_whole(path, lambda file: file.write(content))
     except OSError as error:
-        raise InputError(f"cannot write {path}: {_reason(error)}; make room and train on with --resume") from None
+        raise InputError(f"cannot write {path}: {_reason(error)}; free disk space and continue with --resume") from None
 
 
 def _reason(error: OSError | FalseworkError) -> str:

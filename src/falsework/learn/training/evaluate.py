@@ -30,7 +30,7 @@ class Success:
     states: int
     """Number of states tried."""
     succeeded: int
-    """Number from which the end was reached, every state on the way proven stable."""
+    """Number of starts from which the end was reached, every state on the path proven stable."""
 
     @property
     def share(self) -> float:
@@ -115,7 +115,7 @@ def evaluate(
     shards: ProcessGroup = ProcessGroup(),
     report: Report | None = None,
 ) -> dict[str, Any]:
-    """Greedy success on sets of states and, if asked for, what verified search on top of it finds.
+    """Measure greedy success on sets of states and, with search, the share of states with a proven plan.
 
     Args:
         environment: rules and verdicts.

@@ -1,4 +1,4 @@
-"""What training says while it goes on: lines of JSON, TensorBoard, and other places if asked."""
+"""Training loggers: JSON lines, TensorBoard, Weights & Biases."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Progress:
             with self.path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps({"step": step, **values}, allow_nan=False, default=str) + "\n")
         except OSError as error:  # a line of the curve is not worth a training run
-            warnings.warn(f"cannot write {self.path}: {error.strerror}; training goes on", stacklevel=2)
+            warnings.warn(f"cannot write {self.path}: {error.strerror}; training continues", stacklevel=2)
 
     def close(self) -> None:
         """As `Writer`."""
@@ -122,7 +122,7 @@ class Journal:
             folder: of the run.
             logs: `tensorboard`, `wandb` or both, beside `progress.jsonl`, which is always written.
             configuration: settings of the run, for those that show them.
-            resumed_at: step of the checkpoint that training goes on from.
+            resumed_at: step of the checkpoint that training continues from.
 
         Raises:
             DependencyError: wandb was asked for and is not installed.

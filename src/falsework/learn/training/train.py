@@ -1,4 +1,4 @@
-"""Training: data, a way to learn, a curve, checkpoints; in pieces and by several processes if need be."""
+"""Training runs: data, phases, evaluation and checkpoints, resumable and over several processes."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def train(
         folder: of the run; None keeps nothing but what is returned.
         source: where the structure can be loaded from again; a built-in of the name of the assembly if not given.
         device: `auto`, `cpu` or `cuda`.
-        resume: go on with the run in the folder.
+        resume: continue the run in the folder.
         logs: `tensorboard` and `wandb`.
         report: called with progress messages.
         dataset: states to learn from and to test on, in place of those that searches would find.
@@ -59,7 +59,7 @@ def train(
         place = None if folder is None else Path(folder)
         begun = time.perf_counter()
         kept = _begin(place, assembly, settings, where, resume)
-        # Nobody writes before all have seen what is there.
+        # No process writes before all have read the folder.
         summed([1.0], shards, where)
         with _repeatable(kept), _threads(kept, where):
             trainer = Trainer(assembly, kept, place, dict(source or {"built_in": assembly.name}), where, shards)
@@ -77,7 +77,7 @@ def _begin(
         return settings.resolved(assembly.part_count, device.type)
     if not resume:
         if (folder / FILE).exists():
-            raise InputError(f"{folder} holds a run already; go on with it by --resume, or choose another folder")
+            raise InputError(f"{folder} holds a run already; continue it with --resume, or choose another folder")
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder} is there and is no run; choose another folder")
         return settings.resolved(assembly.part_count, device.type)

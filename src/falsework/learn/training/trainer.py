@@ -191,7 +191,7 @@ class Trainer:
 
     def _blocks(self, learner: Learner, journal: Journal | None) -> TrainResult:
         settings, evaluated = self.settings, -1
-        success = {name: Success(0, 0) for name in self._data.curve | self._data.test}
+        success = {name: Success(0, 0) for name in (*self._data.curve, *self._data.test)}
         numbers: dict[str, float] = {}
         blocks = interrupted = 0
         here = time.perf_counter()

@@ -59,7 +59,7 @@ def collect_training_data(
         run: what is trained; states are kept in its folder.
         kept: read them if they are there.
         dataset: states to use instead.
-        enough: asked between searches for tasks with targets whether there is no time for more; in all processes alike.
+        enough: called between searches for goals; true if no time is left for more, alike in all processes.
 
     Raises:
         InputError: data of another criterion than the run.

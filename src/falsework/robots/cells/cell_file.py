@@ -39,7 +39,7 @@ def load_cell(name: str | Path, *, check: bool = True) -> Cell:
         check: refuse a cell that cannot work, as `check_cell` does.
 
     Raises:
-        CellError: no such cell, a key that is missing, unknown or wrong, or robots that cannot stand like that.
+        CellError: no such cell, a key that is missing, unknown or wrong, or an invalid arrangement of robots.
         DependencyError: the cell names a URDF file and yourdfpy is missing.
     """
     path = Path(name)

@@ -34,7 +34,7 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
     """Read an arm. Pairs of links that are not checked come from an SRDF beside it, else from random configurations.
 
     Args:
-        path: URDF file; meshes are looked for relative to it.
+        path: URDF file; mesh paths are relative to it.
         base: name of the base link; the root of the file if not given.
         tip: name of the link that a gripper is mounted on; `tool0` or `flange` if there is one, else the end of the
             longest chain.

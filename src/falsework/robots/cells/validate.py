@@ -20,11 +20,11 @@ BASE_DEPTH = 0.002
 
 
 def check_cell(cell: Cell, parts: PartShapes | None = None) -> None:
-    """Raise for a cell in which robots cannot stand, rest, or carry the parts.
+    """Validate a cell: bases and home configurations without collision, payloads sufficient for the parts.
 
     Args:
         cell: the cell.
-        parts: the structure in it; without it only the cell itself is looked at.
+        parts: the structure in it; without it only the cell itself is checked.
 
     Raises:
         CellError: a base inside an obstacle, another base or a part; a home below the floor or in collision; a tool

@@ -47,7 +47,7 @@ class Reachability(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class ReachTable:
-    """What every robot can do with every part that is not boundary."""
+    """Reachability of every part that is not boundary by every robot."""
 
     parts: NDArray[np.int64]
     """Ids, shape (parts,)."""
@@ -119,7 +119,7 @@ def reach_table(
 def propose_bases(
     assembly: Assembly, cell: Cell, parts: PartShapes, report: Callable[[int, int], None] = lambda done, total: None
 ) -> BaseProposal:
-    """Look for bases from which more parts are within reach, kinematics alone.
+    """Search for bases from which more parts are within reach, by kinematics alone.
 
     One robot after the other is tried on rings around the structure, looking at its middle, while the others stand.
     Check the result with `reach_table`, which looks at collisions too.

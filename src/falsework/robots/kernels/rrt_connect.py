@@ -253,7 +253,7 @@ def _run(
     work,
     opened,
 ):
-    """Return the one door for Python: what is behind it is compiled once, and not once for every question."""
+    """Dispatch to the kernels: one entry point for Python, so that each is compiled once."""
     if what == CHECK:
         for i in range(len(path)):
             found[i] = first_hit(path[i], 0.0, chain, bodies, obstacles, rules, work)

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Gripper:
-    """A tool on the flange. Frames: z points out of the flange; the tool frame is where a part is touched.
+    """Tool on the flange. Frames: z points out of the flange; the tool frame is where a part is touched.
 
     A suction gripper touches a face with its cup, z of the tool frame into the face. A parallel jaw closes along x of
     the tool frame; the part is between its jaws at the origin of the tool frame.
@@ -43,7 +43,7 @@ class Gripper:
 
 @dataclass(frozen=True, eq=False)
 class CellRobot:
-    """One robot of a cell: arm, base, gripper, home configuration and drop-off places."""
+    """Robot of a cell: arm, base, gripper, home configuration and drop-off places."""
 
     name: str
     model: RobotModel

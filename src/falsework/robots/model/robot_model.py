@@ -20,7 +20,7 @@ ACCELERATION_TIME = 0.5
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """A chain of joints, each of which moves one link; link 0 is the base and does not move.
+    """Chain of joints, each of which moves one link; link 0 is the base and does not move.
 
     Frames: `origins[j]` is the pose of the frame of link `j + 1`, at joint value zero, in the frame of link `j`; joint
     `j` turns about (or slides along) `axes[j]` in the frame of link `j + 1`.

@@ -1,10 +1,10 @@
 """Hybrid planner: abstract actions and motions together (paper, section 6, algorithm 1).
 
-A search in depth with backtracking. At every keyframe it takes the actions after which the structure can still come
-apart, the most promising first, and asks the keyframe graph for a motion; where there is none, the action is rejected
-with the reason and the next one is tried. After some dead ends it starts anew in another order; what was computed is
-kept. Under the criterion `contact` a plan whose replay in the order of assembly falls is not delivered either: the
-state in which it falls is forbidden, and the search begins anew.
+Depth-first search with backtracking. At every keyframe it tries the actions after which the structure can still be
+disassembled, the most promising first, and requests a motion from the keyframe graph; without one, the action is
+rejected with a reason. After some dead ends it restarts in another order, with all caches. Under the criterion
+`contact` a plan whose replay in assembly order fails is rejected too: the failing state is forbidden, and the search
+restarts.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class HybridSettings:
 
 @dataclass(frozen=True)
 class HybridProgress:
-    """One report of a running search."""
+    """Progress of a running search."""
 
     reached: int
     """Steps of the longest plan so far."""
@@ -92,7 +92,7 @@ class HybridResult:
     plan: RobotPlan | None
     """From the start to the target, or None."""
     partial: RobotPlan | None
-    """Where there is no plan: the longest one that was found, if it has any step and its replay stands."""
+    """Without a plan: the longest partial plan whose replay succeeds, if it has any step."""
     explanation: Explanation | None
     """Where there is no plan: why."""
     statistics: dict[str, Any]
@@ -122,10 +122,10 @@ def plan_robots(
         assembly: the structure.
         cell: the robots and what is around them.
         task: from which state to which, and rules; by default the complete structure is taken apart. Its number of
-            robots is that of the cell, and every part that is removed needs a clear way out, not downwards.
+            robots is that of the cell, and every removed part needs a free exit direction, not downwards.
         configurations: where the robots are at the start, one a robot, shape (joints,) each; at home if not given.
         held: the part that each robot holds at the start; needed if the start state has held parts.
-        oracle: decides stability; hand in the one you have, for it remembers what it was asked.
+        oracle: decides stability; pass an existing one to reuse its cache.
         guide: ranks actions, such as a trained policy; how easy they are for the arms counts beside it.
         settings: how hard to look.
         progress: called now and then.

@@ -1,8 +1,8 @@
 """Keyframe graph: robot configurations in each state, and the motions of one robot between states.
 
 Section 6 of the paper, figures 9 and 10. A node is a state with joint values of all robots and which of them holds
-which part. An edge carries out one action: one robot moves, all others stand. The graph is never built: what a search
-asks for is computed, and kept for when it asks again.
+which part. An edge carries out one action: one robot moves, all others are at rest. The graph is never built as a
+whole: edges are computed on demand and cached.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class KeyframeGraph:
         return Node(np.asarray(state, np.uint8), tuple(np.array(c, float) for c in configurations), held)
 
     def edges(self, node: Node, action: int) -> Iterator[Edge]:
-        """Ways to carry out an action, most promising first; each is computed when it is asked for."""
+        """Yield edges that carry out an action, most promising first, each computed on demand."""
         parts = self.assembly.part_count
         return self._remove(node, action - parts) if action >= parts else self._hold(node, action)
 
@@ -154,7 +154,7 @@ class KeyframeGraph:
                     yield node
 
     def grips(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
-        """Return all ways in which a robot can hold a part among the parts of a state; other robots do not count."""
+        """Return all grasps of a part by a robot among the parts of a state; other robots are ignored."""
         return self._grips.of(robot, part, state)
 
     def way_out(self, part: int, state: States) -> tuple[States, Array]:
@@ -170,7 +170,7 @@ class KeyframeGraph:
         return int((self.exits.blockers(part) & (state != REMOVED)).sum(axis=1).min())
 
     def reachable(self, part: int) -> bool:
-        """Return whether any robot can hold a part where it stands alone on what is boundary."""
+        """Return whether any robot can hold a part that is alone with the boundary."""
         alone = np.where(self.assembly.boundary, HELD, REMOVED).astype(np.uint8)
         alone[part] = HELD
         return any(self.grips(robot, part, alone) for robot in range(self.cell.robot_count))
@@ -191,7 +191,7 @@ class KeyframeGraph:
         return float(np.ptp(self.parts.center[:, 2])) + 1e-9
 
     def collision(self, node: Node, robot: int) -> tuple[str, str] | None:
-        """Return two bodies that meet where a robot stands, by name, or None."""
+        """Return the names of two bodies that collide at a robot's configuration, or None."""
         # At the start of a plan robots stand as they stand: what does not touch is good enough.
         return self._view(node, robot, 0.0).explain(node.configurations[robot])
 

@@ -1,4 +1,4 @@
-"""Is a robot plan right? Every motion sampled finely and checked by libraries that share nothing with the planner."""
+"""Verification of robot plans: motions sampled finely and checked by libraries that share no code with the planner."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _MAX_PROBLEMS = 20
 
 @dataclass(frozen=True)
 class PlanProblem:
-    """One thing that is wrong."""
+    """Problem found by a check."""
 
     step: int
     """Step of the plan, from 0."""

@@ -232,7 +232,7 @@ def _rapid_module(plan: RobotPlan, robot: int, name: str) -> str:
     """
     record = plan.robots[robot]
     if len(record.joint_names) not in (6, 7):
-        raise InputError(f"RAPID knows robots of 6 or 7 joints; {record.name} has {len(record.joint_names)}")
+        raise InputError(f"RAPID supports robots of 6 or 7 joints; {record.name} has {len(record.joint_names)}")
     tasks = ", ".join(f'["T_{entry}"]' for entry in _distinct([_identifier(r.name) for r in plan.robots]))
     lines = [
         f"MODULE {name}",

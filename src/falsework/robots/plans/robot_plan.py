@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """How one robot moves while all others stand: knots that cubic polynomials connect.
+    """Trajectory of one robot while all others are at rest: knots connected by cubic polynomials.
 
     Between two knots the positions are the cubics that have the positions and velocities of both, as a controller that
     is given positions and velocities interpolates.
@@ -47,7 +47,7 @@ class Trajectory:
         return float(self.times[-1])
 
     def reverse(self) -> Trajectory:
-        """The same way back, in the same time."""
+        """Return the reverse trajectory, of the same duration."""
         return replace(
             self,
             times=(self.times[-1] - self.times[::-1]).copy(),
@@ -109,7 +109,7 @@ def _before(function, times: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RobotStep:
-    """One action of the plan, carried out by one robot."""
+    """Action of the plan, carried out by one robot."""
 
     robot: int
     trajectories: tuple[Trajectory, ...]
@@ -123,7 +123,7 @@ class RobotStep:
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """Where all robots are between two steps, and what they hold (paper, section 6)."""
+    """Configurations of all robots between two steps, and the parts that they hold (paper, section 6)."""
 
     configurations: tuple[Array, ...]
     """Joint values of every robot."""
@@ -133,7 +133,7 @@ class Keyframe:
 
 @dataclass(frozen=True, eq=False)
 class RobotRecord:
-    """What a plan says of one of its robots, for those who have no cell file."""
+    """Robot of a plan, described without its cell file."""
 
     name: str
     model: str
@@ -185,18 +185,18 @@ class RobotPlan:
         return self.plan.direction
 
     def describe(self, step: int) -> str:
-        """One step in words, such as `left: remove keystone (3.1 s)`."""
+        """Describe a step, such as `left: remove keystone (3.1 s)`."""
         entry = self.steps[step]
         return f"{self.robots[entry.robot].name}: {self.plan.describe(step)} ({entry.seconds:.1f} s)"
 
     def moves(self) -> Iterator[tuple[int, int, Trajectory]]:
-        """All trajectories in time: step, robot, trajectory."""
+        """Yield all trajectories in order of time: step, robot, trajectory."""
         for index, step in enumerate(self.steps):
             for trajectory in step.trajectories:
                 yield index, step.robot, trajectory
 
     def reverse(self) -> RobotPlan:
-        """The same the other way round: assembly from disassembly, and back."""
+        """Return the plan in the other direction: assembly from disassembly, or back."""
         steps = tuple(
             RobotStep(step.robot, tuple(trajectory.reverse() for trajectory in reversed(step.trajectories)))
             for step in reversed(self.steps)

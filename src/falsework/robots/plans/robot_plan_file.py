@@ -28,7 +28,7 @@ _KEYS = {"format", "cell", "plan", "keyframes", "steps", "statistics"}
 
 
 def robot_plan_schema() -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of robot plan files; `plan` in it follows `falsework.search.plan_schema`."""
+    """Return the JSON Schema (2020-12) of robot plan files; `plan` in it follows `falsework.search.plan_schema`."""
     text = resources.files("falsework.robots.plans").joinpath("robot_plan.schema.json").read_text(encoding="utf-8")
     return json.loads(text)
 

@@ -73,7 +73,7 @@ class AdaptiveBeam:
         return self.search.done and not self.search.found and self.search.exhaustive
 
     def run(self, widest: int, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Search until the goal is reached, a beam wider than `widest` would be needed, or somebody stops it.
+        """Search until the goal is reached, a beam wider than `widest` would be needed, or `stop` returns true.
 
         Args:
             widest: limit on the width; run again with a larger one to go on.

@@ -35,7 +35,7 @@ _REPORTED_STATES = 64
 
 
 class BeamSearch(LevelSearch):
-    """A beam search that can be stepped, interrupted, packed and resumed."""
+    """Beam search that can be stepped, interrupted, packed and resumed."""
 
     def __init__(
         self, task: Task, oracle: Oracle, settings: BeamSettings = BeamSettings(), *, guide: Guide | None = None
@@ -148,7 +148,7 @@ class BeamSearch(LevelSearch):
         return good
 
     def _ground(self, rows: NDArray[np.int64], level: int = -1) -> Mask:
-        """Ask for the verdicts that waited on the way to states of a level; which of them are stable throughout.
+        """Request the deferred verdicts on the paths to states of a level; return which paths are stable.
 
         Args:
             rows: states of the level.
@@ -170,7 +170,7 @@ class BeamSearch(LevelSearch):
         return here.grounded[rows] > 0
 
     def rewind(self, level: int, settings: BeamSettings) -> None:
-        """Forget all levels after `level` and go on from there with other settings.
+        """Discard all levels after `level` and continue from there with other settings.
 
         Raises:
             InputError: settings for the other direction, or a level that was not reached.
@@ -216,7 +216,7 @@ class BeamSearch(LevelSearch):
         )
 
     def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Return the search as it stands: plain values, and arrays."""
+        """Return the state of the search: plain values, and arrays."""
         header: dict[str, Any] = {
             "task": self.task.to_dict(),
             "settings": asdict(self.settings),

@@ -13,18 +13,18 @@ Diversity = Literal["k-means", "none"]
 
 @dataclass(frozen=True)
 class BeamSettings:
-    """How a beam search walks."""
+    """Settings of a beam search."""
 
     width: int = 64
     """States kept at a level."""
     direction: Direction = Direction.ASSEMBLY
-    """Which end to begin at."""
+    """Direction of the search: assembly begins at the empty structure, disassembly at the complete one."""
     diversity: Diversity = "k-means"
     """How states are chosen where there are too many: one from each of `width` clusters, or the best scored."""
     lookahead: int = 0
-    """0: ask for all verdicts of a level, then choose `width` among the stable states, as the paper does.
-    Above 0: ask in the order of promise (robots free, then score) until `width` states are found stable, and keep this
-    many more that need no verdict, so that the next level has a choice. Narrow beams then go far with few verdicts."""
+    """0: request all verdicts of a level, then select `width` of the stable states, as the paper does.
+    Above 0: request verdicts in order of promise (free robots, then score) until `width` states are stable, and keep
+    this many more that need no verdict, so that the next level has a choice. Narrow beams then need few verdicts."""
     commit: bool = False
     """With `lookahead`: drop states that keep more robots busy than the `width` states found stable."""
     retries: int = 3

@@ -65,7 +65,7 @@ class _Candidates:
 
 
 class DeviceBeam(LevelSearch):
-    """The beam search of `BeamSearch` with all states on one device from the first level to the last.
+    """Beam search as `BeamSearch`, with the states of all levels on one device.
 
     Rules, direction, width, diversity and verdicts mean the same; which of equally good states survive differs, since
     random numbers come from the hashes of states. A level reads five sizes of lists back to the host, one more with
@@ -94,7 +94,7 @@ class DeviceBeam(LevelSearch):
 
         Raises:
             DependencyError: torch is not installed.
-            InputError: settings that ask for verdicts one after the other.
+            InputError: settings with `lookahead`, which requests verdicts one by one.
         """
         if settings.lookahead:
             raise InputError("a beam on a device judges whole levels; set lookahead to 0, or use BeamSearch")

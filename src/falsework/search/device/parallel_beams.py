@@ -1,8 +1,8 @@
-"""Many narrow beam searches side by side: as many different ways through a structure as there are searches.
+"""Many narrow beam searches in parallel, for as many different paths through a structure.
 
-All states that a beam ends with descend from the few that got through its narrowest place, however wide it is. Where
-ways are to differ, many beams therefore tell more than a wide one. Side by side they share every question to the
-oracle and every launch of a kernel, so that a beam more costs little beyond its verdicts.
+The final states of a beam descend from the few that passed its bottleneck, however wide it is, so many beams give more
+diverse paths than one wide beam. In parallel they share batches of verdicts and kernel launches, so that another beam
+costs little beyond its verdicts.
 
 `next_level` and `with_ancestors` serve beams with any order of candidates: at random here, by a policy in
 `falsework.learn.algorithms.policy_beam`.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,7 +34,7 @@ class TensorRules:
         Args:
             task: rules between start and target.
             device: where the states are: a device, or `auto`, `cpu` or `cuda`.
-            direction: which way a search walks.
+            direction: direction of the search.
 
         Raises:
             InputError: no such device.
@@ -68,7 +68,7 @@ class TensorRules:
         return self._origin[None].clone()
 
     def complete(self, count: int = 1) -> torch.Tensor:
-        """The complete structure, nothing held, `count` times. Shape (count, parts)."""
+        """Return the complete structure, nothing held, `count` times. Shape (count, parts)."""
         state = import_torch().where(self._loose, INSTALLED, HELD).to(self._origin.dtype)
         return state.expand(count, -1).clone()
 
@@ -121,18 +121,18 @@ class TensorRules:
         return import_torch().where(self._touchable, self._goal, states)
 
     def reached(self, states: torch.Tensor, goals: torch.Tensor | None = None) -> torch.Tensor:
-        """Which states are their goal; boundary and fixed parts do not count without goals. Shape (batch,)."""
+        """Return which states equal their goal; without goals, boundary and fixed parts are ignored. Shape (batch,)."""
         if goals is None:
             return ((states == self._goal) | ~self._touchable).all(dim=1)
         return (states == goals).all(dim=1)
 
     def steps_left(self, states: torch.Tensor, goals: torch.Tensor | None = None) -> torch.Tensor:
-        """Number of actions from each state to its goal, the same on all ways. `int64`, shape (batch,)."""
+        """Return the number of actions from each state to its goal, the same on all paths. `int64`, shape (batch,)."""
         goals = self.goals(states) if goals is None else goals
         return (self._stage[goals.long()] - self._stage[states.long()]).sum(dim=1)
 
     def contains(self, states: torch.Tensor, goals: torch.Tensor | None = None) -> torch.Tensor:
-        """Which states may lead to their goal as far as the rules go, as `Task.create` checks. Shape (batch,).
+        """Return which states may lead to their goal under the rules, as `Task.create` checks. Shape (batch,).
 
         No part has to go backwards, no fixed part has to change, and robots suffice in both.
         """
@@ -154,8 +154,9 @@ class TensorRules:
         Raises:
             StateError: as `as_states`, or more parts held than there are robots.
         """
+        tensor: Any = states
         if isinstance(states, import_torch().Tensor):
-            states = states.detach().cpu().numpy()
+            states = tensor.detach().cpu().numpy()
         boundary, robots = self.task.boundary, self.task.robots
         batch = as_states(states, boundary)
         held = held_count(batch, boundary)
@@ -165,14 +166,14 @@ class TensorRules:
         return put(batch, self.device)
 
     def dead_ends(self, states: torch.Tensor) -> torch.Tensor:
-        """States from which the goal is certainly out of reach, as `Task.dead_ends`. Shape (batch,)."""
+        """Return the states from which the goal is certainly out of reach, as `Task.dead_ends`. Shape (batch,)."""
         torch = import_torch()
         if self.task.clearance is None or self.direction is Direction.DISASSEMBLY:
             return torch.zeros(len(states), dtype=torch.bool, device=self.device)
         return ((states == REMOVED) & self._to_come & ~self._ways.can_leave(states)).any(dim=1)
 
     def needs_verdict(self, actions: torch.Tensor) -> torch.Tensor:
-        """Which moves can make a stable state one that is not, as `Task.needs_verdict`. Shape (batch,)."""
+        """Return which moves can destabilise a stable state, as `Task.needs_verdict`. Shape (batch,)."""
         holds = actions < self.part_count
         fixes = holds if self.direction is Direction.DISASSEMBLY else ~holds
         return ~(fixes & self.task.holds_keep_stable)
@@ -182,13 +183,13 @@ class TensorRules:
         return import_torch().where(actions < self.part_count, *self._values)
 
     def follow(self, states: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-        """States after one move each. Shapes (batch, parts), (batch,)."""
+        """Return the states after one move each. Shapes (batch, parts), (batch,)."""
         after = states.clone()
         part = (actions % self.part_count).long()
         return after.scatter_(1, part[:, None], self.moved_value(actions)[:, None])
 
     def hashes(self, states: torch.Tensor) -> torch.Tensor:
-        """The words of `StateHash`, as int64 of the same bits. Shape (batch,)."""
+        """Return the words of `StateHash`, as int64 of the same bits. Shape (batch,)."""
         return hash_states(states, self._words)
 
     def hashes_after(self, states: torch.Tensor, hashes: torch.Tensor, actions: torch.Tensor, parent: torch.Tensor):

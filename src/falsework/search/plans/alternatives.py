@@ -27,7 +27,7 @@ class Alternatives:
     order_distance: NDArray[np.float64]
     """Kendall distance of the orders of removal: share of pairs of parts that leave in another order, (k, k)."""
     state_distance: NDArray[np.float64]
-    """Jaccard distance of the sets of states on the way: 1 - common / all, (k, k)."""
+    """Jaccard distance of the sets of states on the paths: 1 - common / all, (k, k)."""
 
     @classmethod
     def of(cls, routes: Sequence[Route]) -> Alternatives:
@@ -97,16 +97,16 @@ def choose_alternatives(
 
     Args:
         graph: where the routes run.
-        count: number of routes wanted.
+        count: number of routes to choose.
         given: routes of the task to begin with; a random one if there is none.
         seed: breaks ties.
-        stop: asked before every choice; true ends the work with what was chosen so far.
+        stop: called before every choice; true returns the routes chosen so far.
 
     Returns:
         At most `count` different routes; fewer if no more were found, none if the graph has none.
 
     Raises:
-        InputError: fewer than one wanted.
+        InputError: `count` below one.
     """
     if count < 1:
         raise InputError(f"{count} alternatives is no number of plans; ask for at least 1")

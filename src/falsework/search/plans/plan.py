@@ -29,7 +29,7 @@ WORDS = {
 
 @dataclass(frozen=True)
 class PartDeadline:
-    """When a part that was missing is needed."""
+    """Latest step at which a missing part is needed."""
 
     part: int
     after_steps: int
@@ -61,7 +61,7 @@ def needs_of(
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A sequence of actions of which every state was found stable.
+    """Sequence of actions whose states are all proven stable.
 
     In disassembly action `i` holds part `i` and `parts + i` removes it. A plan for assembly runs the other way:
     action `i` releases part `i`, and `parts + i` inserts it, held by a robot.
@@ -90,11 +90,11 @@ class Plan:
     """What stable means here: cone, gravity, tolerance, bound on forces."""
     direction: Direction = Direction.DISASSEMBLY
     fixed: tuple[int, ...] = ()
-    """Parts that the plan was told not to touch."""
+    """Parts that the task excluded from all actions."""
     missing: tuple[int, ...] = ()
     """Parts that were not delivered yet when the plan was made."""
     removable_only_if_clear: bool = False
-    """Whether every part that is removed has a straight way out."""
+    """Whether every part that is removed has a free straight exit."""
     source: Mapping[str, Any] | None = None
     """Where the structure came from: `built_in` or `path` (relative to the file of the plan), and the options of
     `load_structure` that were given; None if it was not said."""
@@ -164,12 +164,12 @@ class Plan:
         return needs_of(self.actions, self.direction, len(self.boundary), self.missing)
 
     def describe(self, step: int) -> str:
-        """One action in words, such as `hold 7` or `insert keystone`."""
+        """Describe an action, such as `hold 7` or `insert keystone`."""
         action, parts = int(self.actions[step]), len(self.boundary)
         return f"{WORDS[self.direction][action >= parts]} {self.part_names[action % parts]}"
 
     def reverse(self) -> Plan:
-        """The same plan the other way round: assembly from disassembly, and back."""
+        """Return the plan in the other direction: assembly from disassembly, or back."""
         other = Direction.ASSEMBLY if self.direction is Direction.DISASSEMBLY else Direction.DISASSEMBLY
         return replace(
             self,
@@ -189,7 +189,7 @@ class Plan:
         return self.states if self.direction is Direction.ASSEMBLY else self.states[::-1]
 
     def proof_arrays(self) -> NDArray[np.float64] | None:
-        """What proves the states under the plan's criterion, if the plan carries it."""
+        """Return the certificates of the states under the plan's criterion, if the plan has them."""
         return self.displacement if self.claim.criterion == "contact" else self.forces
 
     @property

@@ -28,7 +28,7 @@ from falsework.stability.verdict import Verdicts
 
 @dataclass(frozen=True, eq=False)
 class PlanReport:
-    """What a check of a plan found."""
+    """Result of a plan check."""
 
     states: int
     """States of the plan."""
@@ -133,7 +133,7 @@ def validate_plan(
     """Check the rules and the stability of a plan by a solver, state by state up to the first bad one.
 
     The caller decides what stable means. What the plan says of its own tolerance, gravity, force bound and criterion
-    is a claim: a plan that claims less than the caller asks for is refused.
+    is a claim: a plan that claims less than the caller requires is refused.
 
     Under `equilibrium` the exact solver decides. Under `contact` a displacement is looked for anew, from rest and
     without a parent, and accepted by the certificate checker, which shares nothing with the solvers.

@@ -46,7 +46,7 @@ _KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "st
 
 
 def plan_schema() -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of plan files."""
+    """Return the JSON Schema (2020-12) of plan files."""
     text = resources.files("falsework.search.plans").joinpath("plan.schema.json").read_text(encoding="utf-8")
     return json.loads(text)
 
@@ -60,7 +60,7 @@ def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
         proofs: write the displacements or contact forces too, some hundred kilobytes.
 
     Raises:
-        PlanError: proofs are asked for and the plan has none.
+        PlanError: proofs are requested and the plan has none.
         InputError: the file cannot be written.
     """
     if proofs and plan.proof_arrays() is None:
@@ -245,7 +245,7 @@ class _Reader(Reader):
         """Where the structure came from; whether it is there is for others to find out."""
         kinds = {
             "built_in": str, "path": str, "unit": str, "density": (int, float), "friction": (int, float),
-            "boundary": list, "ground": bool,
+            "boundary": list, "ground": bool, "interfaces": str,
         }  # fmt: skip
         self._keys(value, set(), "structure.source", optional=frozenset(kinds))
         for key, entry in value.items():

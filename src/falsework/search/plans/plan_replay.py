@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlanReplay:
-    """How a plan went when it was replayed in the order of assembly, with contact history."""
+    """Result of a replay of a plan in assembly order with contact history."""
 
     stands: bool
     """Whether every state comes to rest."""

@@ -20,7 +20,7 @@ class Guide(Protocol):
     """Action heuristic: higher scores are tried sooner. Any callable will do, a trained policy too."""
 
     def __call__(self, states: States, actions: Mask, direction: Direction, /) -> NDArray[np.floating]:
-        """Score the actions of some states; a search adds the scores up along its way.
+        """Score the actions of some states; a search adds up the scores along a path.
 
         Args:
             states: shape (batch, parts).

@@ -15,7 +15,7 @@ class Oracle(Protocol):
     """Stability oracle for batches of states; `falsework.stability.Stability` is one."""
 
     def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """Verdicts without certificates.
+        """Compute verdicts without certificates.
 
         Args:
             states: shape (batch, parts).

@@ -20,7 +20,7 @@ class Outcome(StrEnum):
     FOUND = "found"
     """There is at least one plan, and it is in the result."""
     PROVED_IMPOSSIBLE = "proved_impossible"
-    """Every state that can be reached was looked at, under rules that forbid nothing possible: there is no plan."""
+    """Every reachable state was examined, under rules that exclude no possible action: there is no plan."""
     NOT_FOUND = "not_found"
     """The search was limited or interrupted before it found a plan; one may exist."""
 
@@ -78,11 +78,11 @@ class SearchCounters:
     """Work counters of a search."""
 
     states: int = 0
-    """Stable states kept."""
+    """Number of stable states in the beam."""
     candidates: int = 0
-    """Distinct states one move away from kept ones."""
+    """Number of distinct successors of these states."""
     asked: int = 0
-    """Verdicts asked from the oracle."""
+    """Number of verdicts requested from the oracle."""
     rejected: int = 0
     """Of these, not stable."""
 
@@ -97,7 +97,7 @@ class SearchCounters:
 
 @dataclass(frozen=True)
 class SearchProgress:
-    """One report of a running search."""
+    """Progress of a running search."""
 
     direction: Direction
     level: int
@@ -105,11 +105,11 @@ class SearchProgress:
     levels: int
     """Steps of a whole plan."""
     kept: int
-    """States kept at this level."""
+    """Number of states at this level."""
     width: int
-    """Limit on the states kept at a level; 0 if there is none."""
+    """Width of the beam; 0 if unlimited."""
     asked: int
-    """Verdicts asked so far."""
+    """Number of verdicts requested so far."""
     seconds: float
     """Since the search began or was resumed."""
 
@@ -138,7 +138,7 @@ class SearchResult:
     interrupted: bool = False
     """Stopped from outside, by the keyboard or by `stop`; the search can be resumed."""
     limit: str = ""
-    """What kept a search that found nothing from being a proof, in words; empty otherwise."""
+    """Reason why a search that found nothing is not a proof, in words; empty otherwise."""
     undecided: int = 0
     """Rejected states for which neither verdict could be proved; above 0 they forbid a proof of impossibility."""
     sliding: int = 0

@@ -15,7 +15,7 @@ Score = Callable[[States, Mask, States], NDArray[np.floating]]
 """Scores of the actions of states, shape (batch, parts), of which some are legal, shape (batch, 2 parts), on the way to
 targets, shape (batch, parts). Returns shape (batch, 2 parts)."""
 Stable = Callable[[NDArray[np.int64], States, States], Mask]
-"""Which states stand: their tasks, shape (batch,), states and parents, shapes (batch, parts), to shape (batch,)."""
+"""Stability of states: their tasks, shape (batch,), states and parents, shapes (batch, parts), to shape (batch,)."""
 Stop = Callable[[int], bool]
 """Whether the rollouts of a task need not go on."""
 

@@ -65,7 +65,7 @@ class StateGraph:
     name: str = ""
     """Name of the structure."""
     removable_only_if_clear: bool = False
-    """Whether removals in this graph have a free way out."""
+    """Whether removals in this graph have a free exit direction."""
 
     @classmethod
     def build(cls, task: Task, states: States, *, name: str = "") -> StateGraph:
@@ -122,12 +122,12 @@ class StateGraph:
 
     @cached_property
     def solvable(self) -> Mask:
-        """States from which a way to the target runs inside the graph, shape (states,)."""
+        """States from which the target can be reached within the graph, shape (states,)."""
         return self._spread(self.task.target, self.target, self.source, downwards=True)
 
     @cached_property
     def reachable(self) -> Mask:
-        """States to which a way from the start runs inside the graph, shape (states,)."""
+        """States that can be reached from the start within the graph, shape (states,)."""
         return self._spread(self.task.start, self.source, self.target, downwards=False)
 
     def unseen(self, states: States) -> Mask:
@@ -144,7 +144,7 @@ class StateGraph:
         return mask
 
     def count_routes(self) -> int:
-        """Number of different action sequences from start to target inside the graph; exact, however large."""
+        """Count the different action sequences from start to target within the graph, exactly."""
         return int(self.routes_to_target()[self._position(self.task.start)]) if self._has(self.task.start) else 0
 
     def routes_to_target(self) -> NDArray[np.object_]:
@@ -165,7 +165,7 @@ class StateGraph:
         return [slice(int(a), int(b)) for a, b in pairwise(bounds)]
 
     def sample_route(self, rng: np.random.Generator) -> Route | None:
-        """Return a way from start to target, each action drawn evenly from those that can still reach the target."""
+        """Return a random path from start to target, each action drawn uniformly from those that can still reach it."""
         if not self._has(self.task.start) or not self.solvable[self._position(self.task.start)]:
             return None
         useful = self.solvable[self.target]

@@ -95,7 +95,7 @@ class Task:
         clearance: Clearance | None = None,
         identity: str = "",
     ) -> Task:
-        """Check what is asked for and fill in the rest.
+        """Validate a task and fill in defaults.
 
         Args:
             boundary: which parts are boundary, shape (parts,).
@@ -104,7 +104,7 @@ class Task:
             target: state to end in, shape (parts,); by default nothing is left but the boundary and `fixed`.
             fixed: parts that must be neither held nor removed.
             missing: parts not delivered yet; see `postponed`.
-            clearance: where given, a part is removed only if it has a free way out.
+            clearance: where given, a part is removed only if it has a free exit direction.
             identity: hash of the structure.
 
         Raises:

@@ -1,8 +1,8 @@
 """Replay of a sequence of states in the order of assembly, with contact history.
 
-A state that stands when gravity comes at once may not stand when it is reached as on site: friction remembers which way
-parts have slid, and what a robot carried before it let go. A replay carries displacements and spring forces from state
-to state. Parts come in unstressed, robots let go slowly, and inertia is left out: each step is a quasi-static one.
+A state that is stable from rest may not be stable when it is reached as on site, because friction depends on earlier
+sliding and on the load that a robot carried before its release. A replay carries displacements and spring forces from
+state to state. Parts are inserted unstressed, robots release slowly, and every step is quasi-static, without inertia.
 """
 
 from __future__ import annotations

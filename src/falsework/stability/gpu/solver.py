@@ -163,7 +163,7 @@ class GpuSolver:
                     raise
                 self._chunk = count // 2
                 warnings.warn(
-                    f"the GPU ran out of memory on {count} states; going on with {self._chunk} at a time",
+                    f"the GPU ran out of memory on {count} states; continuing with {self._chunk} at a time",
                     MemoryWarning,
                     stacklevel=3,
                 )

@@ -1,4 +1,4 @@
-"""Independent judges of what stands: methods from other fields that share nothing with the solvers of this room."""
+"""Independent stability methods from other fields, which share no code with the solvers."""
 
 from __future__ import annotations
 

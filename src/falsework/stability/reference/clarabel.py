@@ -60,7 +60,7 @@ class ExactSolver:
         self.problem = problem or build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
 
     def check(self, states: ArrayLike) -> Verdicts:
-        """Judge states; forces and velocity are always returned.
+        """Check states; forces and velocity are always returned.
 
         Args:
             states: one state `(parts,)` or a batch `(batch, parts)`.
@@ -75,7 +75,7 @@ class ExactSolver:
         return verdicts
 
     def _check_one(self, state: States) -> Verdicts:
-        """Judge a batch of one."""
+        """Check a single state."""
         claim, problem = self.settings.claim, self.problem
         verdict = Verdicts.blank(1, points=problem.points, parts=problem.parts)
         assert verdict.forces is not None

@@ -33,7 +33,7 @@ class Disruption:
     missing: frozenset[int] = frozenset()
     """Parts that have not been delivered."""
     there: frozenset[int] = frozenset()
-    """Parts that somebody has placed already."""
+    """Parts that have been placed already."""
     fixed: frozenset[int] = frozenset()
     """Parts that are not to be touched."""
     target: frozenset[int] = frozenset()

@@ -30,11 +30,11 @@ NO_MORE_THAN = 400
 _TOGGLES = {"motion": "Motion, where unstable", "sliding": "Motion, where it slides"}
 _GONE = """<span class="falsework-alive"></span><style>
 body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
-  content: "The server has gone. What you see is where it was; start falsework view again, and this page goes on.";
+  content: "The server has ended. This is its last view; start falsework view again, and this page continues.";
   position: fixed; left: 1em; bottom: 1em; z-index: 10000; max-width: 28em; padding: 0.8em 1.2em;
   background: #b2182b; color: white; font: 15px sans-serif; border-radius: 4px;
 }</style>"""
-"""Shown by the style sheet alone: viser disables the controls when it loses the server, which is all that it tells."""
+"""Shown by the style sheet alone: viser only disables the controls when it loses the server."""
 
 
 def import_viser() -> Any:
@@ -94,7 +94,7 @@ class Page:
 
     @property
     def address(self) -> str:
-        """What to type into a browser."""
+        """Address to open in a browser."""
         name = "localhost" if self.host in (*LOCAL, *WILDCARDS) else self.host
         return f"http://{name}:{self.port}"
 
@@ -191,7 +191,7 @@ class Page:
             self._replan_button.on_click(lambda event: self._guard(event, self._replan))
             self._clear = gui.add_button("Clear marks")
             self._clear.on_click(lambda event: self._guard(event, self._cleared))
-            self._back = gui.add_button("Back to the plan before", disabled=True)
+            self._back = gui.add_button("Back to the previous plan", disabled=True)
             self._back.on_click(lambda event: self._guard(event, self._go_back))
             self._answer = gui.add_markdown("")
         if model.graph is not None:
@@ -302,7 +302,7 @@ class Page:
 
     def _go_back(self) -> None:
         self.model.go_back()
-        self._answer.content = "This is the plan before."
+        self._answer.content = "This is the previous plan."
         self._plan_changed()
 
     def _plan_changed(self) -> None:
@@ -380,12 +380,12 @@ def check_host(host: str) -> str | None:
         raise InputError("--host is empty; leave it out to serve this machine alone")
     if host in LOCAL:
         return None
-    return f"everybody who can reach {host} can see and steer this page; there is no password"
+    return f"every client that can reach {host} can see and control this page; there is no password"
 
 
 def serve(page: Page) -> None:
     """Serve until interrupted by the keyboard."""
     with contextlib.suppress(KeyboardInterrupt):
         page.wait()
-    with contextlib.suppress(KeyboardInterrupt):  # of somebody who is in a hurry
+    with contextlib.suppress(KeyboardInterrupt):  # a second Ctrl-C
         page.close()

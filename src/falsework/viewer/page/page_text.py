@@ -55,7 +55,7 @@ def legend_text(model: ViewerState, shown: Collection[str]) -> str:
         model: what is shown.
         shown: kinds of arrows that are.
     """
-    entries = [(BOUNDARY, "boundary"), (INSTALLED, "stands by itself")]
+    entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
     holding = int(model.timeline.holders.max(initial=NO_ROBOT)) + 1
     entries += [(robot_color(robot), f"held by robot {robot + 1} (R{robot + 1})") for robot in range(holding)]
     if holding > len(ROBOTS):

@@ -232,7 +232,7 @@ class ViewerState:
         touching = ", ".join(assembly.names[other] for other in others[:8])
         touching += f" and {len(others) - 8} more" if len(others) > 8 else ""
         value = int(self.site[part])
-        now = "boundary" if assembly.boundary[part] else ("not there", "stands by itself", "held")[value]
+        now = "boundary" if assembly.boundary[part] else ("not there", "installed", "held")[value]
         who = self.appearance().holder[part]
         if who != NO_ROBOT:
             now = f"held by robot {who + 1}"
@@ -245,7 +245,7 @@ class ViewerState:
             ("mass", f"{assembly.mass.mass[part]:.4g} kg"),
             ("now", now),
             ("contacts", f"{len(mine)}, {contacts.areas[mine].sum():.3g} m2, with {touching or 'nothing'}"),
-            ("held by", "; ".join(spans) if spans else "nobody"),
+            ("held by", "; ".join(spans) if spans else "no robot"),
         ]
         chance = self.action_probabilities()[part] if self.policy is not None else np.nan
         if np.isfinite(chance):

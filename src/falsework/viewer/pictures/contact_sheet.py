@@ -193,7 +193,7 @@ def one_state(
 
 def legend(timeline: Timeline, sliding: bool = False) -> list[tuple[str, str]]:
     """Return the colour and words of all that a timeline shows; `sliding` if parts are marked that slide."""
-    entries = [(BOUNDARY, "boundary"), (INSTALLED, "stands by itself")]
+    entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
     for robot in range(min(int(timeline.holders.max(initial=NO_ROBOT)) + 1, len(ROBOTS))):
         entries.append((robot_color(robot), f"held by robot {robot + 1}"))
     if sliding:

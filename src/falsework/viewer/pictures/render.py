@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 INK = np.array([0.13, 0.14, 0.16])
 SHADOW = 1000
 """Pixels along an edge of the shadow map."""
+_LEVEL = 1e-6
+"""Sine of the elevation below which a camera is level."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,7 @@ class _Eye:
             behind: only what is nearer than this is drawn, shape (height, width).
         """
         width, height = self._size
+        floor = floor and bool(abs(self._view[2, 2]) > _LEVEL)  # a level camera sees the floor as a line
         face, depth = _depth_buffer(self._on_screen(surface.triangles), surface.normals @ self._view[2], width, height)
         if behind is not None:
             face[depth <= behind] = -1

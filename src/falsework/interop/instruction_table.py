@@ -47,12 +47,12 @@ COLUMNS = (
 _LEANS = 0.35
 """Components of a direction below this, the sine of about 20 degrees, are left unsaid."""
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""How texts begin that a spreadsheet would compute."""
+"""First characters of texts that a spreadsheet evaluates as formulas."""
 
 
 @dataclass(frozen=True, eq=False)
 class AssemblyInstruction:
-    """One step of the assembly instructions."""
+    """Step of the assembly instructions."""
 
     number: int
     """From 1."""

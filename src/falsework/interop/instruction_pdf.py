@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from falsework.errors import DependencyError
-from falsework.interop.assembly_instructions import AssemblyInstruction, AssemblyInstructions, way_in_words
+from falsework.interop.instruction_table import AssemblyInstruction, AssemblyInstructions, way_in_words
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.palette import INK, mix, robot_color
 from falsework.viewer.pictures.contact_sheet import draw
@@ -31,11 +31,11 @@ _FIRST_TOP = 58.0 * _POINT
 _TOP = 16.0 * _POINT
 _PICTURE = (60.0 * _POINT, 38.0 * _POINT)
 _COLUMNS = (0.0, 13.0 * _POINT, 76.0 * _POINT, 126.0 * _POINT)
-"""Where number, picture, what to do and what to hold begin."""
+"""Left edges of the columns: number, picture, action, parts to hold."""
 _LISTED_PARTS = 12
 """Names of parts in one line; the rest is a number."""
 CAMERA = Camera(width=480, height=304, zoom=0.96)
-"""How the pictures look at the structure."""
+"""Default camera of the pictures."""
 _REGULAR, _BOLD = "FalseworkSans", "FalseworkSans-Bold"
 _GREY = "#77797d"
 

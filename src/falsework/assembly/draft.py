@@ -1,0 +1,151 @@
+"""Parts as a file holds them, before anything is checked, and the assembly made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.assembly.interfaces import StoredInterface, compare_interfaces, interface_contacts
+from falsework.assembly.model import DENSITY, FRICTION, Assembly
+from falsework.assembly.store import part_ids
+from falsework.errors import AssemblyError, InputError, MeshError
+from falsework.geometry.contact.interfaces import ContactSettings
+from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.polygon import triangulate
+from falsework.geometry.mesh.repair import check_mesh
+
+InterfaceSource = Literal["found", "stored", "compare"]
+"""Contacts of an assembly: found from its meshes, those that its file stores, or the former, compared with the
+latter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Data of one part in a file."""
+
+    name: str
+    vertices: NDArray[np.float64]
+    """Shape (vertices, 3), in the unit of the file."""
+    faces: Sequence[Sequence[int]]
+    """Polygons, counter-clockwise seen from outside."""
+    support: bool = False
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+    """Attributes of the part; `density` (kg/m3) and `friction` are used."""
+    key: Hashable = None
+    """Name of the part by which interfaces of the file refer to it."""
+
+    def solid(self, scale: float) -> TriangleMesh:
+        """Return the checked mesh of triangles, in metres.
+
+        Args:
+            scale: length of the file's unit in metres.
+
+        Raises:
+            MeshError: no faces, a face without its vertices, or no solid.
+        """
+        faces: list[list[int]] = []
+        for face in self.faces:
+            if len(face) < 3 or min(face) < 0 or max(face) >= len(self.vertices):
+                raise MeshError(f"part {self.name}: a face uses a vertex that is not there; write the model again")
+            corners = [[0, 1, 2]] if len(face) == 3 else triangulate(self.vertices[list(face)])
+            faces.extend([face[corner] for corner in triangle] for triangle in corners)
+        if not faces:
+            raise MeshError(f"part {self.name} has no faces; leave it out of the model")
+        return check_mesh(self.name, self.vertices * scale, np.array(faces, dtype=np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """Parts and interfaces of a file as they are there."""
+
+    path: Path
+    scale: float
+    """Length of the file's unit in metres."""
+    blocks: tuple[Block, ...]
+    """At least one, with different names."""
+    interfaces: tuple[StoredInterface, ...] = ()
+    """In metres."""
+
+    @staticmethod
+    def of(path: Path, scale: float, blocks: Sequence[Block], interfaces: Sequence[Mapping[str, Any]] = ()) -> Draft:
+        """Name the parts and find those of each interface.
+
+        Args:
+            path: the file.
+            scale: length of its unit in metres.
+            blocks: parts; where their names do not tell them apart, numbers take their place.
+            interfaces: each with `keys` of its two blocks, `points`, shape (corners, 3), in the unit of the file, and
+                `normal`, shape (3,).
+        """
+        names = [block.name for block in blocks]
+        if not all(names) or len(set(names)) < len(names):
+            blocks = [replace(block, name=str(number)) for number, block in enumerate(blocks)]
+        number_of = {block.key: number for number, block in enumerate(blocks) if block.key is not None}
+        stored = []
+        for interface in interfaces:
+            one, two = (number_of.get(key, -1) for key in interface["keys"])
+            points = np.array(interface["points"], dtype=float).reshape(-1, 3) * scale
+            stored.append(StoredInterface((one, two), points, np.asarray(interface["normal"])))
+        return Draft(path, scale, tuple(blocks), tuple(stored))
+
+    def assemble(
+        self,
+        *,
+        density: ArrayLike | None = None,
+        friction: float | None = None,
+        boundary: ArrayLike | None = None,
+        ground: bool = False,
+        contact_settings: ContactSettings | None = None,
+        interfaces: InterfaceSource = "found",
+    ) -> Assembly:
+        """Check the parts and make an assembly of them.
+
+        Args:
+            density: kg/m3; that of the parts if all have one and none is given.
+            friction: coefficient of friction of every contact; that of the parts if none is given.
+            boundary: ids or names of the parts that are fixed for ever; the supports if not given.
+            ground: add a fixed slab under the lowest point, as the last part.
+            contact_settings: tolerances.
+            interfaces: source of the contacts; `compare` finds them and warns where the stored ones differ.
+
+        Raises:
+            InputError: no stored interfaces where they are asked for.
+            MeshError: a part that does not bound a solid.
+            AssemblyError: the parts make no assembly, or stored interfaces do not fit them.
+        """
+        if interfaces not in get_args(InterfaceSource):
+            raise InputError(f"no source of interfaces {interfaces!r}; choose {', '.join(get_args(InterfaceSource))}")
+        if interfaces != "found" and not self.interfaces:
+            raise InputError(f"{self.path} stores no interfaces; leave out --interfaces {interfaces}")
+        meshes = tuple(block.solid(self.scale) for block in self.blocks)
+        numbers = [float(value) for value in self._values("density")]
+        frictions = set(self._values("friction"))
+        if friction is None and len(frictions) > 1:
+            raise AssemblyError(f"{self.path} has blocks of different friction; give one for all with --friction")
+        if boundary is None:
+            boundary = [number for number, block in enumerate(self.blocks) if block.support]
+        elif isinstance(boundary, list):
+            boundary = part_ids(boundary, [block.name for block in self.blocks])
+        assembly = Assembly.from_meshes(
+            meshes,
+            boundary=boundary,
+            density=density if density is not None else numbers if len(numbers) == len(meshes) else DENSITY,
+            friction=next(iter(frictions), FRICTION) if friction is None else friction,
+            name=self.path.stem,
+            ground=ground,
+            contact_settings=contact_settings or ContactSettings(),
+            contacts=interface_contacts(meshes, self.interfaces) if interfaces == "stored" else None,
+        )
+        if interfaces == "compare":
+            compare_interfaces(interface_contacts(meshes, self.interfaces), assembly.contacts).warn(assembly.names)
+        return assembly
+
+    def _values(self, name: str) -> list[float]:
+        """Return an attribute of the blocks that have it as a number."""
+        values = [block.attributes.get(name) for block in self.blocks]
+        return [value for value in values if isinstance(value, (int, float)) and not isinstance(value, bool)]

@@ -1,0 +1,204 @@
+"""Joints: surfaces of two parts that face each other with overlaps and gaps beyond the contact tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import AssemblyError
+from falsework.geometry.contact.grouping import planes
+from falsework.geometry.contact.overlap import Overlaps, vertex_depth
+from falsework.geometry.contact.patches import Faces, Patches, intersect_faces, opposed_faces
+from falsework.geometry.mesh.collision import inside, interpenetrate
+from falsework.geometry.mesh.mesh import TriangleMesh
+
+Array = NDArray[np.float64]
+
+OVERLAP = 1 / 3
+"""Largest overlap of a joint, as a share of the extent of the smaller part along the normal: at half the extent the
+far sides of two equal parts are as near to each other as those that should touch."""
+GAP = 1 / 20
+"""Largest gap of a joint, as a share of the same extent."""
+_ANGLE = 30.0
+"""Largest angle between surfaces that face each other, degrees: two tessellations of one warped face differ by 20."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointReport:
+    """Joints that were resolved: what overlap and gap their middle surfaces divide; one row a pair of parts."""
+
+    parts: NDArray[np.int32]
+    """Shape (joints, 2): part `a` and part `b`, `a < b`, sorted."""
+    overlap: NDArray[np.float64]
+    """Largest depth to which the surfaces pass through each other, along their normal, shape (joints,), metres."""
+    gap: NDArray[np.float64]
+    """Largest distance between the surfaces, along their normal, shape (joints,), metres."""
+
+    def __len__(self) -> int:
+        return len(self.parts)
+
+    @staticmethod
+    def none() -> JointReport:
+        """Return the report of a structure whose parts all touch within the tolerances."""
+        return JointReport(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0))
+
+    @staticmethod
+    def of(patches: Patches) -> JointReport:
+        """Sum up patches by pairs of parts."""
+        parts, joint = np.unique(patches.parts, axis=0, return_inverse=True)
+        distance = np.zeros((2, len(parts)))
+        np.minimum.at(distance[0], joint.ravel(), patches.distance[:, 0])
+        np.maximum.at(distance[1], joint.ravel(), patches.distance[:, 1])
+        arrays = (parts.astype(np.int32).reshape(-1, 2), -distance[0] + 0.0, distance[1])
+        for array in arrays:
+            array.setflags(write=False)
+        return JointReport(*arrays)
+
+    def line(self, names: Sequence[str]) -> str:
+        """Return one line that says how many joints were resolved, and the worst of them."""
+
+        def worst(values: NDArray[np.float64]) -> str:
+            a, b = self.parts[values.argmax()].tolist()
+            return f"{1000 * values.max():.3g} mm (parts {names[a]} and {names[b]})"
+
+        count = f"{len(self)} joints have" if len(self) > 1 else "1 joint has"
+        return (
+            f"{count} overlaps or gaps beyond the contact tolerance, which were divided between the two parts: "
+            f"overlap up to {worst(self.overlap)}, gap up to {worst(self.gap)}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Joints:
+    """Middle surfaces of joints."""
+
+    patches: Patches
+    group: NDArray[np.int64]
+    """Contact that each patch belongs to, shape (patches,)."""
+    bound: Array
+    """Largest overlap that is allowed to the joint of two parts, zero for pairs without one, shape (parts, parts),
+    metres."""
+
+    def take(self, chosen: NDArray[np.bool_]) -> Joints:
+        """Return the chosen patches alone, shape (patches,)."""
+        return Joints(self.patches.take(chosen), np.unique(self.group[chosen], return_inverse=True)[1], self.bound)
+
+    def near(self, touching: NDArray[np.integer], tolerance: float) -> NDArray[np.bool_]:
+        """Return whether two parts are so near to each other that a gap between them is an inaccuracy.
+
+        A part that is shifted by some length overlaps neighbours on one side by this length, and has a gap on the
+        other; where both parts are shifted, the gap is twice as wide. Wider gaps may be meant, unless a part touches
+        nothing.
+
+        Args:
+            touching: pairs of parts that touch within the tolerance or overlap, shape (pairs, 2).
+            tolerance: metres.
+
+        Returns:
+            Shape (parts, parts).
+        """
+        pair = tuple(self.patches.parts.T)
+        least = np.full(self.bound.shape, np.inf)
+        np.minimum.at(least, pair, self.patches.distance[:, 0])
+        allowed = np.full(len(least), tolerance)
+        for parts in pair:
+            np.maximum.at(allowed, parts, -2 * self.patches.distance[:, 0])
+        allowed[np.setdiff1d(np.arange(len(least)), touching)] = np.inf
+        return least <= np.maximum(allowed[:, None], allowed)
+
+
+def find_joints(meshes: Sequence[TriangleMesh], among: NDArray[np.bool_], angle: float, narrowest: float) -> Joints:
+    """Intersect surfaces of parts that face each other, within bounds that depend on the parts alone.
+
+    Two faces belong to one joint if their outward normals differ from opposite by at most 30 degrees and their
+    distance along the mean normal lies between minus `OVERLAP` and plus `GAP` of the extent of the smaller part along
+    its own normal. The patches lie midway, so that together they make the middle surface, which is cut into contacts
+    of patches whose normals differ little. Where a joint has an overlap, the sides of the two parts overlap as well, in
+    a narrow strip and by much more: a contact that is narrower than it is deep is left out.
+
+    Args:
+        meshes: the parts.
+        among: whether two parts may have a joint, shape (parts, parts).
+        angle: largest angle between the normals of patches of one contact, degrees.
+        narrowest: width below which a contact is left out, metres.
+    """
+    faces = Faces.of(meshes)
+    extent = np.concatenate(
+        [_extents(mesh.vertices, faces.normals[faces.part == part]) for part, mesh in enumerate(meshes)]
+    )
+    found = []
+    for i, j in opposed_faces(faces, OVERLAP * extent, _ANGLE, among):
+        smaller = np.minimum(extent[i], extent[j])
+        found.append(intersect_faces(faces, i, j, gap=GAP * smaller, overlap=OVERLAP * smaller))
+    patches = Patches.join(found)
+    smaller = extent[patches.faces].min(axis=1)
+    side = planes(patches, _ANGLE, OVERLAP * smaller)
+    wide = _widths(patches, side) > np.maximum(_depths(patches, side), narrowest)
+    patches, smaller = patches.take(wide[side]), smaller[wide[side]]
+    joint = Joints(patches, planes(patches, angle, GAP * smaller), np.zeros((len(meshes), len(meshes))))
+    np.maximum.at(joint.bound, tuple(patches.parts.T), OVERLAP * smaller)
+    return joint
+
+
+def _widths(patches: Patches, group: NDArray[np.int64]) -> Array:
+    """Return the area of each group by its diameter, shape (groups,), metres."""
+    box = np.full((2, int(group.max(initial=-1)) + 1, 3), ([[np.inf]], [[-np.inf]]))
+    np.minimum.at(box[0], group[patches.owner], patches.points)
+    np.maximum.at(box[1], group[patches.owner], patches.points)
+    return np.bincount(group, patches.areas, box.shape[1]) / np.linalg.norm(box[1] - box[0], axis=1)
+
+
+def _depths(patches: Patches, group: NDArray[np.int64]) -> Array:
+    """Return the largest overlap of each group, shape (groups,), metres."""
+    depth = np.zeros(int(group.max(initial=-1)) + 1)
+    np.maximum.at(depth, group, -patches.distance[:, 0])
+    return depth
+
+
+def _extents(vertices: Array, normals: Array) -> Array:
+    """Return the extent of a part along each normal, shape (normals,), metres."""
+    extent = np.empty(len(normals))
+    step = max(1, 2_000_000 // len(vertices))
+    for start in range(0, len(normals), step):
+        extent[start : start + step] = np.ptp(vertices @ normals[start : start + step].T, axis=0)
+    return extent
+
+
+def check_joints(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Array) -> None:
+    """Raise for parts that overlap by more than a joint may.
+
+    Args:
+        meshes: the parts.
+        overlaps: pairs that overlap beyond the tolerance.
+        bound: depth that is allowed to the joint of each of them, zero if it has none, shape (pairs,), metres.
+
+    Raises:
+        AssemblyError: a part inside another, or an overlap beyond the bound, or beyond the tolerance without a joint.
+    """
+    # Parts that meet along an edge overlap in a strip with parallel sides if one is shifted, and have no joint.
+    thickness = np.array([mesh.thickness for mesh in meshes])[overlaps.parts].min(axis=1)
+    limit = np.where(overlaps.layer, np.maximum(overlaps.limit, OVERLAP * thickness), overlaps.limit)
+    doubtful = [
+        row
+        for row in np.flatnonzero(bound == 0).tolist()
+        if interpenetrate(meshes[overlaps.parts[row, 0]], meshes[overlaps.parts[row, 1]], float(limit[row]))
+    ]
+    replace(overlaps, limit=limit).raise_deepest(meshes, doubtful)
+    for (a, b), allowed in zip(overlaps.parts.tolist(), bound.tolist(), strict=True):
+        if not allowed:
+            continue
+        names = f"parts {meshes[a].name} and {meshes[b].name}"
+        for one, other in ((a, b), (b, a)):
+            (low, high), (least, most) = meshes[one].bounds, meshes[other].bounds
+            enclosed = (low >= least).all() and (high <= most).all()
+            if enclosed and inside(meshes[one].vertices, meshes[other].triangles).all():
+                raise AssemblyError(f"{names} pass through each other: {meshes[one].name} lies inside; move them apart")
+        deep = vertex_depth(meshes[a], meshes[b])
+        if deep > allowed:
+            raise AssemblyError(
+                f"{names} pass through each other by {1000 * deep:.3g} mm, and {1000 * allowed:.3g} mm is allowed, "
+                "a third of the smaller part; move them apart"
+            )

@@ -1,0 +1,77 @@
+"""Supports that are modelled as open surfaces: given a thickness on the side that carries nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from falsework.geometry.mesh.shells import directed_edges
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+_THICKNESS = 1 / 100
+"""Thickness that a sheet is given, relative to its diagonal."""
+_FLAT = 1 / 20
+"""Largest distance of the vertices of a sheet from its plane, relative to its diagonal."""
+_LEVEL = np.cos(np.radians(60))
+"""Cosine of the largest angle between a face of a sheet and its plane."""
+
+
+def is_sheet(points: Array, faces: Faces) -> bool:
+    """Return whether an open surface is so flat that it bounds no solid, whatever closes it."""
+    used = points[np.unique(faces)]
+    if len(used) < 3 or not np.isfinite(used).all() or not _open_edges(faces)[0].size:
+        return False
+    normal = plane_normal(used)
+    corners = points[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    if (np.abs(cross @ normal) < _LEVEL * np.linalg.norm(cross, axis=1)).any():
+        return False  # a plate that lacks a face has its sides
+    return bool(np.ptp((used - used.mean(axis=0)) @ normal) <= 2 * _FLAT * np.linalg.norm(np.ptp(used, axis=0)))
+
+
+def plane_normal(points: Array) -> Array:
+    """Return the unit normal of the plane that fits points best, of either sign, shape (3,)."""
+    return np.linalg.svd(points - points.mean(axis=0))[2][2]
+
+
+def thickened(points: Array, faces: Faces, others: Sequence[Array]) -> tuple[Array, Faces, float]:
+    """Return the solid behind a sheet: away from the part nearest to it.
+
+    Args:
+        points: shape (vertices, 3), metres.
+        faces: shape (faces, 3).
+        others: vertices of the parts that are solids, metres.
+
+    Returns:
+        Vertices and faces of a closed surface, and the thickness in metres.
+    """
+    used, index = np.unique(faces, return_inverse=True)
+    front, faces = points[used], index.reshape(-1, 3)
+    centre, normal = front.mean(axis=0), plane_normal(front)
+    thickness = _THICKNESS * float(np.linalg.norm(np.ptp(front, axis=0)))
+    if others:
+        near = min(others, key=lambda vertices: KDTree(vertices).query(front)[0].sum())
+        normal = normal * (1.0 if (near.mean(axis=0) - centre) @ normal > 0 else -1.0)
+    corners = front[faces]
+    if np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0) @ normal < 0:
+        faces = faces[:, ::-1]
+    count = len(front)
+    tail, head = _open_edges(faces)
+    walls = np.concatenate(
+        [np.stack([head, tail, tail + count], axis=1), np.stack([head, tail + count, head + count], axis=1)]
+    )
+    solid = np.concatenate([faces, faces[:, ::-1] + count, walls])
+    return np.concatenate([front, front - thickness * normal]), solid, thickness
+
+
+def _open_edges(faces: Faces) -> tuple[Faces, Faces]:
+    """Return tails and heads of the edges that have a face on one side only."""
+    tail, head = directed_edges(faces)
+    count = int(faces.max()) + 1
+    lonely = ~np.isin(tail * count + head, head * count + tail)
+    return tail[lonely], head[lonely]

@@ -1,0 +1,209 @@
+"""Solver for compas_dem: takes its `Problem`, returns its `Results`.
+
+from falsework.interop import compas_dem
+results = compas_dem.solve(problem)
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.draft import Block, Draft
+from falsework.assembly.model import DENSITY, FRICTION, Assembly
+from falsework.assembly.state import complete_state
+from falsework.errors import DependencyError, InputError
+from falsework.stability.oracle import Stability
+from falsework.stability.settings import StabilitySettings
+from falsework.stability.verdict import Criterion, Proof, Verdict
+
+Array = NDArray[np.float64]
+
+
+def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | None = None) -> Any:
+    """Judge the complete structure of a compas_dem `Problem`, with the contact forces.
+
+    Contacts are those of `model.compute_contacts()`, found from the meshes where it was not called. Density is that of
+    the blocks' materials, friction that of the contact model; supports are the model's, and blocks whose displacement
+    is prescribed as zero. Loads other than gravity are refused.
+
+    The results hold, as those of compas_dem's solvers do, for every edge `contact_data` (a `FrictionContact`,
+    `EdgeContact` or `VertexContact`), `contact_points`, `contact_polygon`, `contact_frame` with z from the first to the
+    second node of the edge, `force_normal`, `force_tangent1` and `force_tangent2` of each point in N,
+    `resultant_local`, `resultant_global` (acting on the second node), `force_point` and `force_magnitude`; and for
+    every node `transformation`. `metadata` holds `solver`, `verdict`, `proof`, `residual`, `mu` and `criterion`.
+    Displacements are those that bring the forces about in the law of the criterion `contact`, whose joints are stiff:
+    their ratios mean something, their size does not. They are zero under `equilibrium`. A structure that is unstable
+    has no forces: it has no edges, and `velocity` at each node is the motion `(linear, angular)` that nothing stops.
+
+    Args:
+        problem: `compas_dem.problem.Problem` with its model.
+        criterion: stability criterion.
+        gravity: m/s2 along -z; that of the problem if not given, 9.81 if it has none.
+
+    Returns:
+        `compas_dem.problem.Results`.
+
+    Raises:
+        DependencyError: compas_dem is not installed.
+        InputError: loads other than gravity, moved supports, or a contact model other than Coulomb's.
+        MeshError: a block that does not bound a solid.
+        AssemblyError: the blocks make no assembly, or their contacts do not fit them.
+    """
+    try:
+        from compas.geometry import Transformation
+        from compas_dem.problem import Results
+    except ImportError:
+        raise DependencyError("compas_dem is not installed; pip install compas_dem") from None
+    model = problem.model
+    nodes = [element.graphnode for element in model.elements()]
+    assembly = assembly_of(problem)
+    g = _gravity(problem) if gravity is None else gravity
+    state = complete_state(assembly.boundary)
+    verdicts = Stability(assembly, StabilitySettings(criterion=criterion, gravity=g)).check(state)
+    verdict = Verdict(verdicts.verdict[0])
+    assert verdicts.forces is not None
+    assert verdicts.velocity is not None
+    results = Results(model_id=str(model.guid), problem_id=str(problem.guid))
+    residual = float(verdicts.residual[0])
+    results.metadata |= {
+        "solver": "falsework",
+        "verdict": verdict.name.lower(),
+        "proof": Proof(verdicts.proof[0]).name.lower(),
+        "residual": residual if np.isfinite(residual) else None,
+        "criterion": criterion,
+        "mu": assembly.friction,
+    }
+    moved = np.zeros((len(nodes), 6))
+    if verdict == Verdict.STABLE and verdicts.displacement is not None:
+        moved = verdicts.displacement[0]
+    for part, node in enumerate(nodes):
+        place = _transformation(moved[part], assembly.mass.center[part])
+        results.set_node(node, "transformation", Transformation(place.tolist()))
+        if verdict == Verdict.UNSTABLE:
+            results.set_node(node, "velocity", verdicts.velocity[0, part].tolist())
+    if verdict in (Verdict.STABLE, Verdict.SLIDES):
+        _set_edges(results, assembly, nodes, verdicts.forces[0])
+    return results
+
+
+def assembly_of(problem: Any) -> Assembly:
+    """Return the assembly of a compas_dem `Problem`: parts in the order of `model.elements()`.
+
+    Args:
+        problem: `compas_dem.problem.Problem` with its model.
+
+    Raises:
+        InputError: as `solve`.
+    """
+    model = problem.model
+    _check_loads(problem)
+    held = {entry.block_index for group in problem.boundary_conditions for entry in group.displacements}
+    blocks, densities = [], []
+    for element in model.elements():
+        vertices, faces = element.modelgeometry.to_vertices_and_faces()
+        support = bool(element.is_support) or element.graphnode in held
+        points = np.array(vertices, dtype=float)
+        blocks.append(Block(str(element.graphnode), points, faces, support, key=element.graphnode))
+        densities.append(getattr(element.material, "density", None) or DENSITY)
+    interfaces = [
+        {"keys": edge, "points": [list(point) for point in contact.points], "normal": list(contact.frame.zaxis)}
+        for edge in model.graph.edges()
+        for contact in model.graph.edge_attribute(edge, "contacts") or ()
+    ]
+    law = problem.contact_properties.contact_model
+    friction = FRICTION if law is None else getattr(law, "mu", None)
+    if friction is None or getattr(law, "c", None) or getattr(law, "t_c", None):
+        raise InputError("contacts with cohesion or tension cannot be solved; set a Mohr-Coulomb contact model with mu")
+    draft = Draft.of(Path(str(model.name or "model")), 1.0, blocks, interfaces)
+    return draft.assemble(density=densities, friction=friction, interfaces="stored" if interfaces else "found")
+
+
+def _check_loads(problem: Any) -> None:
+    """Raise for loads that no verdict takes into account."""
+    for group in problem.boundary_conditions:
+        if group.point_loads or group.surface_loads or group.body_forces:
+            raise InputError(f"boundary condition {group.name} has loads other than gravity; solve without them")
+        for entry in group.displacements:
+            given = getattr(entry, "translation", None) or getattr(entry, "rotation", None) or []
+            if any(component != 0 for component in given):
+                raise InputError(
+                    f"boundary condition {group.name} moves block {entry.block_index} or leaves it free in part; "
+                    "prescribe zero in all directions, or nothing"
+                )
+
+
+def _gravity(problem: Any) -> float:
+    values = {float(group.g) for group in problem.boundary_conditions}
+    if len(values) > 1:
+        raise InputError("boundary conditions differ in gravity; give one (gravity=9.81)")
+    return values.pop() if values else 9.81
+
+
+def _transformation(moved: Array, center: Array) -> Array:
+    """Return the rigid motion of a translation and a rotation about a centre, shape (4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_rotvec(moved[3:]).as_matrix()
+    matrix[:3, 3] = moved[:3] + center - matrix[:3, :3] @ center
+    return matrix
+
+
+def _set_edges(results: Any, assembly: Assembly, nodes: list[Any], forces: Array) -> None:
+    """Write the contacts of every pair of parts as one edge, as compas_dem has them.
+
+    Args:
+        results: to write to.
+        assembly: the structure.
+        nodes: graph node of each part.
+        forces: `(n, t1, t2)` in N, shape (points, 3).
+    """
+    from compas.geometry import Frame, Polygon, Vector
+    from compas_dem.interactions import EdgeContact, FrictionContact, VertexContact
+
+    contacts = assembly.contacts
+    point_contact = contacts.contact_of_point
+    vectors = np.einsum("pi,pij->pj", forces, contacts.frames[point_contact])
+    for a, b in np.unique(contacts.parts, axis=0).tolist():
+        mine = np.flatnonzero((contacts.parts == (a, b)).all(axis=1))
+        rows = np.flatnonzero(np.isin(point_contact, mine))
+        axes = contacts.frames[mine[np.argmax(contacts.areas[mine])]]
+        points = contacts.points[rows]
+        local = vectors[rows] @ axes.T
+        frame = Frame(points.mean(axis=0).tolist(), Vector(*axes[1].tolist()), Vector(*axes[2].tolist()))
+        components = [{"c_np": max(n, 0.0), "c_nn": max(-n, 0.0), "c_u": u, "c_v": v} for n, u, v in local.tolist()]
+        corners = points.tolist()
+        edge = (nodes[a], nodes[b])
+        total = vectors[rows].sum(axis=0)
+        values: dict[str, Any] = {"face_contact": False, "edge_contact": False, "point_contact": False}
+        if len(corners) > 2:
+            values["face_contact"] = True
+            values["contact_polygon"] = Polygon(corners)
+            values["contact_data"] = FrictionContact(points=corners, frame=frame, forces=components)
+        elif len(corners) == 2:
+            values["edge_contact"] = True
+            values["contact_data"] = EdgeContact(points=corners, frame=frame, forces=components)
+        else:
+            values["point_contact"] = True
+            values["contact_data"] = VertexContact(point=corners[0], frame=frame, forces=components)
+        pressing = np.maximum(local[:, 0], 0)
+        weights = pressing if pressing.sum() > 0 else np.ones(len(points))
+        values |= {
+            "contact_points": corners,
+            "contact_frame": frame,
+            "force_normal": local[:, 0].tolist(),
+            "force_tangent1": local[:, 1].tolist(),
+            "force_tangent2": local[:, 2].tolist(),
+            "force_vector": vectors[rows].tolist(),
+            "nodal_force_magnitudes": np.linalg.norm(vectors[rows], axis=1).tolist(),
+            "resultant_local": [*local[:, 1:].sum(axis=0).tolist(), float(local[:, 0].sum())],
+            "resultant_global": total.tolist(),
+            "force_magnitude": float(np.linalg.norm(total)),
+            "force_point": (weights @ points / weights.sum()).tolist(),
+        }
+        for name, value in values.items():
+            results.set_edge(edge, name, value)

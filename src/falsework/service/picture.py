@@ -1,0 +1,88 @@
+"""Pictures of states and plans for the service, as PNG."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from typing import Any
+
+from falsework.assembly.state import States
+from falsework.search.plans.plan_file import plan_from_dict
+from falsework.stability.oracle import Stability
+
+
+@dataclass(frozen=True)
+class PictureOrder:
+    """Contents of a picture, as a request gives them."""
+
+    state: States
+    """Drawn if there is no plan, shape (parts,)."""
+    plan: dict[str, Any] | None
+    """JSON values of a plan file."""
+    step: int | None
+    """State of the plan that is drawn; None for a contact sheet."""
+    frames: int
+    """States of a contact sheet."""
+    proof: bool
+    """Whether a single state is drawn with the proof of its verdict."""
+    width: int | None
+    """Pixels across each state; None for the default."""
+    azimuth: float
+    """Of the camera, degrees."""
+    elevation: float
+    """Of the camera, degrees."""
+
+
+def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
+    """Draw one state, or the contact sheet of a plan.
+
+    Args:
+        oracle: of the structure; gives the proof.
+        order: what to draw.
+
+    Raises:
+        DependencyError: the extra `picture` is not installed.
+        PlanError: the plan is malformed or of another structure.
+        InputError: a step that the plan does not have.
+    """
+    from falsework.viewer.pictures.contact_sheet import (
+        CELL,
+        WHOLE,
+        caption,
+        check_places,
+        contact_sheet,
+        import_pillow,
+        legend,
+        one_state,
+    )
+    from falsework.viewer.pictures.render import Camera
+    from falsework.viewer.proof import proof_of_state
+    from falsework.viewer.timeline import Timeline
+
+    pillow = import_pillow()
+    if order.plan is None:
+        timeline = Timeline.from_state(oracle.assembly, order.state)
+    else:
+        timeline = Timeline.of(plan_from_dict(order.plan), oracle.assembly)
+    place = 0 if order.plan is None else order.step
+    usual = CELL if place is None else WHOLE
+    width = order.width or usual.width
+    camera = Camera(order.azimuth, order.elevation, width, round(width * usual.height / usual.width), usual.zoom)
+    if place is None:
+        pixels = contact_sheet(timeline, frames=order.frames, camera=camera)
+    else:
+        check_places(timeline, [place])
+        proof = proof_of_state(oracle, timeline.states[timeline.row(place)]) if order.proof else None
+        shown = {} if proof is None else {kind: some for kind, some in proof.arrows.items() if len(some)}
+        pixels = one_state(
+            timeline,
+            place,
+            camera,
+            arrows=list(shown.values()),
+            key=[(some.color, kind) for kind, some in shown.items()] or legend(timeline),
+            words=caption(timeline, place, proof),
+            marks=None if proof is None else proof.marks,
+        )
+    file = io.BytesIO()
+    pillow.Image.fromarray(pixels).save(file, format="PNG", optimize=True)
+    return file.getvalue()

@@ -1,0 +1,122 @@
+"""Pictures over HTTP: of states with their proofs, of plans, and what cannot be drawn."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from falsework.assembly import load_structure
+from falsework.service.picture import PictureOrder, draw_png
+from falsework.stability import Stability
+
+pillow = pytest.importorskip("PIL.Image", reason="needs Pillow; pip install 'falsework[picture]'")
+
+SMALL = {"width": 160}
+NO_KEYSTONE = [1, 1, 0, 1, 1, 2, 2]
+
+
+def pixels_of(reply: Any) -> NDArray[np.uint8]:
+    """The picture in an answer, shape (height, width, 3)."""
+    assert reply.status_code == 200, reply.text
+    assert reply.headers["content-type"] == "image/png"
+    return np.asarray(pillow.open(io.BytesIO(reply.content)).convert("RGB"))
+
+
+def test_a_state_is_drawn_with_and_without_its_proof(live: Any) -> None:
+    plain = pixels_of(live.post("/picture", {"state": "complete", **SMALL}))
+    assert plain.shape[1] == 160
+    assert np.array_equal(plain, pixels_of(live.post("/picture", SMALL)))
+    proof = pixels_of(live.post("/picture", {"state": "complete", "proof": True, **SMALL}))
+    fallen = pixels_of(live.post("/picture", {"state": NO_KEYSTONE, "proof": True, **SMALL}))
+    turned = pixels_of(live.post("/picture", {"azimuth": 20, **SMALL}))
+    for other in (proof, turned):
+        assert other.shape == plain.shape
+        assert not np.array_equal(other, plain)
+    assert not np.array_equal(fallen, proof)
+
+
+@pytest.mark.parametrize("elevation", [0.0, -0.0, 1e-300, -30.0, 89.0])
+def test_a_camera_at_any_height(elevation: float, live: Any) -> None:
+    assert pixels_of(live.post("/picture", {"elevation": elevation, **SMALL})).min() < 200  # something is drawn
+
+
+def test_a_plan_is_drawn_as_a_sheet_or_one_step(live: Any) -> None:
+    (plan,) = live.post("/replan", {"state": "empty", "direction": "assembly"}).json()["plans"]
+    sheet = pixels_of(live.post("/picture", {"plan": plan, "frames": 4, **SMALL}))
+    assert sheet.shape[1] == 4 * 160
+    first, last = (
+        pixels_of(live.post("/picture", {"plan": plan, "step": step, **SMALL})) for step in (0, len(plan["steps"]))
+    )
+    assert not np.array_equal(first, last)
+
+
+@pytest.mark.parametrize(
+    ("content", "hints"),
+    [
+        ({"step": 1}, ("step", "plan")),
+        ({"plan": {}}, ("plan",)),
+        ({"plan": {"format": "falsework.plan/9"}}, ("falsework.plan/9",)),
+        ({"state": [1, 1]}, ("state", "7 values")),
+        ({"state": [1, 1, 1, 1, 1, 2, 1]}, ("6", "boundary")),
+        ({"width": 10}, ("width",)),
+        ({"frames": 1000}, ("frames",)),
+        ({"azimuth": "north"}, ("azimuth",)),
+        ({"colour": "red"}, ("colour",)),
+    ],
+)
+def test_what_cannot_be_drawn(content: dict[str, Any], hints: tuple[str, ...], live: Any) -> None:
+    reply = live.post("/picture", content)
+    assert reply.status_code == 422
+    assert reply.headers["content-type"] == "application/json"
+    error = reply.json()["error"]
+    assert "\n" not in error
+    for hint in hints:
+        assert hint in error, error
+
+
+def test_a_step_or_a_structure_that_does_not_fit_the_plan(live: Any) -> None:
+    (plan,) = live.post("/replan", {}).json()["plans"]
+    reply = live.post("/picture", {"plan": plan, "step": 999})
+    assert reply.status_code == 422
+    assert "999" in reply.json()["error"]
+    plan["structure"]["identity"] = "0" * len(plan["structure"]["identity"])
+    assert live.post("/picture", {"plan": plan}).status_code == 422
+
+
+def test_pictures_do_not_count_as_workers_for_requests(live: Any) -> None:
+    pixels_of(live.post("/picture", SMALL))
+    assert set(live.client.get("/health").json()) == {"status", "planners", "judges", "waiting"}
+    assert [worker.kind for worker in live.pool._workers].count("picture") == 1
+
+
+def test_without_pillow_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    import multiprocessing
+    import sys
+
+    from falsework.service.worker import Item, WorkerConfig, _Painter
+
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    monkeypatch.setattr("os.nice", lambda _: 0)
+    assembly = load_structure("arch:blocks=3")
+    mine, theirs = multiprocessing.Pipe()
+    order = {"state": np.array([1, 1, 1, 2, 2], dtype=np.uint8), "plan": None, "step": None, "frames": 1}
+    order |= {"proof": False, "width": 80, "azimuth": 0.0, "elevation": 20.0}
+    _Painter(WorkerConfig(assembly, "picture")).answer([Item(7, order, 1.0)], theirs)
+    done = mine.recv()
+    assert (done.number, done.status) == (7, 501)
+    assert b"falsework[picture]" in done.body
+    with pytest.raises(ImportError, match="picture"):
+        draw_png(Stability(assembly), PictureOrder(**order))
+
+
+def test_a_picture_that_takes_too_long_is_refused(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    import asyncio
+
+    asked = live.pool.ask("picture", None, -1.0)  # its time is up before a worker has it
+    reply = asyncio.run_coroutine_threadsafe(asked, live.loop).result(10)
+    assert reply.status == 503
+    assert b"no picture within" in reply.body
