@@ -127,7 +127,7 @@ def test_random_legal_actions_solve_few_pairs_of_a_real_structure(shared_assembl
     data = build_goal_dataset(assembly, task_for(assembly), GoalDataSettings(test_pairs=100), device="cpu")
     environment = Environment(assembly, 2, device="cpu")
 
-    def uniform(states: torch.Tensor, targets: torch.Tensor | None = None, /) -> tuple[torch.Tensor, torch.Tensor]:
+    def uniform(states, targets=None, /):
         return torch.zeros(len(states), 2 * assembly.part_count), torch.zeros(len(states))
 
     assert 50 < len(data.test) <= 100
