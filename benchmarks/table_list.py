@@ -214,6 +214,17 @@ TABLES = {
         benchmark="learning table3",
         where=all_states,
     ),
+    "recipes": Table(
+        "learning",
+        (*STRUCTURE_AND_ROBOTS, ("searches to learn from", "{recipe}"), ("network", "{policy}")),
+        (
+            ("validation states, %", "{validation.success:%}"),
+            ("unseen states, %", "{test.success:%}"),
+            ("seconds", "{seconds}"),
+            ("of these for data", "{data_seconds}"),
+        ),
+        benchmark="learning recipe",
+    ),
     "data-collection": Table(
         "learning",
         (*STRUCTURE_AND_ROBOTS, ("criterion", "{criterion}")),
