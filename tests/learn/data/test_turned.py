@@ -114,17 +114,23 @@ def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly) -> 
 
 def test_a_policy_that_numbers_parts_learns_from_images_of_states(dome: Assembly) -> None:
     """They stand, and none of them is an image of a state that is held out."""
-    oracle, options = Stability(dome), {"widths": (6, 6), "evaluation_states": 8}
-    plain, turned = (
+    oracle = Stability(dome)
+    plain, alone, turned = (
         collect_training_data(
-            dome, TrainSettings(policy=PolicySettings(kind), **options), HostOracle(oracle), device=CPU
+            RunContext(
+                dome,
+                TrainSettings(policy=PolicySettings(kind), data=data, widths=(6, 6), evaluation_states=8),
+                HostOracle(oracle),
+                CPU,
+            )
         )
-        for kind in ("transformer", "resmlp")
+        for kind, data in (("transformer", "wide"), ("resmlp", "width64"), ("resmlp", "wide"))
     )
     count = len(plain.starts)
     images = symmetries(dome)
     assert torch.equal(turned.starts[:count], plain.starts)
     assert len(turned.starts) == len(images) * count
+    assert len(alone.starts) < count
     assert oracle.stable(turned.starts.numpy()).all()
     held_out = {bytes(row) for row in turned.held_out.numpy()}
     assert not held_out & {bytes(row) for row in turned.starts.numpy()}

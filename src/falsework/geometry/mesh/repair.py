@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +14,7 @@ from scipy.spatial import KDTree
 from falsework.errors import MeshError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
-from falsework.geometry.mesh.sheets import is_sheet, plane_normal
+from falsework.geometry.mesh.sheets import is_sheet, plane_normal, thickened
 from falsework.geometry.mesh.shells import Shells, directed_edges, edge_mates, is_closed
 
 Array = NDArray[np.float64]
@@ -30,6 +31,43 @@ _FLAT = 0.02
 
 class RepairWarning(UserWarning):
     """Repair of a mesh before use."""
+
+
+def thicken_supports(
+    solids: Sequence[tuple[str, Array, Faces]], supports: Collection[int]
+) -> list[tuple[str, Array, Faces]]:
+    """Give supports that are open, nearly flat surfaces a thickness, on the side away from their neighbours.
+
+    Warns with a `RepairWarning` of what was done. Nothing depends on the mass of a support.
+
+    Args:
+        solids: name, vertices in metres, shape (vertices, 3), and faces, shape (faces, 3), of each part.
+        supports: fixed parts.
+
+    Returns:
+        As `solids`.
+    """
+    sheets = [
+        part
+        for part, (_, vertices, faces) in enumerate(solids)
+        if part in supports and len(faces) and is_sheet(vertices, faces)
+    ]
+    if not sheets:
+        return list(solids)
+    others = [vertices for part, (_, vertices, _) in enumerate(solids) if part not in sheets and len(vertices)]
+    whole, most = list(solids), 0.0
+    for part in sheets:
+        name, *surface = solids[part]
+        vertices, faces, thickness = thickened(*surface, others)
+        whole[part] = name, vertices, faces
+        most = max(most, thickness)
+    warnings.warn(
+        f"supports modelled as open surfaces ({len(sheets)}, the first is part {solids[sheets[0]][0]}) "
+        f"were given a thickness of up to {1000 * most:.3g} mm behind them",
+        RepairWarning,
+        stacklevel=3,
+    )
+    return whole
 
 
 def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:

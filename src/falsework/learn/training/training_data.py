@@ -125,7 +125,7 @@ def collect_training_data(
     held = StateIndex(held_out)
     train, more = (states[held.find(states) < 0] for states in (data.train, data.more))
     starts = put(np.concatenate([train, more]), device)
-    if not settings.policy.transfers:  # the others know parts by their geometry, which images share
+    if settings.data == "wide" and not settings.policy.transfers:  # others know parts by geometry, which images share
         starts = turned_states(starts, images, _MOST_STATES)
     return TrainingData(
         starts,
