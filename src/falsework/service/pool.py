@@ -1,9 +1,9 @@
 """Worker pool: batching, deadlines, and recovery of lost workers.
 
 Everything here runs in the event loop of the process that talks to clients, except for the threads that listen to the
-pipes of the workers; nothing in it takes long. A request that waits is answered at its deadline whatever the workers do.
-A worker that dies takes at most one try of its requests with it: each is tried once more, by itself, and if it takes the
-next worker down as well, it is refused.
+pipes of the workers; nothing in it takes long. A request that waits is answered at its deadline whatever the workers
+do. A worker that dies takes at most one try of its requests with it: each is tried once more, by itself, and if it
+takes the next worker down as well, it is refused.
 """
 
 from __future__ import annotations
