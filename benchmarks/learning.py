@@ -281,7 +281,7 @@ def plot(options: argparse.Namespace) -> None:
         for one in (one for one in lines if one["structure"] == structure):
             seconds, _, test = zip(*one["curve"], strict=True)
             axis.plot(seconds, [100 * share for share in test], marker=".", label=one["method"])
-        axis.set(title=structure, xlabel="seconds, data included", ylabel="unseen states, greedy success in %")
+        axis.set(title=structure, xlabel="seconds, data included", ylabel="validation states, greedy success in %")
         axis.set_ylim(0, 101)
         axis.grid(alpha=0.3)
         axis.legend(loc="lower right")
