@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import importlib
 import io
 import os
 import sys
+import textwrap
 import traceback
 import warnings
 from collections.abc import Sequence
-from typing import Annotated, Any, Union, cast
-
-import tyro
+from functools import cache
+from pathlib import Path
+from shutil import get_terminal_size
+from typing import TYPE_CHECKING, Annotated, Any, Union, cast
 
 from falsework import __version__
-from falsework.cli.command import Command, Exit
+from falsework.cli.exit_code import Exit
 from falsework.cli.output import Output
 from falsework.errors import FalseworkError
+
+if TYPE_CHECKING:
+    from falsework.cli.command import Command
 
 COMMANDS = {
     "structures": "Structures",
@@ -96,6 +102,11 @@ def _parse(arguments: list[str]) -> Command | None:
     if arguments == ["--version"]:
         sys.stdout.write(f"falsework {__version__}\n")
         return None
+    if arguments in (["--help"], ["-h"]):
+        sys.stdout.write(_overview())
+        return None
+    import tyro
+
     named = next((name for name in (" ".join(arguments[:2]), *arguments[:1]) if name in COMMANDS), None)
     if named is not None:
         kind: Any = _command_class(named)
@@ -103,7 +114,7 @@ def _parse(arguments: list[str]) -> Command | None:
     else:
         group = [name for name in COMMANDS if " " in name and name.split()[:1] == arguments[:1]]
         classes = [
-            Annotated[kind, tyro.conf.subcommand(name.split()[-1] if group else name, description=_first_line(kind))]
+            Annotated[kind, tyro.conf.subcommand(name.split()[-1] if group else name, description=_first_line(name))]
             for name, kind in ((name, _command_class(name)) for name in group or COMMANDS)
         ]
         program, rest = ("falsework", arguments) if not group else (f"falsework {arguments[0]}", arguments[1:])
@@ -112,7 +123,7 @@ def _parse(arguments: list[str]) -> Command | None:
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            return cast(Command, tyro.cli(kind, prog=program, description=about, args=rest, config=markers))
+            return cast("Command", tyro.cli(kind, prog=program, description=about, args=rest, config=markers))
     except SystemExit as exit_request:
         if exit_request.code in (None, 0):
             return None
@@ -123,8 +134,33 @@ def _command_class(name: str) -> type[Command]:
     return getattr(importlib.import_module(f"falsework.cli.{name.split()[0]}"), COMMANDS[name])
 
 
-def _first_line(kind: type[Command]) -> str:
-    return (kind.__doc__ or "").splitlines()[0]
+@cache
+def _first_lines(module: str) -> dict[str, str]:
+    """Return the first line that the classes of a module say of themselves, without importing the module."""
+    source = Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8")
+    classes = [found for found in ast.parse(source).body if isinstance(found, ast.ClassDef)]
+    return {found.name: (ast.get_docstring(found) or "").partition("\n")[0] for found in classes}
+
+
+def _first_line(name: str) -> str:
+    return _first_lines(name.split()[0]).get(COMMANDS[name], "")
+
+
+def _overview() -> str:
+    """Return the help text of the whole program; the command line's parser would take a second to import for it."""
+    indent = max(map(len, COMMANDS)) + 4
+    lines = [
+        "usage: falsework [-h] [--version] SUBCOMMAND ...",
+        "",
+        _ABOUT,
+        "",
+        "Subcommands, each with its own --help:",
+    ]
+    for name in COMMANDS:
+        first = f"  {name}".ljust(indent)
+        width = max(get_terminal_size().columns, indent + 20)
+        lines += textwrap.wrap(_first_line(name), width, initial_indent=first, subsequent_indent=" " * indent)
+    return "\n".join(lines) + "\n"
 
 
 def _help_text(kind: type[Command]) -> str:
