@@ -184,8 +184,8 @@ def main() -> None:
     arguments = record()
     # Optimised once, below, with everything in one module; not by numba at every level of calls.
     codegen.CPUCodeLibrary._optimize_final_module = lambda library: None
-    for kernel in {callee for kernels in GROUPS.values() for kernel in kernels for callee in callees(kernel)}:
-        kernel.options |= {"cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    for function in {callee for kernels in GROUPS.values() for kernel in kernels for callee in callees(kernel)}:
+        function.options |= {"cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     index: dict[str, Any] = {}
     codes: dict[str, bytes] = {}
     for group, kernels in GROUPS.items():
@@ -199,7 +199,7 @@ def main() -> None:
         archive.writestr("index.json", json.dumps(index, indent=1))
         for group, code in codes.items():
             archive.writestr(f"{group}.bc", code)
-    print(f"{ARCHIVE}: {ARCHIVE.stat().st_size:,} bytes")
+    sys.stdout.write(f"{ARCHIVE}: {ARCHIVE.stat().st_size:,} bytes\n")
 
 
 if __name__ == "__main__":

@@ -12,10 +12,12 @@ import textwrap
 import traceback
 import warnings
 from collections.abc import Sequence
+from dataclasses import is_dataclass
 from functools import cache
 from pathlib import Path
 from shutil import get_terminal_size
-from typing import TYPE_CHECKING, Annotated, Any, Union, cast
+from types import UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Union, cast, get_args, get_origin, get_type_hints
 
 from falsework import __version__
 from falsework.cli.exit_code import Exit
@@ -110,6 +112,7 @@ def _parse(arguments: list[str]) -> Command | None:
     named = next((name for name in (" ".join(arguments[:2]), *arguments[:1]) if name in COMMANDS), None)
     if named is not None:
         kind: Any = _command_class(named)
+        _spell_unions_out(kind)
         about, program, rest = _help_text(kind), f"falsework {named}", arguments[len(named.split()) :]
     else:
         group = [name for name in COMMANDS if " " in name and name.split()[:1] == arguments[:1]]
@@ -128,6 +131,22 @@ def _parse(arguments: list[str]) -> Command | None:
         if exit_request.code in (None, 0):
             return None
         raise _UsageError(_one_line(complaint.getvalue()) or f"wrong options; see {program} --help") from None
+
+
+def _spell_unions_out(kind: Any) -> None:
+    """Turn `X | None` into `Optional[X]` in the fields of a command, for Python before 3.14.
+
+    To check a default against the former, tyro imports typeguard and with it asyncio, for a fifth of a second.
+    """
+    hints = get_type_hints(kind, include_extras=True)
+    for name, hint in hints.items():
+        inner, notes = (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
+        if isinstance(inner, UnionType):
+            inner = Union[get_args(inner)]  # noqa: UP007
+            hints[name] = Annotated[(inner, *notes)] if notes else inner
+        elif is_dataclass(inner):
+            _spell_unions_out(inner)
+    kind.__annotations__ = hints
 
 
 def _command_class(name: str) -> type[Command]:
