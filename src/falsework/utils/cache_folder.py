@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 import os
-from functools import lru_cache
+import warnings
+from functools import cache
 from pathlib import Path
 
 
@@ -32,20 +32,20 @@ def write_cache(name: str, content: bytes) -> None:
         kept.parent.mkdir(parents=True, exist_ok=True)
         fresh.write_bytes(content)
         fresh.replace(kept)
-    except OSError as error:
-        warn_of_no_cache(str(error))
+    except OSError:
+        warn_of_no_cache(str(kept.parent))
 
 
-@lru_cache(maxsize=1)
-def _warn_once() -> None:
-    logging.getLogger("falsework").warning(
-        "compiled code cannot be kept in %s and is compiled again at every start; "
-        "name a folder that can be written in FALSEWORK_CACHE",
-        cache_folder(),
+class CacheWarning(UserWarning):
+    """Compiled code cannot be kept."""
+
+
+@cache
+def warn_of_no_cache(folder: str) -> None:
+    """Warn, once in a process, that a folder cannot keep compiled code."""
+    warnings.warn(
+        f"compiled code cannot be kept in {folder} and is compiled again at every start; "
+        "name a folder that can be written in FALSEWORK_CACHE and NUMBA_CACHE_DIR",
+        CacheWarning,
+        stacklevel=2,
     )
-
-
-def warn_of_no_cache(reason: str) -> None:
-    """Warn, once in a process, that compiled code cannot be kept."""
-    logging.getLogger("falsework").debug("no cache: %s", reason)
-    _warn_once()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from pathlib import Path
 from struct import Struct
 from typing import Any
 
@@ -48,8 +49,8 @@ class Kernel:
 
         try:
             return njit(**self.options)(self.py_func)
-        except RuntimeError as error:  # numba has found no folder that it can write
-            warn_of_no_cache(str(error))
+        except RuntimeError:  # numba has found no folder that it can write
+            warn_of_no_cache(str(Path(self.py_func.__code__.co_filename).parent))
             return njit(**{**self.options, "cache": False})(self.py_func)
 
     @property
