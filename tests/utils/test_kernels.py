@@ -6,11 +6,13 @@ import os
 import subprocess
 import sys
 import warnings
+import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from llvmlite import binding as llvm
 
 from falsework.utils import bits, cache_folder, kernel_code
 from falsework.utils.kernels import Kernel, njit
@@ -144,3 +146,14 @@ def test_failure_in_portable_code_is_an_error(fresh: Kernel, monkeypatch: pytest
     monkeypatch.setattr(kernel_code.ctypes, "CFUNCTYPE", lambda *_: lambda _: lambda words, result: -1)
     with pytest.raises(RuntimeError, match="_intersect failed"):
         meets(fresh)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("triple", ["aarch64-unknown-linux-gnu", "arm64-apple-macosx14.0.0", "x86_64-pc-windows-msvc"])
+def test_code_compiles_for_other_machines(triple: str) -> None:
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    machine = llvm.Target.from_triple(triple).create_target_machine(opt=3)
+    with zipfile.ZipFile(kernel_code.ARCHIVE) as archive:
+        for group in kernel_code._index():
+            assert kernel_code.compile_code(llvm, machine, archive.read(f"{group}.bc"))

@@ -9,7 +9,8 @@ arguments of other types, or on a machine without 64-bit little-endian words.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from ctypes import addressof, c_char
+from functools import cache, cached_property
 from pathlib import Path
 from struct import Struct
 from typing import Any
@@ -19,7 +20,9 @@ import numpy as np
 from falsework.utils import kernel_code
 from falsework.utils.cache_folder import warn_of_no_cache
 
-Flat = tuple[str, list[Any]]
+Flat = tuple[str, bytes]
+_ARRAYS = [Struct(f"={5 + 2 * dimensions}q") for dimensions in range(5)]
+_INTEGER, _FLOAT = Struct("=q"), Struct("=d")
 
 
 class Kernel:
@@ -36,10 +39,9 @@ class Kernel:
     def __call__(self, *arguments: Any) -> Any:
         """Run the kernel; what portable code returns is an integer, 0 for nothing."""
         if self._portable is not None:
-            kinds, run, layout = self._portable
             flat = [self._flatten(place, argument) for place, argument in enumerate(arguments)]
-            if [kind for kind, _ in flat] == kinds:
-                return run(layout.pack(*(value for _, values in flat for value in values)))
+            if [kind for kind, _ in flat] == self._portable.kinds:
+                return self._portable.run(b"".join([words for _, words in flat]))
         return self.dispatcher(*arguments)
 
     @cached_property
@@ -63,10 +65,9 @@ class Kernel:
         return self.dispatcher._numba_type_
 
     @cached_property
-    def _portable(self) -> tuple[list[str], Callable[[bytes], int], Struct] | None:
-        """Kinds of arguments, machine code and layout of arguments, where the portable code fits the source."""
-        found = kernel_code.load(self.__module__, self.__name__)
-        return found and (found.kinds, found.run, Struct("=" + "".join(map(letters, "".join(found.kinds).split()))))
+    def _portable(self) -> kernel_code.Code | None:
+        """Machine code, where the portable code fits the source."""
+        return kernel_code.load(self.__module__, self.__name__)
 
     def _flatten(self, place: int, argument: Any) -> Flat:
         """Return kinds and words of an argument; those of a tuple, which seldom changes, from the last call."""
@@ -84,20 +85,22 @@ def flatten(argument: Any) -> Flat:
     An array is its owner, its parent (none of both here), size, size of an item, address, shape and strides.
     """
     if isinstance(argument, np.ndarray):
-        flags = argument.flags
-        layout = "" if flags.c_contiguous else "?"
-        address = argument.__array_interface__["data"][0]
-        words = [0, 0, argument.size, argument.itemsize, address, *argument.shape, *argument.strides]
-        return f"{argument.dtype.str}{layout}[{argument.ndim}] ", words
+        shape = argument.shape
+        try:
+            address = addressof(c_char.from_buffer(argument))
+        except (TypeError, ValueError):  # slower: what cannot be written, holds nothing or is not contiguous
+            address = argument.__array_interface__["data"][0]
+        words = _ARRAYS[len(shape)].pack(0, 0, argument.size, argument.itemsize, address, *shape, *argument.strides)
+        return _array_kind(argument.dtype, len(shape), argument.flags.c_contiguous), words
     if isinstance(argument, tuple):
         leaves = [flatten(leaf) for leaf in argument]
-        return "".join(kind for kind, _ in leaves), [word for _, words in leaves for word in words]
-    return ("float " if isinstance(argument, float) else "int "), [argument]
+        return "".join([kind for kind, _ in leaves]), b"".join([words for _, words in leaves])
+    return ("float ", _FLOAT.pack(argument)) if isinstance(argument, float) else ("int ", _INTEGER.pack(argument))
 
 
-def letters(kind: str) -> str:
-    """Return the words of a kind as `struct` has them."""
-    return "d" if kind == "float" else "q" if kind == "int" else "q" * (5 + 2 * int(kind[-2]))
+@cache
+def _array_kind(dtype: np.dtype, dimensions: int, contiguous: bool) -> str:
+    return f"{dtype.str}{'' if contiguous else '?'}[{dimensions}] "
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Kernel]:

@@ -180,9 +180,13 @@ def rest_range(
 
     States at rest become `STABLE`. `forces` may be empty; `found` is `RESTS`, `MOVES_AWAY` or `OPEN`, and steps are
     added to those there.
+
+    Returns:
+        How many states are left undecided.
     """
     nothing = np.zeros((0, 3))
     work, contact = make_scratch(structure), make_contact_scratch(structure)
+    count = 0
     for i in range(len(states)):
         if verdict[i] != UNDECIDED:
             continue
@@ -194,3 +198,6 @@ def rest_range(
         steps[i] += taken
         if result == RESTS:
             verdict[i], residual[i] = STABLE, left
+        else:
+            count += 1
+    return count

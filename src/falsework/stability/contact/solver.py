@@ -13,12 +13,14 @@ from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import RINGS, fall_range
 from falsework.stability.cpu.solver import Workers, kernel_options
+from falsework.stability.cpu.termination import STABLE, UNDECIDED, UNSTABLE
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 _WARM_STEPS = 8
 """Iterations from the displacement of the parent before a state is loaded from rest instead."""
+_SLIDES = int(Verdict.SLIDES)
 
 
 class ContactSolver:
@@ -82,40 +84,42 @@ class ContactSolver:
             known = np.isfinite(guess).all(axis=(1, 2))
             warm = known & ~((states == INSTALLED) & (parents != INSTALLED)).any(axis=1)
         steps = np.zeros(batch, np.int32)
-
         found = np.full(batch, RESTS, np.int8)
         cold = False  # forces hold no guess
 
         def work(rows: slice) -> None:
-            verdict, residual, spent = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows]
-            tail = verdict, residual, spent, steps[rows]
-            if parents is not None:
-                fall_range(self.structure, states[rows], parents[rows], RINGS, self._options, velocity[rows], *tail)
-            rest_range(
+            verdict, residual, taken = verdicts.verdict[rows], verdicts.residual[rows], steps[rows]
+            tail = verdict, residual, verdicts.iterations[rows], taken
+            motion, force = velocity[rows], forces[rows]
+            if parents is not None and not fall_range(
+                self.structure, states[rows], parents[rows], RINGS, self._options, motion, *tail
+            ):
+                return
+            if rest_range(
                 self.structure,
                 self.contact_structure,
                 states[rows],
                 self._contact_options,
                 displacement[rows],
-                forces[rows],
+                force,
                 warm[rows],
                 verdict,
                 residual,
-                steps[rows],
+                taken,
                 found[rows],
-            )
-            if (verdict == Verdict.UNDECIDED).any():
-                solve_range(self.structure, states[rows], self._options, forces[rows], velocity[rows], cold, *tail)
+            ):
+                solve_range(self.structure, states[rows], self._options, force, motion, cold, *tail)
 
         self._workers.run(work, batch)
         verdict, moves = verdicts.verdict, found == MOVES_AWAY
-        verdict[(found == OPEN) & (verdict != Verdict.UNSTABLE)] = Verdict.UNDECIDED
-        verdict[moves & (verdict == Verdict.STABLE)] = Verdict.SLIDES
-        verdicts.residual[moves & (verdict == Verdict.UNDECIDED)] = np.inf
-        kept = verdict == Verdict.STABLE
+        if not (found == RESTS).all():
+            verdict[(found == OPEN) & (verdict != UNSTABLE)] = UNDECIDED
+            verdict[moves & (verdict == STABLE)] = _SLIDES
+            verdicts.residual[moves & (verdict == UNDECIDED)] = np.inf
+        lost = verdict != STABLE
         if guess is None:  # what slides must not become a guess
-            kept |= verdict == Verdict.SLIDES
-        displacement[~kept] = np.nan
+            lost &= verdict != _SLIDES
+        displacement[lost] = np.nan
         if verdicts.displacement is not None and displacement is not verdicts.displacement:
             verdicts.displacement[:] = displacement
         verdicts.iterations[:] += steps

@@ -81,11 +81,16 @@ def fall_near(structure, state, parent, rings, options, work, near, no_forces, v
 
 @njit(nogil=True, cache=True)
 def fall_range(structure, states, parents, rings, options, velocity, verdict, residual, iterations, steps):
-    """Look for parts that fall near where states differ from their parents; arrays as in `solve_range`."""
+    """Look for parts that fall near where states differ from their parents; arrays as in `solve_range`.
+
+    Returns:
+        How many states are left undecided.
+    """
     nothing_f = np.zeros((0, 3))
     nothing_v = np.zeros((0, 6))
     near = np.empty(states.shape[1], np.uint8)
     work = make_scratch(structure)
+    left = 0
     for i in range(len(states)):
         motion = velocity[i] if len(velocity) else nothing_v
         v, r, k, s = fall_near(structure, states[i], parents[i], rings, options, work, near, nothing_f, motion)
@@ -93,3 +98,5 @@ def fall_range(structure, states, parents, rings, options, velocity, verdict, re
         residual[i] = r
         iterations[i] += k
         steps[i] += s
+        left += v == UNDECIDED
+    return left

@@ -105,10 +105,11 @@ class CpuSolver:
 
         def work(rows: slice) -> None:
             found = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
-            if parents is not None:
-                fall_range(self.structure, states[rows], parents[rows], RINGS, self._options, velocity[rows], *found)
-            warm = guess is not None
-            solve_range(self.structure, states[rows], self._options, forces[rows], velocity[rows], warm, *found)
+            motion, warm = velocity[rows], guess is not None
+            if parents is None or fall_range(
+                self.structure, states[rows], parents[rows], RINGS, self._options, motion, *found
+            ):
+                solve_range(self.structure, states[rows], self._options, forces[rows], motion, warm, *found)
 
         self._workers.run(work, batch)
         if verdicts.forces is not None and forces is not verdicts.forces:
