@@ -183,7 +183,7 @@ def main() -> None:
     """Write the archive."""
     arguments = record()
     # Optimised once, below, with everything in one module; not by numba at every level of calls.
-    codegen.CPUCodeLibrary._optimize_final_module = lambda library: None
+    codegen.CPUCodeLibrary._optimize_final_module = lambda self: None
     for function in {callee for kernels in GROUPS.values() for kernel in kernels for callee in callees(kernel)}:
         function.options |= {"cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     index: dict[str, Any] = {}

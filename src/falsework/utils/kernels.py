@@ -13,7 +13,7 @@ from ctypes import addressof, c_char
 from functools import cache, cached_property
 from pathlib import Path
 from struct import Struct
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -47,13 +47,14 @@ class Kernel:
     @cached_property
     def dispatcher(self) -> Any:
         """The function as numba compiles it."""
-        from numba import njit
+        import numba
 
+        compiler: Any = numba.njit
         try:
-            return njit(**self.options)(self.py_func)
+            return compiler(**self.options)(self.py_func)
         except RuntimeError:  # numba has found no folder that it can write
             warn_of_no_cache(str(Path(self.py_func.__code__.co_filename).parent))
-            return njit(**{**self.options, "cache": False})(self.py_func)
+            return compiler(**{**self.options, "cache": False})(self.py_func)
 
     @property
     def targetoptions(self) -> dict[str, Any]:
@@ -85,9 +86,9 @@ def flatten(argument: Any) -> Flat:
     An array is its owner, its parent (none of both here), size, size of an item, address, shape and strides.
     """
     if isinstance(argument, np.ndarray):
-        shape = argument.shape
+        shape, buffer = argument.shape, cast("Any", argument)
         try:
-            address = addressof(c_char.from_buffer(argument))
+            address = addressof(c_char.from_buffer(buffer))
         except (TypeError, ValueError):  # slower: what cannot be written, holds nothing or is not contiguous
             address = argument.__array_interface__["data"][0]
         words = _ARRAYS[len(shape)].pack(0, 0, argument.size, argument.itemsize, address, *shape, *argument.strides)
