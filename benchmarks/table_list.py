@@ -98,6 +98,25 @@ TABLES = {
         benchmark="stability cold",
         where=quiet,
     ),
+    "first-minute": Table(
+        "first_minute",
+        (("command", "{what}"), ("compiled code", "{cache}")),
+        (
+            ("s", "{seconds}"),
+            ("processor time, s", "{processor_seconds}"),
+            ("before, s", "{before.processor_seconds}"),
+            ("ratio", "{ratio}"),
+            ("memory, GiB", "{peak_gib}"),
+            ("runs", "{runs}"),
+        ),
+        benchmark="first_minute",
+    ),
+    "first-minute-ideas": Table(
+        "first_minute",
+        (("what is compiled at the first call", "{idea}"),),
+        (("processor time, s", "{processor_seconds}"),),
+        benchmark="first_minute ideas",
+    ),
     "search-plans": Table(
         "search",
         (*STRUCTURE, ("criterion", "{criterion}")),

@@ -63,7 +63,6 @@ class MakePlan(Command):
 
     def run(self, output: Output) -> Exit:
         """Search, prove, save."""
-        from falsework.cli.failure import explain
         from falsework.search.find import find_plans
         from falsework.stability import Stability, StabilitySettings
 
@@ -92,6 +91,8 @@ class MakePlan(Command):
         if planning.found:
             self._report(self._save(planning.plans), planning, output)
         elif not result.interrupted:
+            from falsework.cli.failure import explain
+
             failure = explain(assembly, oracle, result)
             output.record(failure.to_dict(assembly))
             output.note(f"falsework: {failure.text}")

@@ -7,9 +7,6 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components
-from scipy.spatial import KDTree
 
 from falsework.errors import MeshError
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -177,6 +174,10 @@ def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Ar
 def _weld(points: Array, corners: Faces) -> NDArray[np.int64]:
     """Return for every vertex the representative of all vertices within the welding distance."""
     reach = _WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
     pairs = KDTree(points).query_pairs(reach, output_type="ndarray")
     graph = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     _, label = connected_components(graph, directed=False)
@@ -197,6 +198,9 @@ def _wind(corners: Faces) -> Faces | None:
     count = len(corners)
     # Weight 2 for neighbours that disagree, 1 for those that agree: zero would be no edge.
     weight = np.where(disagree, 2, 1)
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import breadth_first_order, connected_components
+
     graph = csr_matrix((weight, (one // 3, two // 3)), shape=(count, count))
     graph = graph.maximum(graph.T).tocsr()
     shells, label = connected_components(graph, directed=False)
