@@ -1,13 +1,16 @@
 """Time the criterion `contact`, its replays and plans under it: one JSON object a line.
 
     python benchmarks/contact.py verdicts
+    python benchmarks/contact.py steps --structures vault:parts=500 vault:parts=1000
     python benchmarks/contact.py replay
     python benchmarks/contact.py plan --seeds 5
     python benchmarks/contact.py all --out benchmarks/results/contact.jsonl
 
 `verdicts`: both criteria on the same states in one process, taken from a search under `contact` in its order,
 with parents; `ratio` is the median over the repetitions of contact's time over equilibrium's. `cold_ms` is one
-state without a parent from Python, the median over the states of a plan. `replay`: a whole plan, four increments each.
+state without a parent from Python, the median over the states of a plan. `steps`: the highest parts are held and
+removed in turn; each state once from the displacement of the one before, once from rest. `replay`: a whole plan, four
+increments each.
 `plan`: from the assembly to the proven and replayed plan, the median over seeds; `seconds_before_replay` leaves out the
 proofs and the last replay. Compilation is not counted. Structures of the paper are read from FALSEWORK_DATA, else
 from the folder `shared` beside the repository.
@@ -21,13 +24,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import tyro
 from record import report, spread, write_to
 from states import Recorder, find
 
 from falsework.assembly import load_structure
+from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.search import Planner, PlannerSettings, SupportGuide, find_plans, task_of
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import Stability, StabilitySettings, Verdict
 from falsework.stability.settings import EQUILIBRIUM
 
 STRUCTURES = ("vault", "vault-62", "dome-72", "dog-35", "dome-37", "bottle-12", "dome")
@@ -37,7 +42,7 @@ STRUCTURES = ("vault", "vault-62", "dome-72", "dog-35", "dome-37", "bottle-12", 
 class Options:
     """What to run."""
 
-    what: tyro.conf.Positional[Literal["verdicts", "replay", "plan", "all"]]
+    what: tyro.conf.Positional[Literal["verdicts", "steps", "replay", "plan", "all"]]
     """Benchmark."""
     structures: tuple[str, ...] = STRUCTURES
     """Built-in names, paths, or names of structures of the paper."""
@@ -45,6 +50,8 @@ class Options:
     """Parts held at once."""
     seeds: int = 5
     """Searches of `plan`."""
+    steps: int = 8
+    """Parts that `steps` holds and removes."""
     repeat: int = 5
     """Repetitions of `verdicts` and `replay`."""
     out: Path | None = None
@@ -83,6 +90,41 @@ def verdicts(name: str, options: Options) -> Iterator[dict[str, Any]]:
         "ms_each": {key: spread([t / asked * 1e3 for t in value]) for key, value in times.items()},
         "ratio": spread(ratios),
         "cold_ms": spread(cold),
+    }
+
+
+def steps(name: str, options: Options) -> Iterator[dict[str, Any]]:
+    """Cost of a verdict from the displacement of the state before, and from rest."""
+    assembly = load_structure(find(name))
+    complete = complete_state(assembly.boundary)
+    highest = np.argsort(-np.where(assembly.boundary, -np.inf, assembly.mass.center[:, 2]))[: options.steps]
+    times: dict[str, list[float]] = {"beside": [], "from rest": []}
+    agree = 0
+    for _ in range(options.repeat):
+        oracle = Stability(assembly)
+        oracle.judge(complete[None], parents=complete[None])
+        state = complete
+        for part in highest:
+            for value in (HELD, REMOVED):
+                child = state.copy()
+                child[part] = value
+                found = []
+                for way, judge in (("beside", oracle), ("from rest", Stability(assembly))):
+                    begun = time.process_time()
+                    found.append(judge.judge(child[None], parents=state[None]).verdict[0])
+                    times[way].append((time.process_time() - begun) * 1e3)
+                agree += int(found[0] == found[1])
+                if found[0] != Verdict.STABLE:
+                    break
+                state = child
+    yield {
+        "parts": assembly.part_count,
+        "states": len(times["beside"]),
+        "repeat": options.repeat,
+        "seeds": (0,),
+        "agree": agree,
+        "ms_each": {way: spread(each) for way, each in times.items()},
+        "seconds": {way: round(sum(each) / 1e3, 2) for way, each in times.items()},
     }
 
 
@@ -139,7 +181,7 @@ def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:
 
 def main(options: Options) -> None:
     """Run the benchmarks on each structure."""
-    chosen = {"verdicts": verdicts, "replay": replay, "plan": plan}
+    chosen = {"verdicts": verdicts, "steps": steps, "replay": replay, "plan": plan}
     names = list(chosen) if options.what == "all" else [options.what]
     find_plans(load_structure("arch:blocks=5"))
     write_to(options.out)

@@ -29,9 +29,9 @@ class CheckPlan(JudgingCommand):
     """Verify every step of a plan, up to the first that fails.
 
     The options, not the file, set the criterion; a plan that claims less is refused. Under `contact`, displacements are
-    computed from rest and verified by a checker that shares no code with the solver; under `equilibrium` the exact
-    solver decides. The structure is the one that the plan names; a plan for another structure is refused. Exit code 1
-    at the first step that fails.
+    computed from rest, or from those of neighbouring states, and verified by a checker that shares no code with the
+    solver; under `equilibrium` the exact solver decides. The structure is the one that the plan names; a plan for
+    another structure is refused. Exit code 1 at the first step that fails.
     """
 
     examples: ClassVar[tuple[str, ...]] = (

@@ -179,6 +179,9 @@ def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, 
     for begin in range(0, len(route.states), _PROVED_AT_ONCE):
         rows = np.arange(begin, min(begin + _PROVED_AT_ONCE, len(route.states)))
         verdicts.put(rows, oracle.check(route.states[rows]))
+    for row in np.flatnonzero(~verdicts.stable):
+        beside = route.states[max(row - 1, 0) : row + 2]
+        verdicts.put(np.array([row]), oracle.check_beside(route.states[row], beside))
     plan = Plan.of(route, assembly, task, verdicts, oracle.settings.claim)
     if oracle.replayer is None:
         return plan

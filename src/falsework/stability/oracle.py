@@ -138,6 +138,32 @@ class Stability:
         self.counters.cached += len(batch) - len(unique)
         return verdicts[back]
 
+    def check_beside(self, state: States, neighbours: States) -> Verdicts:
+        """Check a state from the displacements of neighbouring ones, where none is found from rest.
+
+        Under `contact` there may be more than one displacement at which a state rests, and iterations from rest may
+        miss them all. Each one is a proof.
+
+        Args:
+            state: shape (parts,).
+            neighbours: states before and after it in a plan, shape (batch, parts).
+
+        Returns:
+            A batch of one: the first verdict of stable, else that from rest.
+        """
+        verdict = self.check(state)
+        if not isinstance(self._cpu, ContactSolver):
+            return verdict
+        for neighbour in neighbours:
+            beside = self.check(neighbour)
+            if verdict.stable[0] or not beside.stable[0] or beside.displacement is None:
+                continue
+            guess = np.require(beside.displacement, requirements="CW").copy()
+            found = self._cpu.check(state[None], parents=neighbour[None], guess=guess)
+            if found.stable[0] and self._accept(state[None], found)[0]:
+                verdict = found
+        return verdict
+
     def judge(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> Verdicts:
         """Check states without certificates, from the cache if possible.
 

@@ -11,7 +11,7 @@ import pytest
 
 from falsework.assembly import library, load_structure
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
+from falsework.assembly.state import complete_state, empty_state
 from falsework.errors import InputError
 from falsework.geometry import TriangleMesh
 from falsework.stability import Proof, Stability, StabilitySettings, Verdict, verify_certificates
@@ -255,3 +255,32 @@ def test_two_blocks_with_leaning_joints_turned_in_steps(public_structure: Callab
             assert (verdict == Verdict.STABLE) == (settle(turned, complete_state(turned.boundary)).stands[0] == 1)
             answers.add(verdict)
     assert len(answers) == 2
+
+
+def test_a_step_from_the_displacement_before_takes_few_iterations_and_says_the_same() -> None:
+    vault = load_structure("vault:parts=250")
+    state, parts = complete_state(vault.boundary), np.argsort(-vault.mass.center[:, 2])[:4]
+    oracle = Stability(vault)
+    oracle.judge(state[None], parents=state[None])
+    iterations = np.zeros(2, dtype=int)
+    for part, value in [(part, value) for part in parts for value in (2, 0)]:
+        before, state = state, np.where(np.arange(len(state)) == part, value, state).astype(np.uint8)
+        beside = oracle.judge(state[None], parents=before[None])
+        rest = Stability(vault).judge(state[None], parents=before[None])
+        assert beside.verdict[0] == rest.verdict[0] == Verdict.STABLE
+        iterations += beside.iterations[0], rest.iterations[0]
+    assert 3 * iterations[0] < 2 * iterations[1]  # both with those that look for what falls
+
+
+def test_a_state_beside_known_ones_is_checked_from_their_displacements() -> None:
+    arch = load_structure("arch")
+    state = complete_state(arch.boundary)
+    held = state.copy()
+    held[np.flatnonzero(state == 1)[0]] = 2
+    oracle = Stability(arch)
+    verdict = oracle.check_beside(held, np.stack([state, held]))
+    assert verdict.stable.all()
+    assert verify_certificates(arch, held[None], verdict, oracle.settings.claim).all()
+    falling = empty_state(arch.boundary)
+    falling[np.flatnonzero(state == 1)[1]] = 1
+    assert oracle.check_beside(falling, state[None]).unstable.all()

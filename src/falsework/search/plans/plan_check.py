@@ -157,6 +157,8 @@ def validate_plan(
     largest = 0.0
     for row in range(count if broken is None else broken[0]):
         verdict = solver.check(plan.states[row : row + 1])
+        if isinstance(solver, Stability) and not verdict.stable[0]:
+            verdict = solver.check_beside(plan.states[row], plan.states[max(row - 1, 0) : row + 2])
         if not (verdict.stable[0] and verify_certificates(assembly, plan.states[row : row + 1], verdict, claim)[0]):
             seconds = time.perf_counter() - begun
             return PlanReport(count, row, _unstable(plan, row, verdict), largest, claim, verdict, seconds)

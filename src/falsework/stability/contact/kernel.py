@@ -10,17 +10,20 @@ from falsework.assembly.model import Assembly
 from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.newton import (
     MOVES_AWAY,
-    OPEN,
     RESTS,
     ContactArrays,
     find_rest,
     make_contact_scratch,
 )
-from falsework.stability.cpu.layout import make_scratch, restrict, set_gravity
+from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity, restrict, set_gravity
+from falsework.stability.cpu.neighbourhood import hold_far_parts
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED
 from falsework.stability.problem import Problem
 from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
 from falsework.utils.kernels import njit
+
+NEAR_RINGS = 3
+"""Contacts away from a changed part within which parts come to rest first; fewer where those are half of all."""
 
 
 class ContactOptions(NamedTuple):
@@ -33,7 +36,9 @@ class ContactOptions(NamedTuple):
     warm_steps: int
     """The same from the displacement of a parent."""
     first_step: float
-    """First time step."""
+    """First time step from rest."""
+    warm_first_step: float
+    """The same from the displacement of a parent."""
 
 
 def build_contact_structure(
@@ -92,13 +97,13 @@ def read_displacement(structure, contact_structure, work, displacement, out):
 
 @njit(cache=True)
 def write_displacement(structure, contact_structure, work, whitened, out):
-    """Displacement in m and rad of shape (parts, 6) from a whitened one; zero for parts that cannot move."""
+    """Displacement in m and rad of the parts that can move from a whitened one; other rows of (parts, 6) are kept."""
     order, turn = structure.elimination.order, structure.acceleration
-    out[:] = 0.0
     for j in range(len(work.free)):
         if work.free[j]:
             part = order[j]
             for r in range(6):
+                out[part, r] = 0.0
                 for c in range(6):
                     out[part, r] += turn[part, r, c] * whitened[j, c]
                 out[part, r] *= contact_structure.scale
@@ -130,15 +135,65 @@ def lacks_contact(work, pairs):
 
 
 @njit(cache=True)
+def settle_near(
+    structure, contact_structure, state, parent, options, tolerance, work, contact, near, moved, displacement
+):
+    """Let the parts near where a state differs from its parent come to rest, while the others stay where they are.
+
+    Forces change most there, and a whole structure is not factored for it. Improves `displacement`, in m and rad, of
+    shape (parts, 6); `near` (parts,) and `moved` (n, 6) are scratch.
+
+    Returns:
+        Iterations.
+    """
+    rings, kept, free = NEAR_RINGS + 1, 1, 0
+    while 2 * kept > free and rings > 0:
+        rings -= 1
+        kept, free = hold_far_parts(structure, state, parent, rings, near)
+    if kept == 0 or rings == 0:
+        return 0
+    pairs, _ = restrict(structure, state, work)
+    read_displacement(structure, contact_structure, work, displacement, moved)
+    order, position = structure.elimination.order, structure.elimination.position
+    for j in range(len(order)):
+        if near[order[j]] == 1:
+            for r in range(6):
+                moved[j, r] = 0.0
+    pairs, _ = restrict(structure, near, work)
+    place_contacts(structure, contact_structure, work, contact, pairs)
+    ta, tb, parts = structure.transfer_a, structure.transfer_b, structure.pair_parts
+    for p in range(pairs):
+        q = work.pair[p]
+        a, b = parts[q, 0], parts[q, 1]
+        slot_a = position[a] if state[a] == 1 and near[a] != 1 else -1
+        slot_b = position[b] if state[b] == 1 and near[b] != 1 else -1
+        if slot_a < 0 and slot_b < 0:
+            continue
+        s0, s1, s2, s3, s4, s5 = pair_velocity(ta, tb, q, slot_a, slot_b, moved)
+        for j in range(work.start[p], work.start[p + 1]):
+            d0, d1, d2 = point_velocity(work.basis, j, s0, s1, s2, s3, s4, s5)
+            contact.offset[j, 0] = -contact.normal[j] * d0
+            contact.offset[j, 1] = -contact.tangential[j] * d1
+            contact.offset[j, 2] = -contact.tangential[j] * d2
+    read_displacement(structure, contact_structure, work, displacement, contact.displacement)
+    result, _, spent = find_rest(
+        structure, contact_structure, work, contact, pairs, options.warm_steps, tolerance, options.first_step
+    )
+    if result == RESTS:
+        write_displacement(structure, contact_structure, work, contact.displacement, displacement)
+    return spent
+
+
+@njit(cache=True)
 def solve_contact_state(structure, contact_structure, state, options, work, contact, displacement, forces, warm):
-    """Look for a displacement at which a state, loaded from rest, is in equilibrium.
+    """Look for a displacement at which a state is in equilibrium.
 
     Args:
         structure, contact_structure, options, work, contact: see there.
         state: shape (parts,).
         displacement: in: a guess in m and rad where `warm`; out: the displacement. Shape (parts, 6).
         forces: out: contact forces in N, shape (points, 3) or (0, 3).
-        warm: whether `displacement` holds a guess.
+        warm: start from the guess; else the structure is loaded from rest.
 
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; the residual; iterations.
@@ -153,19 +208,16 @@ def solve_contact_state(structure, contact_structure, state, options, work, cont
         forces[:] = 0.0
         return MOVES_AWAY, np.inf, 0
     place_contacts(structure, contact_structure, work, contact, pairs)
-    tolerance, spent = (1.0 - MARGIN) * options.tolerance, 0
-    result, residual = OPEN, np.inf
+    tolerance, steps, first_step = (1.0 - MARGIN) * options.tolerance, options.steps, options.first_step
     if warm:
         read_displacement(structure, contact_structure, work, displacement, contact.displacement)
-        result, residual, spent = find_rest(
-            structure, contact_structure, work, contact, pairs, options.warm_steps, tolerance, options.first_step
-        )
-    if result != RESTS:
+        steps, first_step = options.warm_steps, options.warm_first_step
+    else:
         contact.displacement[:] = 0.0
-        result, residual, taken = find_rest(
-            structure, contact_structure, work, contact, pairs, options.steps, tolerance, options.first_step
-        )
-        spent += taken
+    result, residual, spent = find_rest(
+        structure, contact_structure, work, contact, pairs, steps, tolerance, first_step
+    )
+    displacement[:] = 0.0
     write_displacement(structure, contact_structure, work, contact.displacement, displacement)
     if len(forces):
         write_forces(structure, work, contact, pairs, forces)
@@ -174,23 +226,39 @@ def solve_contact_state(structure, contact_structure, state, options, work, cont
 
 @njit(nogil=True, cache=True)
 def rest_range(
-    structure, contact_structure, states, options, displacement, forces, warm, verdict, residual, steps, found
+    structure, contact_structure, states, parents, options, displacement, forces, warm, verdict, residual, steps, found
 ):
     """Look for rest of the states whose `verdict` is `UNDECIDED`; arrays as in `solve_contact_state`, batched.
 
-    States at rest become `STABLE`. `forces` may be empty; `found` is `RESTS`, `MOVES_AWAY` or `OPEN`, and steps are
-    added to those there.
+    States at rest become `STABLE`. `forces` may be empty; `parents` is read where `warm`; `found` is `RESTS`,
+    `MOVES_AWAY` or `OPEN`, and steps are added to those there.
 
     Returns:
         How many states are left undecided.
     """
     nothing = np.zeros((0, 3))
     work, contact = make_scratch(structure), make_contact_scratch(structure)
+    near, moved = np.empty(states.shape[1], np.uint8), np.zeros((len(structure.elimination.order), 6))
+    tolerance = (1.0 - MARGIN) * options.tolerance
     count = 0
     for i in range(len(states)):
         if verdict[i] != UNDECIDED:
             continue
         force = forces[i] if len(forces) else nothing
+        if warm[i]:
+            steps[i] += settle_near(
+                structure,
+                contact_structure,
+                states[i],
+                parents[i],
+                options,
+                tolerance,
+                work,
+                contact,
+                near,
+                moved,
+                displacement[i],
+            )
         result, left, taken = solve_contact_state(
             structure, contact_structure, states[i], options, work, contact, displacement[i], force, warm[i]
         )

@@ -23,6 +23,8 @@ RESTS, MOVES_AWAY, OPEN = 1, -1, 0
 FIRST_STEP = 30.0
 """First time step, in units in which the median contact stiffness is 1: longer in a thinner medium. From much longer
 steps iterations may jump to an equilibrium that parts, as they sink into their contacts, do not come to."""
+WARM_FIRST_STEP = 1e4
+"""The same from the displacement of a parent, from which there is less to go."""
 _GROWTH = 4.0
 """Growth of the time step after a full step, at least; by the fall of the residual where that is more."""
 _SHORTEST = 0.1

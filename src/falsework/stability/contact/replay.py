@@ -125,7 +125,7 @@ class Replayer:
             solver = ContactSolver(assembly, problem, settings)
         self.problem = solver.problem
         self._structure, self._contact = solver.structure, solver.contact_structure
-        self._options = ContactOptions(settings.tolerance, replay.steps, 0, replay.first_step)
+        self._options = ContactOptions(settings.tolerance, replay.steps, 0, replay.first_step, replay.first_step)
         self._noise = self._draw_noise(replay)
         self._size = structure_size(assembly)
 

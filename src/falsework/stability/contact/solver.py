@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, States
 from falsework.stability.contact.kernel import ContactOptions, build_contact_structure, rest_range
-from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, OPEN, RESTS
+from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, OPEN, RESTS, WARM_FIRST_STEP
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import RINGS, fall_range
@@ -18,8 +20,8 @@ from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
-_WARM_STEPS = 8
-"""Iterations from the displacement of the parent before a state is loaded from rest instead."""
+_WARM_STEPS = 16
+"""Iterations from the displacement of the parent before a state that may be in equilibrium is loaded from rest."""
 _SLIDES = int(Verdict.SLIDES)
 
 
@@ -27,8 +29,10 @@ class ContactSolver:
     """Solver of batches of states of one structure under the criterion `contact`.
 
     A state that differs from its parent is first searched for parts that fall near the difference, with a proof
-    (`neighbourhood.py`). Then a displacement is looked for (`newton.py`); where there is one the state is stable. Where
-    there is none, the solver of the equilibrium problem says whether the state is unstable, with its proof, or slides.
+    (`neighbourhood.py`). Then a displacement is looked for (`newton.py`), from that of the parent where it is known;
+    where there is one the state is stable. Where there is none, the solver of the equilibrium problem says whether the
+    state is unstable, with its proof. If it is not, and was not loaded from rest yet, it is now; where that finds none
+    either, the state slides.
     """
 
     def __init__(self, assembly: Assembly, problem: Problem, settings: StabilitySettings) -> None:
@@ -37,7 +41,9 @@ class ContactSolver:
         self.structure = build_structure(problem)
         self.contact_structure = build_contact_structure(assembly, problem, settings.gravity, settings.stiffness_ratio)
         self._options = kernel_options(settings)
-        self._contact_options = ContactOptions(settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS, FIRST_STEP)
+        self._contact_options = ContactOptions(
+            settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS, FIRST_STEP, WARM_FIRST_STEP
+        )
         self._workers = Workers(settings.cpu.threads)
 
     def check(
@@ -83,32 +89,42 @@ class ContactSolver:
         if guess is not None and parents is not None:
             known = np.isfinite(guess).all(axis=(1, 2))
             warm = known & ~((states == INSTALLED) & (parents != INSTALLED)).any(axis=1)
+        origins = states if parents is None else parents
         steps = np.zeros(batch, np.int32)
         found = np.full(batch, RESTS, np.int8)
         cold = False  # forces hold no guess
 
+        def rest(chosen: States, origin: States, start: NDArray[np.float64], *arrays: NDArray[Any]) -> int:
+            kernel = self.structure, self.contact_structure, chosen, origin, self._contact_options
+            return rest_range(*kernel, start, *arrays)
+
+        def load_from_rest(rows: NDArray[np.intp]) -> None:
+            count, chosen = len(rows), states[rows]
+            start, force = np.zeros((count, problem.parts, 6)), forces[rows] if len(forces) else forces
+            verdict, residual = np.full(count, UNDECIDED, verdicts.verdict.dtype), verdicts.residual[rows]
+            taken, result = steps[rows], found[rows]
+            rest(chosen, chosen, start, force, np.zeros(count, bool), verdict, residual, taken, result)
+            displacement[rows], steps[rows], found[rows] = start, taken, result
+            at_rest = rows[result == RESTS]
+            verdicts.verdict[at_rest], verdicts.residual[at_rest] = STABLE, residual[result == RESTS]
+            if len(forces):
+                forces[at_rest] = force[result == RESTS]
+
         def work(rows: slice) -> None:
             verdict, residual, taken = verdicts.verdict[rows], verdicts.residual[rows], steps[rows]
             tail = verdict, residual, verdicts.iterations[rows], taken
-            motion, force = velocity[rows], forces[rows]
+            motion, force, chosen = velocity[rows], forces[rows], states[rows]
             if parents is not None and not fall_range(
-                self.structure, states[rows], parents[rows], RINGS, self._options, motion, *tail
+                self.structure, chosen, parents[rows], RINGS, self._options, motion, *tail
             ):
                 return
-            if rest_range(
-                self.structure,
-                self.contact_structure,
-                states[rows],
-                self._contact_options,
-                displacement[rows],
-                force,
-                warm[rows],
-                verdict,
-                residual,
-                taken,
-                found[rows],
+            if rest(
+                chosen, origins[rows], displacement[rows], force, warm[rows], verdict, residual, taken, found[rows]
             ):
-                solve_range(self.structure, states[rows], self._options, force, motion, cold, *tail)
+                solve_range(self.structure, chosen, self._options, force, motion, cold, *tail)
+                again = np.flatnonzero(warm[rows] & (found[rows] != RESTS) & (verdict != UNSTABLE))
+                if len(again):
+                    load_from_rest(again + rows.start)
 
         self._workers.run(work, batch)
         verdict, moves = verdicts.verdict, found == MOVES_AWAY
