@@ -177,7 +177,7 @@ def residual_of_forces(
         rows = (np.arange(batch)[:, None] * parts + part).ravel()
         for axis in range(6):
             net[:, :, axis] += np.bincount(rows, wrench[:, :, axis].ravel(), batch * parts).reshape(batch, parts)
-    net[:, :, 2] -= claim.gravity * mass.mass
+    net += assembly.applied_wrench(claim.gravity)
     linear = net[:, :, :3] / mass.mass[None, :, None]
     angular = np.linalg.solve(mass.inertia[None], net[:, :, 3:, None])[..., 0]
     largest = np.maximum(np.abs(linear).max(axis=2), np.abs(angular).max(axis=2) * mass.gyration) / claim.gravity
@@ -191,8 +191,8 @@ def residual_bound_of_velocity(
     """Return the residual that every admissible set of contact forces leaves at least, as a velocity proves it.
 
     For forces with sum of normals at most `B`, the power of all forces on velocity `w` is at least
-    `w . gravity - B max_c s_c`, where `s_c` is the most power that contact point `c` can take out per newton of
-    normal force. The power is also the acceleration times the momentum of `w`, at most the residual times
+    `w . loads - B max_c s_c`, weight among the loads, where `s_c` is the most power that contact point `c` can take out
+    per newton of normal force. The power is also the acceleration times the momentum of `w`, at most the residual times
     gravity times the 1-norm of the momentum, angular momenta divided by the radii of gyration (the lemma of
     Farkas with both bounds in numbers).
 
@@ -214,7 +214,7 @@ def residual_bound_of_velocity(
     taken = _most_power_taken(_relative(assembly, velocity), assembly.friction, claim.cone)
     taken = np.where(_acts(states, a, b), taken, 0.0).max(axis=1, initial=0.0)
 
-    power = -claim.gravity * (mass.mass * linear[:, :, 2]).sum(axis=1)
+    power = np.einsum("bpi,pi->b", velocity, assembly.applied_wrench(claim.gravity))
     weight = claim.gravity * mass.mass[~assembly.boundary].sum()
     momentum = np.abs(mass.mass[None, :, None] * linear).sum(axis=(1, 2))
     turning = np.abs(np.einsum("pij,bpj->bpi", mass.inertia, angular)).sum(axis=2)

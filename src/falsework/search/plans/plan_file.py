@@ -245,7 +245,7 @@ class _Reader(Reader):
         """Where the structure came from; whether it is there is for others to find out."""
         kinds = {
             "built_in": str, "path": str, "unit": str, "density": (int, float), "friction": (int, float),
-            "boundary": list, "ground": bool, "interfaces": str,
+            "boundary": list, "ground": bool, "interfaces": str, "loads": list, "earthquake": list,
         }  # fmt: skip
         self._keys(value, set(), "structure.source", optional=frozenset(kinds))
         for key, entry in value.items():
