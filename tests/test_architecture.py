@@ -38,7 +38,7 @@ CORE = ("errors", "utils", "geometry", "assembly", "stability", "search", "repla
 SUBPACKAGES = {
     "geometry": ("mesh", "contact", "clearance"),
     "assembly": ("library",),
-    "stability": ("cpu", "contact", "gpu", "reference", "judges"),
+    "stability": ("cpu", "contact", "gpu", "reference", "margins", "judges"),
     "search": ("problem", "beam", "plans", "device"),
     "learn": ("config", "env", "networks", "data", "algorithms", "training"),
     "robots": ("model", "kernels", "kinematics", "motion", "cells", "grasping", "plans", "planning"),

@@ -38,7 +38,7 @@ class ContactSolver:
         self.structure = build_structure(problem)
         self.contact_structure = build_contact_structure(assembly, problem, settings.gravity, settings.stiffness_ratio)
         self._options = kernel_options(settings)
-        self._contact_options = ContactOptions(settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS, FIRST_STEP)
+        self.contact_options = ContactOptions(settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS, FIRST_STEP)
         self._workers = Workers(settings.cpu.threads)
 
     def check(
@@ -95,7 +95,7 @@ class ContactSolver:
                 origins[rows],
                 RINGS,
                 self._options,
-                self._contact_options,
+                self.contact_options,
                 displacement[rows],
                 forces[rows],
                 velocity[rows],
