@@ -39,7 +39,7 @@ SUBPACKAGES = {
     "geometry": ("mesh", "contact", "clearance"),
     "assembly": ("library",),
     "stability": ("cpu", "contact", "gpu", "reference", "margins", "judges"),
-    "search": ("problem", "beam", "plans", "device"),
+    "search": ("problem", "beam", "margins", "plans", "device"),
     "learn": ("config", "env", "networks", "data", "algorithms", "training"),
     "robots": ("model", "kernels", "kinematics", "motion", "cells", "grasping", "plans", "planning"),
     "viewer": ("pictures", "page"),

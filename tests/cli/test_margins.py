@@ -65,9 +65,9 @@ def test_placement_errors_cost_some_draws(falsework: Run, tmp_path: Path, write_
     ("options", "words"),
     [
         (("--bears", "100N"), "give a force and a moment"),
-        (("--bears", "100mm,8Nm"), "has the unit mm; give a force"),
-        (("--bears", "100,8Nm"), "has no unit; give a force"),
-        (("--placement", "1deg"), "has the unit deg; give a length"),
+        (("--bears", "100mm,8Nm"), "has the unit mm; give 2N"),
+        (("--bears", "100,8Nm"), "has no unit; give 2N"),
+        (("--placement", "1deg"), "has the unit deg; give 2mm"),
         (("--placement", "-1mm"), "not above zero"),
         (("--placement", "1mm", "--draws", "0"), "0 draws are no sample"),
         (("--settlement", "--criterion", "equilibrium"), "equilibrium knows no settlement"),

@@ -39,7 +39,7 @@ def parse_quantity(text: str, kind: str, option: str) -> float:
     number, unit = float(match[1]), match[2]
     if unit not in units:
         said = f"has the unit {unit}" if unit else "has no unit"
-        raise InputError(f"{option}: {text!r} {said}; give a {kind} such as {wanted}")
+        raise InputError(f"{option}: {text!r} {said}; give {wanted}")
     if not (math.isfinite(number) and number > 0):
-        raise InputError(f"{option}: {text!r} is not above zero; give a {kind} such as {wanted}")
+        raise InputError(f"{option}: {text!r} is not above zero; give {wanted}")
     return number * units[unit]

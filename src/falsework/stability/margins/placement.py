@@ -69,7 +69,7 @@ def placement_curve(
     for row, tolerance in enumerate(tolerances):
         random = np.random.default_rng(seed)
         for draw in range(draws):
-            moved = _moved(assembly, tolerance, random)
+            moved = moved_assembly(assembly, tolerance, random)
             if moved is None:
                 refused[row] += 1
             else:
@@ -79,7 +79,7 @@ def placement_curve(
     return PlacementCurve(np.array(tolerances, float), stands / draws, refused, draws)
 
 
-def _moved(assembly: Assembly, tolerance: float, random: np.random.Generator) -> Assembly | None:
+def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Generator) -> Assembly | None:
     """Return the structure with its parts off their places; None where they make no assembly."""
     meshes = []
     for mesh, center, fixed in zip(assembly.meshes, assembly.mass.center, assembly.boundary, strict=True):
