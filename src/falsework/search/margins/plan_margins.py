@@ -16,8 +16,8 @@ from falsework.stability.oracle import Stability
 Measured = Literal["friction", "tilt", "horizontal", "push"]
 MEASURED: tuple[Measured, ...] = get_args(Measured)
 """Margins that plans record as numbers."""
-_ROUNDING = 1e-6
-"""Share by which a recorded number is moved inwards before it is checked: files round."""
+_WITHIN = (1.0, 1.0025, 1.005)
+"""Times a recorded friction at which a state may stand: numbers are rounded, and mean what they say within 1 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +113,9 @@ class PlanMargins:
         for row, friction in enumerate(self.measured.get("friction", ())):
             if friction is None:
                 continue
-            condition = Condition(friction * (1 + _ROUNDING), oracle.prober.own().extra)
-            if not oracle.prober.ask(states[row], condition, patient=True).stands:
+            extra = oracle.prober.own().extra
+            tried = (Condition(friction * factor, extra) for factor in _WITHIN)
+            if not any(oracle.prober.ask(states[row], condition).stands for condition in tried):
                 return row, f"does not stand at the recorded friction of {friction:.4g}"
         return None
 

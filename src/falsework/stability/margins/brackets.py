@@ -125,20 +125,27 @@ def least(probe: Probe, start: Answer, *, value: float, floor: float) -> Bracket
 
 
 def checked(
-    bracket: Bracket, probe: Probe, start: Answer, again: Callable[[float, Answer], Bracket], origin: float = 0.0
+    bracket: Bracket,
+    probe: Callable[[float, Answer | None], Answer],
+    start: Answer,
+    again: Callable[[float, Answer], Bracket],
+    origin: float = 0.0,
 ) -> Bracket:
     """Probe a family further inside its bound, and where it fails there, return the bound before that.
 
     Args:
         bracket: the bound.
-        probe: the family.
+        probe: the family; from rest where no answer nearby is given.
         start: the answer at `origin`.
         again: finds the bound between `origin` and a value that fails, given with its answer.
         origin: value of the state as it is.
     """
     for share in _CHECKED:
         value = origin + share * (bracket.inside - origin)
-        answer = probe(value, start)
+        # That no rest is found from one side does not say that there is none.
+        answer = probe(value, None)
+        for near in (start, bracket.stands):
+            answer = answer if answer.stands else probe(value, near)
         if not answer.stands:
             found = again(value, answer)
             return Bracket(found.inside, found.stands, found.outside, found.fails, monotone=False)

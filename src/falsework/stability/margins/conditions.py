@@ -27,10 +27,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_STEPS = 150
-"""Newton iterations before a state counts as not shown to stand, while a bound is looked for."""
 _WARM_STEPS = 12
-"""The same from the displacement under a load nearby."""
+"""Newton iterations from the displacement under a load nearby before a state is loaded from rest."""
 _ABOVE = 1.002
 """Times the tolerance that a velocity must prove where it cuts a load off."""
 
@@ -105,7 +103,6 @@ class Prober:
         near: Answer | None = None,
         *,
         moved: Array | None = None,
-        patient: bool = False,
     ) -> Answer:
         """Ask whether a state stands.
 
@@ -114,11 +111,9 @@ class Prober:
             condition: friction and loads.
             near: the answer under a condition nearby, to start from.
             moved: under `contact`, displacements of parts that do not move freely, shape (parts, 6), m and rad.
-            patient: under `contact`, make as many iterations as a verdict does.
         """
         if self.contact:
-            steps = self.settings.cpu.contact_steps if patient else _STEPS
-            return self._ask_contact(state, condition, near, moved, steps)
+            return self._ask_contact(state, condition, near, moved)
         answer = self.balance(state, condition, near)
         if answer.stands or answer.velocity is not None:
             return answer
@@ -141,9 +136,7 @@ class Prober:
         stands, fails = bool(verdict[0] == STABLE), bool(verdict[0] == UNSTABLE)
         return Answer(condition, stands, False, forces[0] if stands else None, None, velocity[0] if fails else None)
 
-    def _ask_contact(
-        self, state: States, condition: Condition, near: Answer | None, moved: Array | None, steps: int
-    ) -> Answer:
+    def _ask_contact(self, state: States, condition: Condition, near: Answer | None, moved: Array | None) -> Answer:
         structure = self._structure._replace(friction=float(condition.friction))
         displacement = np.zeros((1, self.problem.parts, 6))
         warm = near is not None and near.displacement is not None
@@ -157,7 +150,7 @@ class Prober:
             np.array(state),
             np.array(self._whitened(condition)[None]),
             offsets,
-            self._contact_options._replace(steps=steps),
+            self._contact_options,
             displacement,
             warm,
             result,
@@ -228,9 +221,7 @@ class Prober:
         if velocity is None:
             balanced = self.balance(state, answer.condition)
             velocity = balanced.velocity
-            if velocity is None and self.contact and not answer.moves_away:
-                answer = self.ask(state, answer.condition, patient=True)
-            if self.contact and balanced.forces is not None and answer.moves_away and not answer.stands:
+            if self.contact and balanced.forces is not None and answer.moves_away:
                 verdicts.forces[0], verdicts.verdict[0] = balanced.forces, Verdict.SLIDES
         if velocity is not None:
             verdicts.velocity[0], verdicts.verdict[0] = velocity, Verdict.UNSTABLE

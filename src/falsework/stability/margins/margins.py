@@ -143,6 +143,10 @@ class MarginFinder:
         extra, own = start.condition.extra, self._assembly.friction
 
         def probe(value: float, near: Answer) -> Answer:
+            # From rest each time under `contact`, as a check of the number does: near the bound the start matters.
+            return self._prober.ask(state, Condition(value, extra), None if self._prober.contact else near)
+
+        def anew(value: float, near: Answer | None) -> Answer:
             return self._prober.ask(state, Condition(value, extra), near)
 
         def again(value: float, answer: Answer) -> Bracket:
@@ -156,7 +160,7 @@ class MarginFinder:
         if bracket is None:
             bracket = Bracket(0.0, start, None, None)
         elif self._prober.contact:
-            bracket = checked(bracket, probe, start, again, origin=own)
+            bracket = checked(bracket, anew, start, again, origin=own)
         return self._bound(state, bracket, self._rough(start.condition), always=True)
 
     def _sideways(self, state: States, start: Answer) -> tuple[Bound, Bound]:
@@ -289,7 +293,11 @@ class MarginFinder:
         if not self._prober.contact:  # a velocity may prove more than where it was found
             beyond = Condition(start.condition.friction, bracket.outside * load)
             return replace(bracket, fails=replace(bracket.fails, condition=beyond))
-        return checked(bracket, probe, start, lambda value, answer: find((value, answer)))
+
+        def anew(value: float, near: Answer | None) -> Answer:
+            return self._prober.ask(state, Condition(start.condition.friction, value * load), near)
+
+        return checked(bracket, anew, start, lambda value, answer: find((value, answer)))
 
     def _weakest(
         self,
