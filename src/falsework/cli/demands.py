@@ -79,6 +79,8 @@ def _words(lacks: dict[str, dict[str, float]]) -> str:
 
 def margin_lines(plan: Plan) -> list[str]:
     """Return what a plan says of its margins, one line each."""
+    from falsework.search.margins.plan_margins import quantity_text
+
     margins, lines = plan.margins, []
     if margins is None:
         return []
@@ -91,21 +93,12 @@ def margin_lines(plan: Plan) -> list[str]:
             continue
         row, value = weakest
         place = f"step {row}, {plan.describe(row - 1)}" if row else "the start"
-        lines.append(f"weakest {kind}: {_quantity(kind, value)} at {place}")
+        lines.append(
+            f"weakest {kind}: {quantity_text(kind, value)}{' needed' if kind == 'friction' else ''} at {place}"
+        )
     if margins.maximised is not None and margins.bound is not None:
-        most = "less" if margins.maximised == "friction" else "more"
-        lines.append(f"no plan can have {most} than {_quantity(margins.maximised, margins.bound)}")
+        most = "do with less friction" if margins.maximised == "friction" else f"bear more {margins.maximised}"
+        lines.append(f"no plan can {most} than {quantity_text(margins.maximised, margins.bound)}")
     elif margins.maximised is not None:
         lines.append(f"how much better a plan can be in {margins.maximised} is not known")
     return lines
-
-
-def _quantity(kind: str, value: float) -> str:
-    import numpy as np
-
-    return {
-        "friction": f"a coefficient of {value:.3g} needed",
-        "tilt": f"{np.degrees(value):.3g} deg",
-        "horizontal": f"{value:.3g} g",
-        "push": f"{value:.4g} N",
-    }[kind]

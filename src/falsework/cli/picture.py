@@ -31,6 +31,7 @@ class MakePicture(Command):
         "falsework picture plan.json --out sheet.png",
         "falsework picture plan.json --step 4 --out step.png",
         "falsework picture arch:blocks=9 --svg --forces --out arch.svg",
+        "falsework picture plan.json --step 4 --limits --out limits.png",
     )
 
     subject: ViewableOptions
@@ -44,6 +45,8 @@ class MakePicture(Command):
     """Draw the certificate of a single state."""
     verdicts: bool = False
     """Evaluate the stability of the states drawn, and mark unstable parts."""
+    limits: bool = False
+    """Colour the parts of a single state by how near they are to slipping or tipping."""
     criterion: Literal["contact", "equilibrium"] = "contact"
     """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
     in balance exist."""
@@ -78,6 +81,7 @@ class MakePicture(Command):
             step=self.step,
             forces=self.forces,
             verdicts=self.verdicts,
+            limits=self.limits,
             criterion=self.criterion,
             frames=self.frames,
             columns=self.columns,

@@ -63,6 +63,22 @@ class PlanMargins:
         row = int(np.nanargmax(values) if kind == "friction" else np.nanargmin(values))
         return row, float(values[row])
 
+    def words(self, row: int, kind: str | None = None) -> str:
+        """Describe the margins of a state, such as `friction 0.31, tilt 3.2 deg`, or one of them.
+
+        Args:
+            row: of the state, in the order of the plan.
+            kind: of the margin; all that were measured if not given.
+        """
+        texts = []
+        for name, values in self.measured.items():
+            if kind not in (None, name):
+                continue
+            value, found = values[row], self.weakest(name)
+            text = f"{name} without bound" if value is None else f"{name} {quantity_text(name, value)}"
+            texts.append(f"{text} (weakest)" if found is not None and found[0] == row else text)
+        return ", ".join(texts)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the entry `margins` of a plan file."""
         rounded = {
@@ -118,6 +134,12 @@ class PlanMargins:
             if not any(oracle.prober.ask(states[row], condition).stands for condition in tried):
                 return row, f"does not stand at the recorded friction of {friction:.4g}"
         return None
+
+
+def quantity_text(kind: str, value: float) -> str:
+    """Return a margin with its unit, such as `3.2 deg`."""
+    units = {"friction": "", "tilt": " deg", "horizontal": " g", "push": " N"}
+    return f"{np.degrees(value) if kind == 'tilt' else value:.3g}{units[kind]}"
 
 
 def _is_bound(value: Any) -> bool:
