@@ -19,7 +19,6 @@ from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 from falsework.viewer.page.viewer_state import ViewerState
-from falsework.viewer.palette import RAMP
 from falsework.viewer.pictures.contact_sheet import caption, check_places, contact_sheet, legend, one_state, write_png
 from falsework.viewer.pictures.drawing import drawing, write_svg
 from falsework.viewer.pictures.render import Camera
@@ -185,7 +184,6 @@ def picture(
         if single is None or path.suffix.lower() == ".svg":
             raise InputError("limits colour the parts of one state in a PNG; name the state with --step")
         shares = _nearness(shown, single, criterion)
-        key = [*(key or []), (RAMP[0], "far from slipping or tipping"), (RAMP[-1], "near its limit")]
 
     def camera(across: int, share: float) -> Camera:
         return Camera(azimuth, elevation, width or across, round((width or across) * share), 0.96)
