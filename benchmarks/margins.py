@@ -25,7 +25,7 @@ from falsework.assembly.state import INSTALLED
 from falsework.search import PlanMargins, find_plans, maximise_margin
 from falsework.search.find import task_of
 from falsework.search.margins.demands import Demands
-from falsework.stability import Bound, Replayer, Stability, StabilitySettings
+from falsework.stability import Bound, Criterion, Replayer, Stability, StabilitySettings
 from falsework.stability.judges.discrete_elements import settle
 from falsework.stability.margins.conditions import Condition
 
@@ -37,7 +37,7 @@ RESOLVED = 100.0
 TRUTH = ("arch:blocks=7", "stack", "wall", "corbel", "catenary:blocks=9", "house")
 
 
-def cost(names: list[str], count: int, criterion: str) -> None:
+def cost(names: list[str], count: int, criterion: Criterion) -> None:
     """Time the margins of states spread over a plan."""
     for name in names:
         assembly = load_structure(find(name))

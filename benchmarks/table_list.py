@@ -98,6 +98,40 @@ TABLES = {
         benchmark="stability cold",
         where=quiet,
     ),
+    "margins-cost": Table(
+        "margins",
+        (*STRUCTURE, ("criterion", "{criterion}")),
+        (
+            ("states", "{states}"),
+            ("friction, ms", "{milliseconds.friction}"),
+            ("tilt, ms", "{milliseconds.tilt}"),
+            ("weight of a part, ms", "{milliseconds.load_factor}"),
+            ("push, ms", "{milliseconds.push}"),
+        ),
+        benchmark="margins cost",
+    ),
+    "margins-truth": Table(
+        "margins",
+        (("cases", "{cases}"),),
+        (
+            ("replay: wrong side", "{wrong.replay} of {asked.replay}"),
+            ("discrete elements: wrong side", "{wrong.discrete elements} of {asked.discrete elements}"),
+        ),
+        benchmark="margins truth",
+    ),
+    "margins-plans": Table(
+        "margins",
+        STRUCTURE_AND_ROBOTS,
+        (
+            ("friction of the structure", "{friction}"),
+            ("least friction of the first plan", "{first}"),
+            ("of the plan made for it", "{maximised}"),
+            ("of any plan, at least", "{bound}"),
+            ("first plan, s", "{first_s}"),
+            ("plan made for it, s", "{maximise_s}"),
+        ),
+        benchmark="margins plans",
+    ),
     "search-plans": Table(
         "search",
         (*STRUCTURE, ("criterion", "{criterion}")),

@@ -25,9 +25,10 @@ def plan() -> Plan:
     """Taking a small arch apart, with margins of which the third state's are the weakest."""
     found = find_plans(fw.load_structure("arch:blocks=3"), robots=2).plans[0]
     count = len(found.states)
-    friction, tilt = [0.1] * count, [0.2] * count
+    friction: list[float | None] = [0.1] * count
+    tilt: list[float | None] = [0.2] * count
     friction[2], tilt[2], tilt[-1] = 0.4, 0.05, None
-    measured = {"friction": tuple(friction), "tilt": tuple(tilt)}
+    measured: dict[str, tuple[float | None, ...]] = {"friction": tuple(friction), "tilt": tuple(tilt)}
     return replace(found, margins=PlanMargins(Demands(tilt=0.05), measured))
 
 

@@ -20,7 +20,7 @@ from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.margins.conditions import Prober
-from falsework.stability.margins.margins import QUICK, MarginFinder, MarginKind
+from falsework.stability.margins.margins import QUICK, MarginFinder
 from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.problem import build_problem
 from falsework.stability.reference.clarabel import ExactSolver
@@ -171,7 +171,7 @@ class Stability:
         verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
         return verdicts
 
-    def margins(self, states: ArrayLike, kinds: Sequence[MarginKind] | None = None) -> list[StateMargins]:
+    def margins(self, states: ArrayLike, kinds: Sequence[str] | None = None) -> list[StateMargins]:
         """Return how far friction, tilt, loads and pushes are from where states stop standing.
 
         Args:

@@ -23,7 +23,7 @@ def test_replays_come_to_rest_inside_and_fall_outside(name: str, kind: str) -> N
     for _ in range(8):
         state = random.choice(3, assembly.part_count, p=(0.15, 0.75, 0.1)).astype(np.uint8)
         state[assembly.boundary] = 2
-        (found,) = oracle.margins(state, (kind,))  # type: ignore[arg-type]
+        (found,) = oracle.margins(state, (kind,))
         bound = getattr(found, kind)
         if not found.stands or bound.outside is None or not bound.monotone or not bound.proven:
             continue

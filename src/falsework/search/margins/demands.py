@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +21,6 @@ from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdict, Verdicts
 from falsework.utils.quantity import parse_quantity
-
-Demanded = Literal["friction", "tilt", "horizontal", "push", "load", "placement"]
 
 _KINDS: dict[str, str] = {
     "friction": "factor",
@@ -107,7 +105,7 @@ class Demands:
             for key, value in self.to_dict().items()
         )
 
-    def variants(self, assembly: Assembly, seed: int = 0) -> list[tuple[Demanded, Assembly]]:
+    def variants(self, assembly: Assembly, seed: int = 0) -> list[tuple[str, Assembly]]:
         """Return the structures in which states must stand too, each with what demands it.
 
         Args:
@@ -117,7 +115,7 @@ class Demands:
         Raises:
             InputError: parts that make no assembly once they are off their places.
         """
-        found: list[tuple[Demanded, Assembly]] = []
+        found: list[tuple[str, Assembly]] = []
         if self.friction is not None and self.friction > 1.0:
             found.append(("friction", assembly.replace(friction=assembly.friction / self.friction)))
         angle = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
@@ -182,7 +180,7 @@ class DemandingStability(Stability):
         stable = np.flatnonzero(verdicts.stable).tolist()
         rows = np.array([row for row in stable if known[row] is None], int)
         for row in stable:
-            verdicts.verdict[row] = Verdict.STABLE if known[row] is None else known[row]
+            verdicts.verdict[row] = self._known.get(batch[row].tobytes(), Verdict.STABLE)
         if len(rows):
             found = self._ask(batch[rows], None if origins is None else origins[rows], everywhere=False)
             self._known |= {batch[row].tobytes(): value for row, value in zip(rows, found.tolist(), strict=True)}
@@ -224,7 +222,7 @@ class DemandingStability(Stability):
         for row in np.flatnonzero(found == Verdict.STABLE):
             looked_at = None
             if parents is not None and not everywhere:
-                looked_at = self._near[states[row] != parents[row]].any(axis=0)
+                looked_at = np.asarray(self._near[states[row] != parents[row]].any(axis=0))
             for *_, load in self._single(states[row], looked_at):
                 answer = self._answer(states[row], load)
                 if not answer.stands:
@@ -234,9 +232,9 @@ class DemandingStability(Stability):
 
     def _single(
         self, state: States, parts: NDArray[np.bool_] | None
-    ) -> list[tuple[Demanded, int, Sequence[float], NDArray[np.float64]]]:
+    ) -> list[tuple[str, int, Sequence[float], NDArray[np.float64]]]:
         """Return the loads on single parts, of some parts or of all: name, part, direction, wrenches."""
-        found: list[tuple[Demanded, int, Sequence[float], NDArray[np.float64]]] = []
+        found: list[tuple[str, int, Sequence[float], NDArray[np.float64]]] = []
         chosen = (state == INSTALLED) & (True if parts is None else parts)
         if self.demands.load is not None:
             for part in np.flatnonzero(chosen).tolist():

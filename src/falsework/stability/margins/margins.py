@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,10 +21,9 @@ from falsework.stability.verdict import Verdict, Verdicts
 
 Array = NDArray[np.float64]
 
-MarginKind = Literal["friction", "tilt", "horizontal", "load_factor", "push", "held", "polygon", "settlement"]
-KINDS: tuple[MarginKind, ...] = get_args(MarginKind)
-QUICK: tuple[MarginKind, ...] = ("friction", "tilt", "horizontal", "load_factor", "push", "held")
-"""Margins of one probe a part, face or direction."""
+QUICK = ("friction", "tilt", "horizontal", "load_factor", "push", "held")
+"""Margins that are found by default: one probe a part, face or direction."""
+KINDS = (*QUICK, "polygon", "settlement")
 
 DIRECTIONS = 36
 """Horizontal directions, of which the worst counts."""
@@ -60,7 +58,7 @@ class MarginFinder:
         """Faces of the parts that a gripper may touch."""
         return Pushes.on(self._assembly)
 
-    def of(self, states: ArrayLike, kinds: Sequence[MarginKind] = QUICK) -> list[StateMargins]:
+    def of(self, states: ArrayLike, kinds: Sequence[str] = QUICK) -> list[StateMargins]:
         """Return the margins of states, the work shared by the cores.
 
         Args:
@@ -92,7 +90,7 @@ class MarginFinder:
                 found[row] = replace(found[row], **given)
         return found
 
-    def _one(self, state: States, start: Answer, kind: MarginKind, kinds: Sequence[MarginKind]) -> StateMargins:
+    def _one(self, state: States, start: Answer, kind: str, kinds: Sequence[str]) -> StateMargins:
         """Return one margin of a state that stands, and what comes with it."""
         if kind == "friction":
             return StateMargins(True, friction=self._friction(state, start))
@@ -117,7 +115,7 @@ class MarginFinder:
             return StateMargins(True, settlement=settlements(self._prober, state, start))
         return StateMargins(True)
 
-    def _fallen(self, state: States, kinds: Sequence[MarginKind]) -> StateMargins:
+    def _fallen(self, state: States, kinds: Sequence[str]) -> StateMargins:
         """Return the least friction of a state that does not stand, if more friction helps, and no other margins."""
         if "friction" not in kinds:
             return StateMargins(False)
@@ -170,7 +168,7 @@ class MarginFinder:
         guess = max(self._assembly.friction, 0.1)
         found = self._weakest(state, start, loads, order, guess=lambda _: guess, cap=LARGEST_SHARE)
         if found is None:
-            return (self._unbounded(state, start),) * 2
+            return self._unbounded(state, start), self._unbounded(state, start)
         row, bracket = found
         direction = tuple(self._directions[row].tolist())
         horizontal = self._bound(state, bracket, self._times(start.condition, loads[row]), direction=direction)
