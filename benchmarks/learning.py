@@ -33,19 +33,20 @@ from typing import Any, get_args
 
 import numpy as np
 import record
+from baselines.uniform import UniformPolicy
 from states import find
 
 from falsework.assembly import load_structure
 from falsework.learn.config.policy import PolicySettings, recommended
 from falsework.learn.config.train import METHODS, Criterion, TrainSettings
-from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
+from falsework.learn.data.dataset import Dataset, build_dataset, task_for
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import roll_out
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.factory import transfer
 from falsework.learn.networks.policy import Policy
-from falsework.learn.networks.uniform import UniformPolicy
-from falsework.learn.training.evaluate import EvaluateSettings, GoalBlindPolicy, evaluate, sample
+from falsework.learn.training.evaluate import GoalBlindPolicy, evaluate, sample
+from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.train import TrainResult, train
 from falsework.learn.training.training_data import find_pairs
 from falsework.search.device.oracle import TensorOracle, tensor_oracle
@@ -139,7 +140,7 @@ def evaluated(
     network: Any = Network(result.policy, filled.precision)
     if settings.policy.goal_conditioned or one_state:
         narrow = replace(filled, data="width64")
-        pairs = find_pairs(assembly, narrow, tensor_oracle(oracle, device), device=device)
+        pairs = find_pairs(RunContext(assembly, narrow, tensor_oracle(oracle, device), device))
         sets: Any = {
             "train": (pairs.train.states, pairs.train.targets),
             "test": (pairs.test.states, pairs.test.targets),
@@ -148,8 +149,8 @@ def evaluated(
     else:
         data = protocol(assembly, settings, tensor_oracle(oracle, device), str(device))
         sets = {"train": (data.train, None), "test": (data.test, None)}
-    chosen = EvaluateSettings(states=options.states, search=options.search)
-    found = evaluate(environment, network, sets, chosen, shards=ProcessGroup.of_group())
+    shards = ProcessGroup.of_group()
+    found = evaluate(environment, network, sets, most=options.states, search=options.search, shards=shards)
     for name, (states, targets) in sets.items():
         rows = sample(np.arange(len(states)), options.states)
         tensors = put(states[rows], device), None if targets is None else put(targets[rows], device)
@@ -163,7 +164,7 @@ def evaluated(
 def protocol(assembly: Any, settings: TrainSettings, oracle: TensorOracle, device: str) -> Dataset:
     """The two sets of the paper's protocol; the same states as in training, since the seed is."""
     task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
-    return build_dataset(assembly, task, DataSettings(seed=settings.data_seed), oracle=oracle, device=device)
+    return build_dataset(assembly, task, oracle=oracle, device=device)
 
 
 def line(

@@ -159,7 +159,7 @@ def plans(view: CollisionQuery, random: np.random.Generator, options: Options, w
     ours, straight, found, timed = [], 0, 0, []
     for seed, (start, goal) in enumerate(free):
         began = time.process_time()
-        motion = plan_free(view, start, goal, seed=seed, deadline=5.0)
+        motion = plan_free(view, start, goal, seed=seed)
         ours.append(time.process_time() - began)
         found += bool(motion)
         straight += motion.path is not None and len(motion.path) == 2

@@ -55,11 +55,13 @@ def _judge() -> None:
 
 
 def _picture() -> None:
-    from falsework.viewer.pictures.render import Camera, Solid, render
+    from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
     assembly, _, _ = _arch()
     colours = ((1.0, 0.0, 0.0), 1.0), ((0.0, 1.0, 0.0), 0.5)
-    solids = [Solid(mesh.vertices, mesh.faces, *colour) for mesh, colour in zip(assembly.meshes, colours, strict=False)]
+    solids = [
+        ColoredSolid(mesh.vertices, mesh.faces, *colour) for mesh, colour in zip(assembly.meshes, colours, strict=False)
+    ]
     render(solids, Camera(width=64, height=48), np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]]))
 
 

@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import to_rgb
 from palette import BOUNDARY, FORCE, GRAVITY, INK, ROBOTS, SAND
-from render import Camera, Solid, render
+from render import Camera, ColoredSolid, render
 
 FRICTION = 0.55
 
@@ -155,14 +155,14 @@ def two_walls(path: Path) -> None:
     _finish(figure, path)
 
 
-def _box(low: tuple[float, float, float], high: tuple[float, float, float], color: str) -> Solid:
+def _box(low: tuple[float, float, float], high: tuple[float, float, float], color: str) -> ColoredSolid:
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = np.array([triangle for a, b, c, d in sides for triangle in ((a, b, c), (a, c, d))])
-    return Solid(corners, faces, to_rgb(color))
+    return ColoredSolid(corners, faces, to_rgb(color))
 
 
-def _cone(angles: np.ndarray, color: str) -> Solid:
+def _cone(angles: np.ndarray, color: str) -> ColoredSolid:
     rim = np.stack([FRICTION * np.cos(angles), FRICTION * np.sin(angles), np.ones_like(angles)], axis=-1)
     points = np.concatenate([[[0, 0, 0], [0, 0, 1]], rim])
     count = len(angles)
@@ -170,7 +170,7 @@ def _cone(angles: np.ndarray, color: str) -> Solid:
     faces = [(0, b, a) for a, b in zip(here, there, strict=True)] + [
         (1, a, b) for a, b in zip(here, there, strict=True)
     ]
-    return Solid(points, np.array(faces), to_rgb(color))
+    return ColoredSolid(points, np.array(faces), to_rgb(color))
 
 
 def _arrow(axis: Any, ends: np.ndarray, color: str, *, width: float = 2.0, dashed: bool = False) -> None:

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import to_rgb
 from palette import BOUNDARY, INK, ROBOTS, SAND
-from render import Camera, Solid, render
+from render import Camera, ColoredSolid, render
 
 from falsework.assembly import Assembly
 from falsework.assembly.library import house, shelf
@@ -38,6 +38,6 @@ def _pulled_apart(assembly: Assembly, moves: dict[str, tuple[float, float, float
         # Side walls of the lower storey stay: the floor above covers them.
         moved = np.array(moves.get(kind, (0, 0, 0))) * (kind != "side" or mesh.bounds[0, 2] >= highest)
         color = BOUNDARY if fixed else ROBOTS[1] if kind in locked else SAND
-        solids.append(Solid(mesh.vertices + moved, mesh.faces, to_rgb(color)))
+        solids.append(ColoredSolid(mesh.vertices + moved, mesh.faces, to_rgb(color)))
     points = np.concatenate([solid.vertices for solid in solids])
     return render(solids, Camera(width=640, height=520, azimuth=-35.0), np.stack([points.min(0), points.max(0)]))

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.lines import Line2D
 from palette import BOUNDARY, FORCE, INK, ROBOTS, SAND
-from render import Camera, Solid, render
+from render import Camera, ColoredSolid, render
 
 from falsework.assembly import Assembly, load_structure
 from falsework.learn.networks.force_torque_graph import ForceTorqueGraph
@@ -43,7 +43,9 @@ def _blocks(axis: Any, assembly: Assembly, graph: ForceTorqueGraph) -> None:
     everything = np.concatenate([vertices for vertices, _ in meshes])
     bounds = np.stack([everything.min(axis=0) - 0.05, everything.max(axis=0) + 0.05])
     camera = Camera(azimuth=-48, elevation=16, width=560, height=620, zoom=0.97)
-    solids = [Solid(vertices, faces, to_rgb(color)) for (vertices, faces), color in zip(meshes, colors, strict=True)]
+    solids = [
+        ColoredSolid(vertices, faces, to_rgb(color)) for (vertices, faces), color in zip(meshes, colors, strict=True)
+    ]
     axis.imshow(render(solids, camera, bounds, floor=False))
     length = _unit_of_length(assembly, graph)
     for force, normal in enumerate(graph.normals):

@@ -14,7 +14,7 @@ from falsework.cli.main import main
 from falsework.errors import StateError
 from falsework.geometry.mesh.collision import inside
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.robots.grasping.grasp import grasps, withdrawals
+from falsework.robots.grasping.grasp import grasps
 from falsework.robots.model.builtin_robots import builtin_robot
 from falsework.robots.model.cell import CellRobot, Gripper, Placement
 from falsework.robots.model.convex_decomposition import convex_pieces
@@ -207,29 +207,6 @@ def test_jaws_close_on_opposite_faces() -> None:
         assert level.mean() == pytest.approx(grasp.tool[:3, 3] @ grasp.tool[:3, 0], abs=1e-6)
         ahead = (parts.meshes[part].vertices - grasp.tool[:3, 3]) @ grasp.approach
         assert ahead.min() >= -jaw.depth - 1e-9
-
-
-def test_withdrawals_are_the_ways_of_the_clearance_table(arch) -> None:
-    """Turned with the structure; none where the part cannot leave; never downwards."""
-    assembly, parts = arch
-    turned = place_parts(assembly, Placement(yaw=np.pi / 2))
-    state = np.where(assembly.boundary, 2, 1).astype(np.uint8)
-    free = assembly.clearance.can_leave(state[None])[0]
-    for part in np.flatnonzero(~assembly.boundary).tolist():
-        ways = withdrawals(assembly, parts, part, state)
-        assert (ways[:, 2] > -1e-6).all()
-        if not free[part]:
-            assert len(ways) == 0
-        np.testing.assert_allclose(withdrawals(assembly, turned, part, state), _quarter(ways), atol=1e-9)
-    assert sum(len(withdrawals(assembly, parts, part, state)) > 0 for part in range(parts.part_count)) > 0
-    with pytest.raises(StateError, match="state has shape"):
-        withdrawals(assembly, parts, 0, [1])
-
-
-def _quarter(ways: np.ndarray) -> np.ndarray:
-    """Ways after a quarter turn, in the order that `withdrawals` gives them."""
-    turned = ways @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]])
-    return turned[np.lexsort((*np.round(turned, 9).T[:2], -np.round(turned[:, 2], 9)))]
 
 
 CELL = """

@@ -96,9 +96,14 @@ def test_a_checkpoint_of_another_search_is_refused(rules: Any, tmp_path: Path) -
         Planner.load(path, Task.create(rules.ground(8), 1), rules.blocks(8))
     with pytest.raises(InputError, match="another structure, task or settings"):
         Planner.load(path, task, rules.blocks(8), PlannerSettings(seed=1))
-    path.write_bytes(path.read_bytes()[:-10])
-    with pytest.raises(InputError, match="damaged or not"):
-        Planner.load(path, task, rules.blocks(8))
+    data = path.read_bytes()
+    for keep in (0, 10, len(data) // 2, len(data) - 1):
+        path.write_bytes(data[:keep])
+        with pytest.raises(InputError, match="damaged or not"):
+            Planner.load(path, task, rules.blocks(8))
+    with pytest.raises(InputError, match="there is no file"):
+        Planner.load(tmp_path / "none.npz", task, rules.blocks(8))
+    assert [entry.name for entry in tmp_path.iterdir()] == ["planner.npz"]
 
 
 def test_interrupted_after_the_plan_keeps_the_plan(rules: Any) -> None:
@@ -208,7 +213,7 @@ def test_half_a_job(small_arch: Assembly, arch_oracle: Stability) -> None:
     stays = Task.create(small_arch.boundary, 2, fixed=[last], identity=small_arch.identity)
     kept = find_plans(small_arch, stays, oracle=arch_oracle)
     assert last not in kept.plans[0].actions % small_arch.part_count
-    assert kept.plans[0].parts_left == 1
+    assert ((kept.plans[0].states[-1] > 0) & ~small_arch.boundary).sum() == 1
 
 
 def test_a_checkpoint_is_resumed_and_removed(small_arch: Assembly, arch_oracle: Stability, tmp_path: Path) -> None:

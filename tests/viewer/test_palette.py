@@ -1,4 +1,4 @@
-"""Colours stay apart, for colour-blind eyes too."""
+"""Colours stay apart, for colour-blind eyes too, by the matrices of Machado, Oliveira and Fernandes (2009)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike, NDArray
 
 from falsework.viewer.arrows import KINDS
 from falsework.viewer.palette import (
@@ -16,13 +17,49 @@ from falsework.viewer.palette import (
     RAMP,
     ROBOTS,
     SELECTED,
-    difference,
     mix,
     ramp,
     ramp_in_steps,
     rgb,
-    seen_by_deuteranope,
 )
+
+# Linear RGB as seen without medium-wave or without long-wave cones, severity 1.
+_DEUTERANOPE = np.array(
+    [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+)
+_PROTANOPE = np.array(
+    [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+)
+
+
+def seen_by_deuteranope(color: ArrayLike) -> NDArray[np.float64]:
+    """Return the linear RGB that somebody without medium-wave cones sees; `color` is red, green, blue from 0 to 255."""
+    return np.clip(_DEUTERANOPE @ _linear(color), 0.0, 1.0)
+
+
+def seen_by_protanope(color: ArrayLike) -> NDArray[np.float64]:
+    """Return the linear RGB that somebody without long-wave cones sees; `color` is red, green, blue from 0 to 255."""
+    return np.clip(_PROTANOPE @ _linear(color), 0.0, 1.0)
+
+
+def difference(one: str, other: str) -> float:
+    """Return the distance of two colours for the least discerning eyes (CIE 1976, about 2 is just visible)."""
+    eyes = (_linear, seen_by_deuteranope, seen_by_protanope)
+    return min(float(np.linalg.norm(_lab(eye(rgb(one))) - _lab(eye(rgb(other))))) for eye in eyes)
+
+
+def _linear(color: ArrayLike) -> NDArray[np.float64]:
+    """Return the linear RGB from 0 to 1 of sRGB from 0 to 255."""
+    value = np.asarray(color, dtype=float) / 255
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def _lab(linear: NDArray[np.float64]) -> NDArray[np.float64]:
+    """CIE L*a*b* of linear RGB, white point D65."""
+    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+    x, y, z = (to_xyz @ linear) / to_xyz.sum(axis=1)
+    fx, fy, fz = (value ** (1 / 3) if value > 216 / 24389 else (24389 / 27 * value + 16) / 116 for value in (x, y, z))
+    return np.array([116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz)])
 
 
 def test_red_and_green_are_one_to_a_deuteranope_but_not_to_others() -> None:

@@ -8,7 +8,7 @@ import pytest
 from falsework.assembly import load_structure
 from falsework.assembly.state import complete_state
 from falsework.stability import Stability
-from falsework.viewer.arrows import Arrows, arrow_mesh, arrows_of_forces, merged
+from falsework.viewer.arrows import Arrows, arrow_mesh, arrows_of_forces
 from falsework.viewer.proof import proof_of_state
 
 
@@ -65,9 +65,3 @@ def test_an_arrow_is_a_closed_mesh_that_faces_outwards(tip: tuple[float, float, 
     assert np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() > 0
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
-
-
-def test_nothing_merged_is_nothing() -> None:
-    vertices, faces = merged([])
-    assert vertices.shape == (0, 3)
-    assert faces.shape == (0, 3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from falsework.viewer.pictures.render import Camera, Solid, render
+from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
 BOX = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -18,8 +18,8 @@ BOUNDS = np.array([[-4.0, -8.0, -2.0], [4.0, 8.0, 2.0]])
 @pytest.mark.parametrize("red_first", [True, False])
 def test_what_is_nearer_hides_what_is_farther(red_in_front: bool, red_first: bool) -> None:
     """Seen along +y, whatever the order in which the boxes are drawn."""
-    red = Solid(BOX + [0, -5.0 if red_in_front else 5.0, 0], FACES, RED)
-    blue = Solid(BOX + [0, 5.0 if red_in_front else -5.0, 0], FACES, BLUE)
+    red = ColoredSolid(BOX + [0, -5.0 if red_in_front else 5.0, 0], FACES, RED)
+    blue = ColoredSolid(BOX + [0, 5.0 if red_in_front else -5.0, 0], FACES, BLUE)
     camera = Camera(azimuth=0.0, elevation=1.0, width=81, height=61)
     image = render([red, blue] if red_first else [blue, red], camera, BOUNDS, floor=False)
     assert image.shape == (61, 81, 3)
@@ -30,7 +30,7 @@ def test_what_is_nearer_hides_what_is_farther(red_in_front: bool, red_first: boo
 
 def test_size_in_pixels_is_size_in_metres_times_scale() -> None:
     camera = Camera(azimuth=0.0, elevation=0.001, width=161, height=121)
-    image = render([Solid(BOX, FACES, RED)], camera, BOUNDS, floor=False)
+    image = render([ColoredSolid(BOX, FACES, RED)], camera, BOUNDS, floor=False)
     scale, _ = camera.fit(BOUNDS)
     covered = (image < 0.99).any(axis=2)
     assert covered.any(axis=0).sum() == pytest.approx(2 * scale, abs=2)
@@ -41,8 +41,8 @@ def test_size_in_pixels_is_size_in_metres_times_scale() -> None:
 
 def test_a_box_casts_a_shadow_on_the_floor() -> None:
     camera = Camera(azimuth=-40.0, elevation=50.0, width=121, height=91)
-    lit = render([Solid(BOX * 0.001 + [0, 0, -1.9], FACES, RED)], camera, BOUNDS)
-    shaded = render([Solid(BOX + [0, 0, 0.5], FACES, RED)], camera, BOUNDS)
+    lit = render([ColoredSolid(BOX * 0.001 + [0, 0, -1.9], FACES, RED)], camera, BOUNDS)
+    shaded = render([ColoredSolid(BOX + [0, 0, 0.5], FACES, RED)], camera, BOUNDS)
     grey = (np.ptp(shaded, axis=2) < 1e-9) & (shaded[..., 0] < 0.95) & (shaded[..., 0] > 0.7)
     assert grey.sum() > 50
     assert (lit[grey] > 0.99).mean() > 0.9  # where the shadow falls there is light without the box
@@ -50,20 +50,20 @@ def test_a_box_casts_a_shadow_on_the_floor() -> None:
 
 def test_a_ghost_lets_through_what_is_behind() -> None:
     camera = Camera(azimuth=0.0, elevation=1.0, width=81, height=61)
-    ghost = Solid(BOX - [0, 5.0, 0], FACES, RED, 0.5)
-    behind = Solid(BOX + [0, 5.0, 0], FACES, BLUE)
+    ghost = ColoredSolid(BOX - [0, 5.0, 0], FACES, RED, 0.5)
+    behind = ColoredSolid(BOX + [0, 5.0, 0], FACES, BLUE)
     alone, both = (render(solids, camera, BOUNDS, floor=False)[30, 40] for solids in ([ghost], [ghost, behind]))
     only_blue = render([behind], camera, BOUNDS, floor=False)[30, 40]
     # Half of the ghost's own colour and half of what is there without it.
     np.testing.assert_allclose(both - 0.5 * only_blue, alone - 0.5, atol=1e-6)
     hidden = render(
-        [Solid(ghost.vertices + [0, 8.0, 0], FACES, RED, 0.5), Solid(BOX - [0, 5.0, 0], FACES, BLUE)],
+        [ColoredSolid(ghost.vertices + [0, 8.0, 0], FACES, RED, 0.5), ColoredSolid(BOX - [0, 5.0, 0], FACES, BLUE)],
         camera,
         BOUNDS,
         floor=False,
     )[30, 40]
     np.testing.assert_allclose(
-        hidden, render([Solid(BOX - [0, 5.0, 0], FACES, BLUE)], camera, BOUNDS, floor=False)[30, 40]
+        hidden, render([ColoredSolid(BOX - [0, 5.0, 0], FACES, BLUE)], camera, BOUNDS, floor=False)[30, 40]
     )
 
 

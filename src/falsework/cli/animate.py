@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.command import Command, Exit
+from falsework.cli.command import Exit, JudgingCommand
 from falsework.cli.planning import writable
 from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Animate(Command):
+class Animate(JudgingCommand):
     """Render a plan as a video, MP4 or GIF by file suffix.
 
     Needs no display and no graphics driver. --verdicts computes the verdict of every state, marks parts that slide,
@@ -39,9 +39,6 @@ class Animate(Command):
     """Frame rate."""
     verdicts: bool = False
     """Evaluate the stability of every state, and mark unstable parts."""
-    criterion: Literal["contact", "equilibrium"] = "contact"
-    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
-    in balance exist."""
     width: int = 800
     """Width, pixels."""
     azimuth: float = -58.0

@@ -43,7 +43,7 @@ class CheckCell(Command):
         """Load, try, print."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.cells.validate import check_cell
-        from falsework.robots.grasping.reachability import Reach, propose_bases, reach_table
+        from falsework.robots.grasping.reachability import Reachability, propose_bases, reach_table
         from falsework.robots.model.part_shapes import place_parts
         from falsework.robots.planning.warm_up import compile_kernels
 
@@ -59,7 +59,7 @@ class CheckCell(Command):
         with output.bar("reaching") as show:
             table = reach_table(assembly, cell, parts, lambda done, total: show(done, total, f"part {done} of {total}"))
         proposal = None
-        if self.propose == "always" or (self.propose == "auto" and (table.levels == Reach.OUT_OF_REACH).any()):
+        if self.propose == "always" or (self.propose == "auto" and (table.levels == Reachability.OUT_OF_REACH).any()):
             with output.bar("looking for bases") as show:
                 proposal = propose_bases(
                     assembly, cell, parts, lambda done, total: show(done, total, f"place {done} of {total}")
@@ -80,11 +80,11 @@ class CheckCell(Command):
         """One row a part."""
         from rich.table import Table
 
-        from falsework.robots.grasping.reachability import Reach
+        from falsework.robots.grasping.reachability import Reachability
 
         shown = Table("part", "kg", *table.robots, box=None, pad_edge=False, header_style="bold")
         for row, part in enumerate(table.parts.tolist()):
-            levels = [Reach(int(level)) for level in table.levels[row]]
+            levels = [Reachability(int(level)) for level in table.levels[row]]
             record: dict[str, Any] = {
                 "part": part,
                 "name": assembly.names[part],
@@ -100,7 +100,7 @@ class CheckCell(Command):
             ]
             shown.add_row(assembly.names[part], f"{parts.mass[part]:.2f}", *words)
         output.say(shown)
-        reached = (table.levels == Reach.REACHED).sum(axis=0)
+        reached = (table.levels == Reachability.REACHED).sum(axis=0)
         counts = ", ".join(f"{name} {count}" for name, count in zip(table.robots, reached, strict=True))
         output.say(f"{cell.name}: of {len(table.parts)} parts within reach: {counts}")
 

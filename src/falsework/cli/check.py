@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from falsework.cli.command import CONE_HINT, UNSET, Command, Exit, LoadOptions
+from falsework.cli.command import CONE_HINT, UNSET, Exit, JudgingCommand, LoadOptions
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _DRAWS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckPlan(Command):
+class CheckPlan(JudgingCommand):
     """Verify every step of a plan, up to the first that fails.
 
     The options, not the file, set the criterion; a plan that claims less is refused. Under `contact`, displacements are
@@ -45,9 +45,6 @@ class CheckPlan(Command):
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
     """Structure to check it on, instead of the one that the plan names."""
     reading: LoadOptions
-    criterion: Literal["contact", "equilibrium"] = "contact"
-    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
-    in balance exist."""
     cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
     """Friction cone: round, or eight-sided as in the paper."""
     tolerance: float = 1e-4

@@ -52,6 +52,15 @@ class Command(ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
+class JudgingCommand(Command):
+    """Base of subcommands that decide stability."""
+
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
+    in balance exist."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class LoadOptions:
     """Options that override the files of a structure."""
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, Command, Exit, StructureOptions
+from falsework.cli.command import UNSET, Exit, JudgingCommand, StructureOptions
 from falsework.cli.planning import refuse_unstable, writable
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MakeDataset(Command):
+class MakeDataset(JudgingCommand):
     """Search for solvable states: disjoint sets for training, validation and test.
 
     They come from searches that begin at the empty structure, so that each state can be disassembled completely. The
@@ -36,8 +36,6 @@ class MakeDataset(Command):
     """Parts that are neither held nor removed, such as 7."""
     removable_only_if_clear: bool = False
     """Remove a part only if it has a collision-free straight exit."""
-    criterion: Literal["contact", "equilibrium"] = "contact"
-    """Stability criterion: compliant contacts bring parts to rest, or (paper) forces in balance exist."""
     train_width: int = 64
     """Width of the search for the training set."""
     test_width: int = 128

@@ -97,7 +97,7 @@ def _draw(found: Diagnosis, path: Path) -> None:
 
     from falsework.viewer.palette import BOUNDARY, INSTALLED, unit_rgb
     from falsework.viewer.pictures.contact_sheet import to_pixels, write_png
-    from falsework.viewer.pictures.render import Camera, Solid, render
+    from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
     assert found.draft is not None
     solids = []
@@ -110,7 +110,7 @@ def _draw(found: Diagnosis, path: Path) -> None:
         vertices, faces = block.vertices * found.draft.scale, np.array(fans)
         # An open part is seen from inside as well.
         both = np.concatenate([faces, faces[:, ::-1]]) if report.volume is None else faces
-        solids.append(Solid(vertices, both, unit_rgb(color)))
+        solids.append(ColoredSolid(vertices, both, unit_rgb(color)))
     corners = np.concatenate([solid.vertices[np.unique(solid.faces)] for solid in solids])
     bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
     write_png(path, to_pixels(render(solids, Camera(width=1200, height=900, zoom=0.95), bounds)))

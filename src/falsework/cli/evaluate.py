@@ -65,7 +65,7 @@ class Evaluate(Command):
         from falsework.learn.env.environment import Environment
         from falsework.learn.networks.autocast import Network
         from falsework.learn.training.checkpoint import load_run
-        from falsework.learn.training.evaluate import EvaluateSettings, GoalBlindPolicy, evaluate
+        from falsework.learn.training.evaluate import GoalBlindPolicy, evaluate
         from falsework.search.device.oracle import tensor_oracle
         from falsework.stability import Stability, StabilitySettings
         from falsework.utils.distributed import init_distributed
@@ -89,9 +89,17 @@ class Evaluate(Command):
             else:
                 data = self._data(trained, assembly, tensor_oracle(oracle, device), device)
                 sets = {name: (getattr(data, name), None) for name in ("train", "validation", "test")}
-            options = EvaluateSettings(states=self.states or 0, search=self.search, seed=self.seed)
             with output.bar("evaluating") as show:
-                found = evaluate(environment, network, sets, options, shards=shards, report=show)
+                found = evaluate(
+                    environment,
+                    network,
+                    sets,
+                    most=self.states or 0,
+                    search=self.search,
+                    seed=self.seed,
+                    shards=shards,
+                    report=show,
+                )
             if not shards.is_main_process:
                 return Exit.DONE
         record = {
@@ -136,20 +144,21 @@ class Evaluate(Command):
         """Return pairs of states and targets, the same for all runs of a structure."""
         from dataclasses import replace
 
+        from falsework.learn.training.run_context import RunContext
         from falsework.learn.training.training_data import find_pairs
 
         settings = replace(trained.settings, data="width64")  # what only serves to learn from is not needed
-        pairs = find_pairs(assembly, settings, oracle, device=device)
+        pairs = find_pairs(RunContext(assembly, settings, oracle, device))
         sets = {name: getattr(pairs, name) for name in ("train", "validation", "test")}
         return {name: (one.states, one.targets) for name, one in sets.items()}
 
     def _data(self, trained: Run, assembly: Assembly, oracle: TensorOracle, device: torch.device) -> Dataset:
         """States of the run if they are there and of this structure and criterion, else found by the same searches."""
-        from falsework.learn.data.dataset import DataSettings, build_dataset, load_dataset, task_for
+        from falsework.learn.data.dataset import build_dataset, load_dataset, task_for
         from falsework.learn.training.checkpoint import DATA
 
         settings: Any = trained.settings
         if self.structure is None and self.criterion in (None, settings.criterion) and (self.folder / DATA).is_file():
             return load_dataset(self.folder / DATA, assembly)
         task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
-        return build_dataset(assembly, task, DataSettings(seed=settings.data_seed), oracle=oracle, device=str(device))
+        return build_dataset(assembly, task, oracle=oracle, device=str(device))

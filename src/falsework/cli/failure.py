@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from falsework.cli.velocity_text import Motion, describe, motions
+from falsework.cli.velocity_text import PartMotion, describe, motions
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -32,7 +32,7 @@ class Failure:
     """Steps of a whole plan."""
     disassembly: bool
     """Whether the search ran in the order of disassembly."""
-    moving: list[Motion]
+    moving: list[PartMotion]
     """Motions in the states where the search ended, the most frequent first."""
     reason: str
     """Reason why the search proves nothing, where it does not."""
@@ -84,7 +84,7 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
     return Failure(proven, result.reached, result.steps, disassembly, moving, result.limit, result.sliding, text)
 
 
-def common_motions(assembly: Assembly, oracle: Stability, states: States) -> list[Motion]:
+def common_motions(assembly: Assembly, oracle: Stability, states: States) -> list[PartMotion]:
     """Return the motions of parts in unstable states, one per part, the most frequent first."""
     if not len(states):
         return []
@@ -92,7 +92,7 @@ def common_motions(assembly: Assembly, oracle: Stability, states: States) -> lis
 
     verdicts = oracle.check(states)
     count: Counter[int] = Counter()
-    fastest: dict[int, Motion] = {}
+    fastest: dict[int, PartMotion] = {}
     for index in np.flatnonzero(verdicts.unstable | verdicts.slides):
         moved = motion_of(assembly, verdicts, int(index))
         for motion in [] if moved is None else motions(assembly, moved):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import Command, Exit, StructureOptions
+from falsework.cli.command import Exit, JudgingCommand, StructureOptions
 from falsework.cli.planning import SearchOptions, TaskOptions, refuse_unstable, writable
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MakeGraph(Command):
+class MakeGraph(JudgingCommand):
     """Search for stable states, and save them with all actions between them.
 
     If the search begins at the empty structure, the structure can be disassembled from every state of the graph. Exit
@@ -30,8 +30,6 @@ class MakeGraph(Command):
     """File to write, a NumPy archive."""
     task: TaskOptions
     search: SearchOptions
-    criterion: Literal["contact", "equilibrium"] = "contact"
-    """Stability criterion: compliant contacts bring parts to rest, or (paper) forces in balance exist."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device of the search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, Command, Exit
+from falsework.cli.command import UNSET, Exit, JudgingCommand
 from falsework.cli.planning import writable
 from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MakePicture(Command):
+class MakePicture(JudgingCommand):
     """Draw a contact sheet of a plan, one step of it, a structure, or a state graph.
 
     Needs no display and no graphics driver. A two-dimensional structure, such as an arch, can be drawn as lines
@@ -47,9 +47,6 @@ class MakePicture(Command):
     """Evaluate the stability of the states drawn, and mark unstable parts."""
     limits: bool = False
     """Colour the parts of a single state by how near they are to slipping or tipping."""
-    criterion: Literal["contact", "equilibrium"] = "contact"
-    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
-    in balance exist."""
     policy: Annotated[str | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Run whose policy colours the parts of a single state, or whose states are marked in a state graph."""
     frames: int = 12

@@ -115,7 +115,9 @@ class MakePlan(Command):
                     forces=self.proofs,
                 )
         result = planning.result
-        if result.interrupted:
+        if result.interrupted and self.maximise is not None:
+            output.note("interrupted before there was a plan; the same command begins anew")
+        elif result.interrupted:
             output.note(
                 f"interrupted; the search is saved in {checkpoint}, the same command with --resume continues it"
             )

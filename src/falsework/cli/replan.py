@@ -11,7 +11,7 @@ import numpy as np
 from tyro.conf import arg
 
 from falsework.cli.arguments import parse_parts, parse_state
-from falsework.cli.command import UNSET, Command, Exit, StructureOptions
+from falsework.cli.command import UNSET, Exit, JudgingCommand, StructureOptions
 from falsework.cli.planning import writable
 from falsework.errors import InputError
 
@@ -28,7 +28,7 @@ SHOWN = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class MakeReplan(Command):
+class MakeReplan(JudgingCommand):
     """Plan again from the current state, for instance when a part is late or a robot has failed.
 
     STRUCTURE may also be a run, the folder that `falsework train` wrote: its policy then proposes the steps, and
@@ -71,9 +71,6 @@ class MakeReplan(Command):
     """File to write; alternatives get -2, -3, ... added to its name."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"
     """Device of the policy; `auto` takes a GPU if there is one."""
-    criterion: Literal["contact", "equilibrium"] = "contact"
-    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
-    in balance exist."""
     solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
     """Solver; `auto` takes a GPU where there is one and it is faster."""
 

@@ -183,18 +183,21 @@ class CheckRobots(Command):
     def run(self, output: Output) -> Exit:
         """Load, compare, verify."""
         from falsework.robots.cells.cell_file import load_cell
-        from falsework.robots.plans.check import CheckSettings, check_robot_plan
+        from falsework.robots.plans.check import check_robot_plan
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.search.plans.plan_check import validate_plan
         from falsework.search.plans.plan_source import structure_of_plan
 
-        settings = CheckSettings(step=self.resolution)
         plan = load_robot_plan(self.plan)
         assembly = structure_of_plan(plan.plan, self.plan, self.structure, **self.reading.given())
         cell = load_cell(self.cell or self._cell_of(plan))
         with output.bar("checking motions") as show:
             report = check_robot_plan(
-                plan, assembly, cell, settings, progress=lambda done, total: show(done, total, f"step {done}")
+                plan,
+                assembly,
+                cell,
+                step=self.resolution,
+                progress=lambda done, total: show(done, total, f"step {done}"),
             )
         stable = None if self.motions_only else validate_plan(plan.plan, assembly)
         output.record(

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, Command, Exit, StructureOptions
+from falsework.cli.command import UNSET, Exit, JudgingCommand, StructureOptions
 from falsework.errors import DependencyError, InputError
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Serve(Command):
+class Serve(JudgingCommand):
     """Serve plans and verdicts over HTTP until interrupted.
 
     STRUCTURE may be the folder of a trained run, whose policy then proposes actions. A page at the printed address
@@ -43,9 +43,6 @@ class Serve(Command):
     """Token that clients must send. Other users of this machine can read it here; prefer the environment variable."""
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one a core)")] = None
     """Number of planning processes."""
-    criterion: Literal["contact", "equilibrium"] = "contact"
-    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
-    in balance exist."""
 
     def run(self, output: Output) -> Exit:
         """Load, listen, serve."""

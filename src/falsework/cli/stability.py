@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, UNSET, Command, Exit, StructureOptions
+from falsework.cli.command import CONE_HINT, UNSET, Exit, JudgingCommand, StructureOptions
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckStability(Command):
+class CheckStability(JudgingCommand):
     """Check the stability of a structure, or of some of its states, with a certificate for each.
 
     A state has one value per part: 0 removed, 1 installed, 2 held; boundary parts are always 2. For a state that is
@@ -31,9 +31,6 @@ class CheckStability(Command):
     structure: StructureOptions
     states: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
     """JSON list of states, or a .npy array; the complete structure if not given."""
-    criterion: Literal["contact", "equilibrium"] = "contact"
-    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
-    in balance exist."""
     cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
     """Friction cone: round, or eight-sided as in the paper."""
     solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"

@@ -9,22 +9,19 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, Command, Exit, StructureOptions
+from falsework.cli.command import UNSET, Exit, JudgingCommand, StructureOptions
 from falsework.cli.planning import refuse_unstable
 from falsework.errors import InputError
 from falsework.learn.config.policy import Kind, recommended
-from falsework.learn.config.train import METHODS, Criterion, Method, TrainSettings
+from falsework.learn.config.train import METHODS, Method, TrainSettings
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.learn.training.train import TrainResult
 
 
-_DEFAULTS = TrainSettings()
-
-
 @dataclass(frozen=True, kw_only=True)
-class Train(Command):
+class Train(JudgingCommand):
     """Train a policy that proposes the next action from any state of a structure.
 
     The policy imitates the actions that searches found, then improves by its own rollouts. The result is a folder, the
@@ -60,8 +57,6 @@ class Train(Command):
     """Train a goal-conditioned policy."""
     removable_only_if_clear: bool = False
     """Remove a part only if it has a collision-free straight exit."""
-    criterion: Criterion = _DEFAULTS.criterion
-    """Stability criterion: compliant contacts bring parts to rest, or (paper) forces in balance exist."""
     data: Literal["wide", "width64"] = "wide"
     """Training data: wide searches, or the paper's training set alone."""
     seed: int = 0

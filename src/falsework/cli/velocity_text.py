@@ -22,7 +22,7 @@ STEEP = 0.9
 
 
 @dataclass(frozen=True)
-class Motion:
+class PartMotion:
     """Motion of one part; lengths are relative, since a mechanism has a direction but no size."""
 
     part: int
@@ -51,7 +51,7 @@ class Motion:
         return {"name": assembly.names[self.part], **asdict(self), "words": self.words}
 
 
-def motions(assembly: Assembly, velocity: NDArray[np.float64]) -> list[Motion]:
+def motions(assembly: Assembly, velocity: NDArray[np.float64]) -> list[PartMotion]:
     """Return the parts that a velocity moves, the fastest first.
 
     Args:
@@ -69,12 +69,12 @@ def motions(assembly: Assembly, velocity: NDArray[np.float64]) -> list[Motion]:
         return []
     order = [part for part in np.argsort(-speed, kind="stable") if speed[part] > MOVES * top]
     return [
-        Motion(int(part), float(speed[part] / top), _triple(shift[part] / top), _triple(turn[part] / top))
+        PartMotion(int(part), float(speed[part] / top), _triple(shift[part] / top), _triple(turn[part] / top))
         for part in order
     ]
 
 
-def describe(assembly: Assembly, moving: list[Motion], limit: int = 6) -> str:
+def describe(assembly: Assembly, moving: list[PartMotion], limit: int = 6) -> str:
     """Return one line for the parts that move, such as `part 3 falls; part 4 turns about +y; and 2 more`."""
     texts = [f"{subject(assembly, motion.part)} {motion.words}" for motion in moving[:limit]]
     if len(moving) > limit:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, Command, Exit
+from falsework.cli.command import UNSET, Exit, JudgingCommand
 from falsework.cli.subject import ViewableOptions
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(Command):
+class View(JudgingCommand):
     """Show a plan, run, robot plan, state graph or structure in the browser.
 
     The page plays the steps, shows data of clicked parts and contact forces, and replans after marked disruptions. It
@@ -42,9 +42,6 @@ class View(Command):
     """Number of robots, if the file does not contain it."""
     deadline: float = 60.0
     """Time limit of replanning."""
-    criterion: Literal["contact", "equilibrium"] = "contact"
-    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
-    in balance exist."""
     browser: bool = False
     """Open the page in the browser."""
 

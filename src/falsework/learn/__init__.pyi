@@ -28,7 +28,6 @@ from falsework.learn.networks.policy import confidences as confidences
 from falsework.learn.training.checkpoint import Run as Run
 from falsework.learn.training.checkpoint import load_policy as load_policy
 from falsework.learn.training.checkpoint import load_run as load_run
-from falsework.learn.training.evaluate import EvaluateSettings as EvaluateSettings
 from falsework.learn.training.evaluate import Success as Success
 from falsework.learn.training.evaluate import evaluate as evaluate
 from falsework.learn.training.train import train as train

@@ -13,9 +13,9 @@ from falsework.assembly.state import Mask, States
 from falsework.replanning.deadline import AdaptiveBatchSize
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.result import Stage
-from falsework.replanning.rollout import Rollout, roll_out
 from falsework.replanning.session import ReplanContext, ReplanSession
 from falsework.search.problem.result import Route
+from falsework.search.problem.rollout import Rollout, roll_out
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
 
@@ -45,10 +45,10 @@ def follow_greedily(sessions: Sequence[ReplanSession], context: ReplanContext) -
     owners = [session for session, _ in variants]
     with _policy_time(sessions):
         rollouts = roll_out(
-            context.guide,
             [task for _, task in variants],
             [task.start for _, task in variants],
             np.arange(len(variants)),
+            context.guide.log_probabilities,
             stop=lambda number: _late(owners[number]),
         )
     proven = _proven_steps(owners, rollouts)
@@ -79,12 +79,11 @@ def follow_samples(sessions: Sequence[ReplanSession], context: ReplanContext) ->
     before = [sum(session.clock.spent.values()) for session in sessions]
     begun = time.perf_counter()
     rollouts = roll_out(
-        context.guide,
         [session.task for session in sessions],
         [prefix[-1] for prefix in prefixes],
         owner,
+        context.guide.log_probabilities,
         rng=np.random.default_rng([session.request.seed for session in sessions]),
-        temperature=context.settings.temperature,
         stable=stable,
         stop=lambda number: _late(sessions[number]),
     )

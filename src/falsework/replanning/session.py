@@ -42,8 +42,6 @@ class ReplanSettings:
     samples: int | None = None
     """Rollouts drawn from the probabilities of the policy, 0 for none. If not given, 16 on a GPU, which takes as long
     for one, and 4 on the processor, where more would take longer than the search that they are to save."""
-    temperature: float = 1.0
-    """Of these: above 1 more daring, below 1 closer to the most probable actions."""
     widths: tuple[int, ...] = (4, 16, 64)
     """Of the beams that the policy guides, in turn."""
     width: int = 256
@@ -54,8 +52,8 @@ class ReplanSettings:
     """Keep the contact forces that prove each state in the plans."""
 
     def __post_init__(self) -> None:
-        if (self.samples is not None and self.samples < 0) or not self.temperature > 0:
-            raise InputError("a replanner draws 0 or more samples, at a temperature above 0")
+        if self.samples is not None and self.samples < 0:
+            raise InputError("a replanner draws 0 or more samples")
         if self.width < 1 or self.state_limit < 1 or any(width < 1 for width in self.widths):
             raise InputError("beams and searches of a replanner keep at least 1 state")
 

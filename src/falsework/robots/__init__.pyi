@@ -23,7 +23,6 @@ from falsework.robots.planning.hybrid_planner import plan_robots as plan_robots
 from falsework.robots.planning.keyframe_graph import KeyframeGraph as KeyframeGraph
 from falsework.robots.planning.keyframe_graph import KeyframeSettings as KeyframeSettings
 from falsework.robots.plans.check import CheckReport as CheckReport
-from falsework.robots.plans.check import CheckSettings as CheckSettings
 from falsework.robots.plans.check import PlanProblem as PlanProblem
 from falsework.robots.plans.check import check_robot_plan as check_robot_plan
 from falsework.robots.plans.export import export_plan as export_plan

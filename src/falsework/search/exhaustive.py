@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
@@ -78,7 +77,7 @@ class ExhaustiveSearch:
 
         Args:
             progress: called after every level.
-            stop: called before every level; true stops the search, which can then be saved or continued.
+            stop: called before every level; true stops the search, which can then be run on.
         """
         result = self._beam.run(progress=progress, stop=lambda: self.gave_up or (stop is not None and stop()))
         limit, interrupted = result.limit, result.interrupted
@@ -90,25 +89,3 @@ class ExhaustiveSearch:
         if outcome is Outcome.PROVED_IMPOSSIBLE and not complete:
             outcome = Outcome.NOT_FOUND
         return ExhaustiveResult(replace(result, outcome=outcome, limit=limit, interrupted=interrupted), complete, graph)
-
-    def save(self, path: Path | str) -> None:
-        """Write the current search, to be resumed by `load`."""
-        self._beam.save(path)
-
-    @classmethod
-    def load(
-        cls, path: Path | str, task: Task, oracle: Oracle, *, state_limit: int = 1_000_000, name: str = ""
-    ) -> ExhaustiveSearch:
-        """Read a search that `save` wrote, to continue it, possibly under another limit.
-
-        Raises:
-            InputError: no such file, a damaged one, one of another task, or not of an exhaustive search.
-        """
-        search = cls(task, oracle, state_limit=state_limit, name=name)
-        beam = BeamSearch.load(path, task, oracle)
-        kind = (beam.settings.direction, beam.settings.diversity, beam.settings.lookahead)
-        if kind != (Direction.DISASSEMBLY, "none", 0) or not beam.exhaustive:
-            raise InputError(f"{path} is not a resumable exhaustive search; begin a new one")
-        beam.settings = replace(beam.settings, width=state_limit)
-        search._beam = beam
-        return search

@@ -189,16 +189,13 @@ def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, 
     return replace(plan, replay=PlanReplay.of(oracle.replayer.replay(plan.assembly_states)))
 
 
-def choose_plans(
-    planner: Planner, settings: PlannerSettings, name: str = "", *, stop: Stop | None = None
-) -> Alternatives:
+def choose_plans(planner: Planner, settings: PlannerSettings, name: str = "") -> Alternatives:
     """Choose the requested number of plans, as different as possible, from all that a planner has found.
 
     Args:
         planner: with at least one route.
         settings: how many, and the seed.
         name: of the structure, for the state graph.
-        stop: called before every choice; true returns the routes chosen so far.
     """
     if settings.alternatives == 1:
         return Alternatives.of(planner.routes)
@@ -206,7 +203,7 @@ def choose_plans(
     graph = StateGraph.build(
         task, np.concatenate([planner.states, *(route.states for route in planner.routes)]), name=name
     )
-    return choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed, stop=stop)
+    return choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed)
 
 
 def _resume(

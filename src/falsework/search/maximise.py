@@ -89,6 +89,8 @@ def maximise_margin(
         level = _FIRST * reached if np.isinf(missed) else float(np.sqrt(max(reached, missed / 64) * missed))
         found, strength = search(level)
         seconds += found.result.seconds
+        if found.result.interrupted:
+            break
         if found.found and strength > reached:
             best, reached = found, strength
         else:

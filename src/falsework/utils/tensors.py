@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -112,3 +113,8 @@ def _signed(word: int) -> int:
 def _shifted(words: torch.Tensor, bits: int) -> torch.Tensor:
     """Shift to the right that fills up with zeros."""
     return (words >> bits) & ((1 << (64 - bits)) - 1)
+
+
+def below(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values under names that begin with a prefix, with the prefix taken off."""
+    return {name[len(prefix) :]: value for name, value in values.items() if name.startswith(prefix)}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from falsework.search.problem.task import Direction
 from falsework.viewer.appearance import Appearance
 from falsework.viewer.palette import robot_color, unit_rgb
-from falsework.viewer.pictures.render import Solid
+from falsework.viewer.pictures.render import ColoredSolid
 from falsework.viewer.timeline import NO_ROBOT
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ def look_with_arms(look: Appearance, arm_poses: ArmPoses) -> Appearance:
     return replace(look, opacity=opacity)
 
 
-def solids_of_arms(arms: Arms, arm_poses: ArmPoses, assembly: Assembly) -> list[Solid]:
+def solids_of_arms(arms: Arms, arm_poses: ArmPoses, assembly: Assembly) -> list[ColoredSolid]:
     """Return arms, and the part that they carry, as meshes.
 
     Args:
@@ -186,13 +186,13 @@ def solids_of_arms(arms: Arms, arm_poses: ArmPoses, assembly: Assembly) -> list[
         assembly: the structure.
     """
     solids = [
-        Solid(link.vertices @ pose[:3, :3].T + pose[:3, 3], link.faces, link.color)
+        ColoredSolid(link.vertices @ pose[:3, :3].T + pose[:3, 3], link.faces, link.color)
         for link, pose in zip(arms.links, arm_poses.poses, strict=True)
     ]
     if arm_poses.carried is not None:
         mesh, pose = assembly.meshes[arm_poses.carried], arm_poses.carried_pose
         vertices = mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
-        solids.append(Solid(vertices, mesh.faces, unit_rgb(robot_color(arm_poses.carrier))))
+        solids.append(ColoredSolid(vertices, mesh.faces, unit_rgb(robot_color(arm_poses.carrier))))
     return solids
 
 

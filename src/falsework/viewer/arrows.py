@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.viewer.appearance import diagonal
 from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, MOTION, SLIDING
-from falsework.viewer.pictures.render import Solid
+from falsework.viewer.pictures.render import ColoredSolid
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -23,6 +22,10 @@ LONGEST = 0.14
 """Length of the largest arrow, in diagonals of the structure."""
 SHORTEST = 0.02
 """Arrows below this share of the largest are left out."""
+MOTION_SHARE = 0.06
+"""Way of the fastest point where motion is shown, in diagonals of the structure."""
+SIDES = 8
+"""Of the shaft of an arrow."""
 KINDS = {"contact forces": FORCE, "friction": FRICTION, "gravity": GRAVITY, "motion": MOTION, "sliding": SLIDING}
 """What arrows show, and their colour."""
 
@@ -38,14 +41,14 @@ class Arrows:
     def __len__(self) -> int:
         return len(self.ends)
 
-    def solids(self, thickness: float) -> list[Solid]:
+    def solids(self, thickness: float) -> list[ColoredSolid]:
         """Return the arrows as meshes.
 
         Args:
             thickness: diameter of a shaft, metres.
         """
         color = tuple(int(self.color[i : i + 2], 16) / 255 for i in (1, 3, 5))
-        return [Solid(*arrow_mesh(tail, tip, thickness), color) for tail, tip in self.ends]
+        return [ColoredSolid(*arrow_mesh(tail, tip, thickness), color) for tail, tip in self.ends]
 
 
 def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[str, Arrows]:
@@ -101,14 +104,13 @@ def arrows_of_motion(assembly: Assembly, state: States, velocity: Array, kind: s
     return _arrows(assembly.mass.center[free], vectors * scale, kind, assembly)
 
 
-def moved_parts(assembly: Assembly, state: States, velocity: Array, share: float = 0.06) -> dict[int, Array]:
+def moved_parts(assembly: Assembly, state: States, velocity: Array) -> dict[int, Array]:
     """Return vertices of the free parts that move, a little further along their motion.
 
     Args:
         assembly: the structure.
         state: shape (parts,).
         velocity: `(linear, angular)` about the centres of mass, shape (parts, 6).
-        share: way of the fastest point, in diagonals of the structure.
 
     Returns:
         By part, shape (vertices, 3), metres.
@@ -121,7 +123,7 @@ def moved_parts(assembly: Assembly, state: States, velocity: Array, share: float
     fastest = max((float(np.linalg.norm(way, axis=1).max()) for way in ways.values()), default=0.0)
     if not fastest > 0:
         return {}
-    scale = share * diagonal(assembly) / fastest
+    scale = MOTION_SHARE * diagonal(assembly) / fastest
     return {
         part: assembly.meshes[part].vertices + scale * way
         for part, way in ways.items()
@@ -129,7 +131,7 @@ def moved_parts(assembly: Assembly, state: States, velocity: Array, share: float
     }
 
 
-def arrow_mesh(tail: Array, tip: Array, thickness: float, sides: int = 8) -> tuple[Array, NDArray[np.int64]]:
+def arrow_mesh(tail: Array, tip: Array, thickness: float) -> tuple[Array, NDArray[np.int64]]:
     """Return a closed arrow: shaft and head. Vertices of shape (count, 3), faces of shape (count, 3)."""
     tail, tip = np.asarray(tail, dtype=float), np.asarray(tip, dtype=float)
     along = tip - tail
@@ -138,28 +140,19 @@ def arrow_mesh(tail: Array, tip: Array, thickness: float, sides: int = 8) -> tup
     side = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.7 else [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
     other = np.cross(along, side)
-    angle = np.arange(sides) * 2 * np.pi / sides
+    angle = np.arange(SIDES) * 2 * np.pi / SIDES
     ring = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other
     neck = tip - along * min(2.6 * thickness, 0.6 * length)
     shaft, head = ring * thickness / 2, ring * thickness * 1.15
     vertices = np.concatenate([[tail], tail + shaft, neck + shaft, neck + head, [tip]])
-    here, there = np.arange(sides), (np.arange(sides) + 1) % sides
-    first, second, third, last = 1, 1 + sides, 1 + 2 * sides, 1 + 3 * sides
+    here, there = np.arange(SIDES), (np.arange(SIDES) + 1) % SIDES
+    first, second, third, last = 1, 1 + SIDES, 1 + 2 * SIDES, 1 + 3 * SIDES
     faces = [np.stack([np.zeros_like(here), first + there, first + here], axis=1)]
     for low, high in ((first, second), (second, third)):
         faces.append(np.stack([low + here, low + there, high + there], axis=1))
         faces.append(np.stack([low + here, high + there, high + here], axis=1))
     faces.append(np.stack([third + here, third + there, np.full_like(here, last)], axis=1))
     return vertices, np.concatenate(faces)
-
-
-def merged(solids: Sequence[Solid]) -> tuple[Array, NDArray[np.int64]]:
-    """Return vertices and faces of several meshes as one."""
-    if not solids:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-    first = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
-    faces = [np.asarray(solid.faces, dtype=np.int64) + start for solid, start in zip(solids, first, strict=False)]
-    return np.concatenate([solid.vertices for solid in solids]), np.concatenate(faces)
 
 
 def _arrows(tails: Array, vectors: Array, kind: str, assembly: Assembly) -> Arrows:

@@ -1,15 +1,12 @@
 """Colour scheme of page and pictures, safe for colour-blind viewers.
 
-The robots' colours are those of Okabe and Ito (2008). `difference` measures how far two colours stay apart for eyes
-without the medium-wave or the long-wave cones, by the matrices of Machado, Oliveira and Fernandes (2009).
+The robots' colours are those of Okabe and Ito (2008).
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-Array = NDArray[np.float64]
 
 INSTALLED = "#dccdb2"
 BOUNDARY = "#56585c"
@@ -34,14 +31,6 @@ RAMP = ("#dccdb2", "#d98aa5", "#a34a8f", "#5f2276", "#2a0845")
 
 STEPS = 16
 """Steps of the scale that parts are coloured on."""
-
-# Linear RGB as seen without medium-wave or without long-wave cones, severity 1.
-_DEUTERANOPE = np.array(
-    [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
-)
-_PROTANOPE = np.array(
-    [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
-)
 
 
 def rgb(color: str) -> tuple[int, int, int]:
@@ -90,33 +79,3 @@ def mix(color: str, other: str, share: float) -> str:
     """Return a colour with a share of another in it."""
     mixed = (1 - share) * np.array(rgb(color)) + share * np.array(rgb(other))
     return hex_of(np.rint(mixed))
-
-
-def seen_by_deuteranope(color: ArrayLike) -> Array:
-    """Return the linear RGB that an eye without medium-wave cones sees; `color` is red, green, blue from 0 to 255."""
-    return np.clip(_DEUTERANOPE @ _linear(color), 0.0, 1.0)
-
-
-def seen_by_protanope(color: ArrayLike) -> Array:
-    """Return the linear RGB that an eye without long-wave cones sees; `color` is red, green, blue from 0 to 255."""
-    return np.clip(_PROTANOPE @ _linear(color), 0.0, 1.0)
-
-
-def difference(one: str, other: str) -> float:
-    """Return the distance of two colours for the least discerning eyes (CIE 1976, about 2 is just visible)."""
-    eyes = (_linear, seen_by_deuteranope, seen_by_protanope)
-    return min(float(np.linalg.norm(_lab(eye(rgb(one))) - _lab(eye(rgb(other))))) for eye in eyes)
-
-
-def _linear(color: ArrayLike) -> Array:
-    """Return the linear RGB from 0 to 1 of sRGB from 0 to 255."""
-    value = np.asarray(color, dtype=float) / 255
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-
-
-def _lab(linear: Array) -> Array:
-    """CIE L*a*b* of linear RGB, white point D65."""
-    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-    x, y, z = (to_xyz @ linear) / to_xyz.sum(axis=1)
-    fx, fy, fz = (value ** (1 / 3) if value > 216 / 24389 else (24389 / 27 * value + 16) / 116 for value in (x, y, z))
-    return np.array([116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz)])

@@ -10,7 +10,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from falsework.assembly import Assembly  # noqa: E402
 from falsework.learn.algorithms.hindsight import relabel  # noqa: E402
 from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions  # noqa: E402
-from falsework.learn.data.goal_pairs import sample_pairs  # noqa: E402
+from falsework.learn.data.goal_pairs import PairSource  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
@@ -88,7 +88,7 @@ def test_a_goal_blind_policy_ignores_the_target(bottle: Assembly, bottle_graph: 
         seen.append(targets)
         return torch.zeros(len(states), 2 * states.shape[1]), torch.zeros(len(states))
 
-    pairs = sample_pairs(bottle_graph, 50, np.random.default_rng(0))
+    pairs = PairSource(bottle_graph).draw(50, np.random.default_rng(0))
     states, targets, _ = pairs.tensors(environment.device)
     rollouts = roll_out(environment, GoalBlindPolicy(policy), states, targets)
     assert all(one is None for one in seen)

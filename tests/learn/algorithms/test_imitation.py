@@ -17,8 +17,8 @@ from falsework.learn.algorithms.imitation import Imitation, imitation_loss  # no
 from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.data.dataset import DataSettings, build_dataset, task_for  # noqa: E402
-from falsework.learn.data.recording_environment import RecordingEnvironment  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
+from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.networks.autocast import Network  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
@@ -86,7 +86,7 @@ def test_an_action_that_is_not_legal_is_not_imitated() -> None:
 
 
 def test_it_learns_what_the_valid_actions_are(arch: Any, states: Any) -> None:
-    environment = RecordingEnvironment(arch, 2, device="cpu")
+    environment = Environment(arch, 2, device="cpu")
     solved = SolvableStates(environment.rules, torch.from_numpy(states))
     imitation = Imitation(make_policy(arch, SMALL), solved, settings())
     first = imitation.block(20, (0.0, 0.05))["loss"]
@@ -97,7 +97,7 @@ def test_it_learns_what_the_valid_actions_are(arch: Any, states: Any) -> None:
 
 
 def test_the_learning_rate_rises_stays_and_falls(arch: Any, states: Any) -> None:
-    environment = RecordingEnvironment(arch, 2, device="cpu")
+    environment = Environment(arch, 2, device="cpu")
     solved = SolvableStates(environment.rules, torch.from_numpy(states))
     imitation = Imitation(make_policy(arch, SMALL), solved, settings(warm_up=10, decay=0.5))
     assert imitation.schedule(0, 0.0) == pytest.approx(0.1)
@@ -111,7 +111,7 @@ def test_the_learning_rate_rises_stays_and_falls(arch: Any, states: Any) -> None
 def test_a_step_that_is_not_finite_is_left_out_and_its_batch_kept(
     arch: Any, states: Any, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    environment = RecordingEnvironment(arch, 2, device="cpu")
+    environment = Environment(arch, 2, device="cpu")
     solved = SolvableStates(environment.rules, torch.from_numpy(states))
     policy = make_policy(arch, PolicySettings(kind, layers=1, channels=8, heads=1))
     imitation = Imitation(policy, solved, settings(batch=16), folder=tmp_path)
@@ -137,7 +137,7 @@ def test_a_step_that_is_not_finite_is_left_out_and_its_batch_kept(
 
 
 def test_saved_and_loaded_it_goes_on_alike(arch: Any, states: Any) -> None:
-    environment = RecordingEnvironment(arch, 2, device="cpu")
+    environment = Environment(arch, 2, device="cpu")
     solved = SolvableStates(environment.rules, torch.from_numpy(states))
     whole = Imitation(make_policy(arch, SMALL), solved, settings())
     whole.block(10, (0.0, 0.5))
@@ -151,7 +151,7 @@ def test_saved_and_loaded_it_goes_on_alike(arch: Any, states: Any) -> None:
 
 
 def test_a_batch_smaller_than_the_processes_is_refused(arch: Any) -> None:
-    environment = RecordingEnvironment(arch, 2, device="cpu")
+    environment = Environment(arch, 2, device="cpu")
     with pytest.raises(InputError, match="cannot be shared by 4 processes"):
         Imitation(
             make_policy(arch, SMALL), SolvableStates(environment.rules), settings(batch=3), shards=ProcessGroup(0, 4)
@@ -159,17 +159,13 @@ def test_a_batch_smaller_than_the_processes_is_refused(arch: Any) -> None:
 
 
 def test_visits_to_held_out_states_are_recorded(arch: Any, states: Any) -> None:
-    """By rollouts of training, not while recording is paused."""
-    environment = RecordingEnvironment(arch, 2, device="cpu")
+    environment = Environment(arch, 2, device="cpu")
     solved = SolvableStates(environment.rules, torch.from_numpy(states))
     solved.hold_out(torch.from_numpy(states[::3].copy()))
-    environment.solved = solved
     policy, starts = make_policy(arch, SMALL), solved.states
-    with environment.paused_recording():
-        assert environment.exact
-        roll_out(environment, policy, starts, greedy=False, generator=environment.generator(0))
-    assert not environment.exact
+    roll_out(environment, policy, starts, greedy=False, generator=environment.generator(0))
     assert solved.visited == 0
+    environment.record = solved.record_visits
     rollouts = roll_out(environment, policy, starts, greedy=False, generator=environment.generator(0))
     visited = rollouts.states[1:].flatten(0, 1)
     assert solved.visited == len(torch.unique(visited[solved.is_held_out(visited)], dim=0)) > 0

@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.data.goal_pairs import PairSource, sample_pairs  # noqa: E402
+from falsework.learn.data.goal_pairs import PairSource  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.search import Direction, StateGraph, Task  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
@@ -31,7 +31,7 @@ def reachable(graph: StateGraph, row: int) -> set[int]:
 
 
 def test_valid_actions_are_all_that_lead_to_the_target_inside_the_graph(bottle_graph: StateGraph) -> None:
-    pairs = sample_pairs(bottle_graph, 60, np.random.default_rng(0))
+    pairs = PairSource(bottle_graph).draw(60, np.random.default_rng(0))
     assert len(pairs) == 60
     for state, target, valid in zip(pairs.states, pairs.targets, pairs.valid, strict=True):
         row, end = (int(bottle_graph.index.find(one[None])[0]) for one in (state, target))
@@ -45,7 +45,7 @@ def test_valid_actions_are_all_that_lead_to_the_target_inside_the_graph(bottle_g
 
 def test_valid_actions_are_legal_for_their_task(bottle: Assembly, bottle_graph: StateGraph) -> None:
     """Also with the rule that the last free robot is not spent on a part that stays held."""
-    pairs = sample_pairs(bottle_graph, 3000, np.random.default_rng(1))
+    pairs = PairSource(bottle_graph).draw(3000, np.random.default_rng(1))
     for state, target, valid in zip(pairs.states[:300], pairs.targets[:300], pairs.valid[:300], strict=True):
         task = Task.create(bottle.boundary, 2, start=state, target=target)
         assert task.moves(state[None], Direction.DISASSEMBLY)[0][valid].all()
@@ -69,6 +69,6 @@ def test_forbidden_states_are_in_no_pair(bottle_graph: StateGraph) -> None:
 
 
 def test_same_seed_same_pairs(bottle_graph: StateGraph) -> None:
-    one, two = (sample_pairs(bottle_graph, 100, np.random.default_rng(5)) for _ in range(2))
+    one, two = (PairSource(bottle_graph).draw(100, np.random.default_rng(5)) for _ in range(2))
     assert np.array_equal(one.states, two.states)
     assert np.array_equal(one.targets, two.targets)

@@ -19,6 +19,7 @@ from falsework.learn.data.goal_dataset import GoalDataSettings, build_goal_datas
 from falsework.learn.data.random_walks import RandomWalkGoals  # noqa: E402
 from falsework.learn.data.symmetry_augmentation import SymmetryAugmentation  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
+from falsework.learn.training.run_context import RunContext  # noqa: E402
 from falsework.learn.training.training_data import collect_training_data  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 from falsework.search.device.oracle import HostOracle  # noqa: E402
@@ -98,7 +99,7 @@ def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly) -> 
         policy=PolicySettings("transformer", goal_conditioned=True), widths=(8, 8), pairs=3000, steps=10
     )
     data_of_run = collect_training_data(
-        dome, settings.resolved(dome.part_count, "cpu"), HostOracle(Stability(dome)), device=CPU
+        RunContext(dome, settings.resolved(dome.part_count, "cpu"), HostOracle(Stability(dome)), CPU)
     )
     assert isinstance(data_of_run.tasks, SymmetryAugmentation)
     assert data_of_run.targets is not None

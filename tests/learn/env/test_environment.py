@@ -177,7 +177,7 @@ def test_only_removals_are_judged_and_every_state_once(bottle: Assembly) -> None
     )
     assert len(oracle.asked) == asked
     assert environment.counters.steps == 2 * int(first.length.sum())
-    shares = environment.counters.as_dict()
+    shares = environment.counters.to_dict()
     assert abs(sum(value for name, value in shares.items() if name.startswith("share_")) - 1) < 1e-9
 
 
@@ -214,7 +214,7 @@ def test_a_hold_after_which_a_part_slides_ends_a_rollout(bottle: Assembly) -> No
         assert rollouts.length.tolist() == [1]
         assert np.array_equal(rollouts.states[rollouts.passed()].numpy(), before[None])
         assert environment.counters.states_asked == 1
-    assert (environment._known._verdict == Verdict.SLIDES).sum() == 1
+    assert (environment._verdicts._verdict == Verdict.SLIDES).sum() == 1
     balanced = Environment(bottle, 2, oracle=Stability(bottle, EQUILIBRIUM), device="cpu")
     step = balanced.step(torch.from_numpy(before)[None], torch.tensor([taken]), check=True)
     assert not step.unstable.any()
@@ -228,8 +228,8 @@ def test_verdicts_are_right_when_slots_are_fought_over(bottle: Assembly) -> None
     environment, rollouts = random_rollouts(bottle, 500)
     states = rollouts.states.view(-1, environment.part_count)
     states = states[torch.randperm(len(states), generator=torch.Generator().manual_seed(0))]
-    environment._known = VerdictTable(environment.rules, memory=1)
-    environment._known._slots = 32
+    environment._verdicts = VerdictTable(environment.rules, memory=1)
+    environment._verdicts._slots = 32
     truth = torch.from_numpy(Stability(bottle, EQUILIBRIUM).stable(states.numpy()))
     for begin in range(0, len(states), 700):
         rows = slice(begin, begin + 700)

@@ -14,6 +14,7 @@ from falsework.assembly.state import action_mask
 from falsework.errors import InputError
 from falsework.geometry import TriangleMesh
 from falsework.learn.config.policy import PolicySettings, recommended
+from falsework.learn.config.train import from_dict
 from falsework.learn.networks.factory import describe, make_policy, share, transfer
 from falsework.learn.networks.policy import confidences, masked_log_probabilities
 
@@ -202,15 +203,10 @@ def test_weights_know_nothing_of_their_structure(arch: Assembly, dome: Assembly)
     assert all(weight.grad is not None for weight in ours.values())
 
 
-@pytest.mark.parametrize(
-    ("kind", "identity", "words"), [("mlp", False, "by their number"), ("transformer", True, "identity")]
-)
-def test_policies_that_know_parts_by_number_do_not_transfer(
-    kind: str, identity: bool, words: str, arch: Assembly, dome: Assembly
-) -> None:
-    settings = settings_of(kind, identity=identity)
+def test_policies_that_know_parts_by_number_do_not_transfer(arch: Assembly, dome: Assembly) -> None:
+    settings = settings_of("mlp")
     weights = make_policy(arch, settings).state_dict()
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match="by their number"):
         transfer(weights, settings, dome)
 
 
@@ -239,7 +235,6 @@ def test_describe_counts_the_weights(arch: Assembly) -> None:
         ({"kind": "rnn"}, "unknown policy kind 'rnn'; choose resmlp, transformer, gat, mlp"),
         ({"layers": -1}, "layers is -1"),
         ({"kind": "transformer", "channels": 30}, "30 do not divide among 8 heads"),
-        ({"kind": "mlp", "identity": True}, "identity is for policies of kind transformer"),
     ],
 )
 def test_wrong_settings_are_refused(options: dict, words: str) -> None:
@@ -249,17 +244,10 @@ def test_wrong_settings_are_refused(options: dict, words: str) -> None:
 
 def test_settings_survive_a_file() -> None:
     settings = PolicySettings("gat", goal_conditioned=True, layers=3)
-    assert PolicySettings.from_dict(asdict(settings)) == settings
+    assert from_dict(PolicySettings, asdict(settings)) == settings
     assert settings.resolved().channels == 16
-    with pytest.raises(InputError, match="'depth' is no setting of a policy"):
-        PolicySettings.from_dict({"depth": 3})
-
-
-def test_identity_learns_a_vector_a_part(arch: Assembly) -> None:
-    plain, own = (
-        describe(make_policy(arch, settings_of("transformer", identity=one)))["parameters"] for one in (False, True)
-    )
-    assert own - plain == arch.part_count * SMALL["channels"]
+    with pytest.raises(InputError, match="'depth' is no setting of PolicySettings"):
+        from_dict(PolicySettings, {"depth": 3})
 
 
 @pytest.mark.parametrize("kind", KINDS)

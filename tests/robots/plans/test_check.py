@@ -16,7 +16,7 @@ from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.cell import Cell, Obstacle, cell_identity
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import block
-from falsework.robots.plans.check import CheckSettings, check_robot_plan
+from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.robot_plan import RobotPlan, RobotStep, Trajectory
 
@@ -161,6 +161,6 @@ def test_another_structure_or_cell_is_refused(
         check_robot_plan(robot_plan, column, cell_of(2, 1.2))
 
 
-def test_a_check_that_is_too_coarse() -> None:
+def test_a_check_that_is_too_coarse(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> None:
     with pytest.raises(InputError, match="too coarse"):
-        CheckSettings(step=1.0)
+        check_robot_plan(robot_plan, column, cell, step=1.0)

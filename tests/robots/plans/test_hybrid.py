@@ -95,7 +95,7 @@ def test_a_guide_is_asked_about_each_state_once(column: Assembly, cell: Cell, or
 def test_where_rollouts_fail_the_plan_is_searched_for(
     column: Assembly, cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("falsework.robots.planning.solvability.roll_out", lambda *_, **__: None)
+    monkeypatch.setattr("falsework.robots.planning.solvability.roll_out", lambda *_, **__: [])
     found = plan_robots(column, cell, guide=SupportGuide(column))
     assert found.plan is not None
     assert validate_plan(found.plan.plan, column).good

@@ -11,14 +11,13 @@ from falsework.assembly.state import complete_state
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.action_ranking import ExecutionHeuristic
 from falsework.robots.planning.keyframe_graph import KeyframeGraph
-from falsework.robots.planning.rollout import roll_out
+from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Direction, Task
 from falsework.search.problem.guide import MemoizedGuide, SupportGuide
 from falsework.stability import Stability
 
 ARCH = load_structure("arch:blocks=5")
 TASK = Task.create(ARCH.boundary, 2)
-GOAL = {TASK.target.tobytes()}
 
 
 @pytest.fixture(scope="module")
@@ -31,10 +30,9 @@ def removals(states, actions) -> np.ndarray:
     return np.tile(np.repeat([0.0, 1.0], ARCH.part_count), (len(states), 1))
 
 
-@pytest.mark.parametrize("rows", [1, 8])
-def test_a_rollout_is_a_plan(arch_oracle: Stability, rows: int) -> None:
-    rng = None if rows == 1 else np.random.default_rng(0)
-    route = roll_out(TASK, arch_oracle, removals, TASK.start, GOAL, rng=rng, rows=rows)
+@pytest.mark.parametrize("rng", [None, np.random.default_rng(0)], ids=["greedy", "sampled"])
+def test_a_rollout_is_a_plan(arch_oracle: Stability, rng: np.random.Generator | None) -> None:
+    route = SolvabilityCheck(ARCH, TASK, arch_oracle, score=removals).roll_out(rng)
     assert route is not None
     assert len(route.actions) == TASK.steps
     np.testing.assert_array_equal(route.states[0], TASK.start)
@@ -45,24 +43,12 @@ def test_a_rollout_is_a_plan(arch_oracle: Stability, rows: int) -> None:
         np.testing.assert_array_equal(TASK.follow(state[None], action[None], Direction.DISASSEMBLY)[0], after)
 
 
-def test_a_rollout_ends_where_the_rest_is_known(arch_oracle: Stability) -> None:
-    route = roll_out(TASK, arch_oracle, removals, TASK.start, GOAL)
-    assert route is not None
-    early = roll_out(TASK, arch_oracle, removals, TASK.start, {route.states[4].tobytes(), *GOAL})
-    assert early is not None
-    np.testing.assert_array_equal(early.actions, route.actions[:4])
-    nothing = roll_out(TASK, arch_oracle, removals, TASK.start, {TASK.start.tobytes()})
-    assert nothing is not None
-    assert len(nothing.actions) == 0
-
-
 def test_a_rollout_may_fail(arch_oracle: Stability) -> None:
-    """One robot cannot take an arch apart, and nobody waits for a search that has been stopped."""
-    alone = Task.create(ARCH.boundary, 1)
-    for rows in (1, 8):
-        rng = None if rows == 1 else np.random.default_rng(0)
-        assert roll_out(alone, arch_oracle, removals, alone.start, GOAL, rng=rng, rows=rows) is None
-    assert roll_out(TASK, arch_oracle, removals, TASK.start, GOAL, stop=lambda: True) is None
+    """One robot cannot take an arch apart, and a search that has been stopped has no rollout."""
+    alone = SolvabilityCheck(ARCH, Task.create(ARCH.boundary, 1), arch_oracle, score=removals)
+    for rng in (None, np.random.default_rng(0)):
+        assert alone.roll_out(rng) is None
+    assert SolvabilityCheck(ARCH, TASK, arch_oracle, score=removals).roll_out(None, lambda: True) is None
 
 
 def test_rows_step_together(arch_oracle: Stability) -> None:
@@ -73,10 +59,10 @@ def test_rows_step_together(arch_oracle: Stability) -> None:
         sizes.append(len(states))
         return removals(states, actions)
 
-    rng = np.random.default_rng(0)
-    assert roll_out(TASK, arch_oracle, counting, TASK.start, GOAL, rng=rng, rows=8) is not None
+    solvability = SolvabilityCheck(ARCH, TASK, arch_oracle, score=counting)
+    assert solvability.roll_out(np.random.default_rng(0)) is not None
     assert len(sizes) == TASK.steps
-    assert sizes[0] == 8
+    assert sizes[0] == 16
 
 
 def test_what_blocks_and_what_is_high(column: Assembly, cell: Cell) -> None:

@@ -14,7 +14,6 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, complete_state
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.hybrid_planner import HybridResult, HybridSettings, plan_robots
-from falsework.robots.planning.rollout import roll_out
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Route, Task
 from falsework.search.plans.plan_check import validate_plan
@@ -22,7 +21,6 @@ from falsework.stability import Replay, Stability, StabilitySettings
 
 ARCH = load_structure("arch:blocks=5")
 TASK = Task.create(ARCH.boundary, 2)
-GOAL = {TASK.target.tobytes()}
 
 
 class Watched(Stability):
@@ -67,7 +65,7 @@ def removals(states: np.ndarray, actions: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
 def test_rollouts_ask_about_holds_where_they_must(criterion: str) -> None:
     oracle = Watched(ARCH, criterion)
-    route = roll_out(TASK, oracle, removals, TASK.start, GOAL)
+    route = SolvabilityCheck(ARCH, TASK, oracle, score=removals).roll_out(None)
     assert route is not None
     asked = np.array([state.tobytes() in oracle.seen for state in route.states[1:]])
     removal = route.actions >= ARCH.part_count
@@ -77,15 +75,16 @@ def test_rollouts_ask_about_holds_where_they_must(criterion: str) -> None:
 
 
 def test_rollouts_go_around_what_is_forbidden() -> None:
-    oracle = Stability(ARCH)
-    first = roll_out(TASK, oracle, removals, TASK.start, GOAL)
+    solvability = SolvabilityCheck(ARCH, TASK, Stability(ARCH), score=removals)
+    assert solvability.prepare().found
+    first = solvability.roll_out(None)
     assert first is not None
-    forbidden = {first.states[3].tobytes()}
+    forbidden = first.states[3].tobytes()
+    assert solvability.forbid(first, TASK.steps - 3)
     for seed in range(4):
-        rng = np.random.default_rng(seed)
-        second = roll_out(TASK, oracle, removals, TASK.start, GOAL, rng=rng, rows=16, forbidden=forbidden)
+        second = solvability.roll_out(np.random.default_rng(seed))
         assert second is not None
-        assert not forbidden & {state.tobytes() for state in second.states}
+        assert forbidden not in {state.tobytes() for state in second.states}
 
 
 @pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
@@ -115,7 +114,7 @@ def test_a_forbidden_state_takes_its_only_ways_with_it() -> None:
     oracle = Stability(ARCH)
     solvability = SolvabilityCheck(ARCH, TASK, oracle)
     assert solvability.prepare().found
-    route = roll_out(TASK, oracle, removals, TASK.start, GOAL)
+    route = SolvabilityCheck(ARCH, TASK, oracle, score=removals).roll_out(None)
     assert route is not None
     states, actions = route.states, route.actions
     row = len(states) - 3

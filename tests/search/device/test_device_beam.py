@@ -174,20 +174,6 @@ def test_same_seed_same_beam(rules: Any) -> None:
     assert not np.array_equal(found[0].states(), found[2].states())
 
 
-def test_a_guide_decides(rules: Any) -> None:
-    """Free blocks, one robot, width one: the order of removal is that of the scores."""
-    wanted = torch.tensor([0.0, 3, 1, 5, 2, 4])
-
-    def guide(states: Any, actions: Any, direction: Direction) -> Any:
-        return torch.cat([wanted, wanted]).expand(len(states), -1)
-
-    task = Task.create(rules.ground(6), 1)
-    settings = BeamSettings(width=1, direction=Direction.DISASSEMBLY)
-    search = DeviceBeam(task, HostOracle(rules.blocks(6)), settings, guide=guide)
-    route = search.run().routes[0]
-    assert np.argsort(route.removal_rank()[1:]).tolist() == [2, 4, 0, 3, 1]
-
-
 def test_words_that_collide_do_not_merge_states(rules: Any) -> None:
     """With words that tell only values apart, states with the same numbers of parts all share a hash."""
     oracle, _ = rules.random(4, 6)

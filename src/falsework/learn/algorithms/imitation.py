@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 
 from falsework.errors import InputError
-from falsework.learn.algorithms.policy_optimizer import PolicyOptimizer
+from falsework.learn.algorithms.learner import Learner
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.data.random_walks import GoalSampler
 from falsework.learn.data.solvable_states import SolvableStates
@@ -49,8 +49,8 @@ def imitation_loss(logits: torch.Tensor, mask: torch.Tensor, valid: torch.Tensor
     return -(inside * known).sum() / known.sum().clamp(min=1)
 
 
-class Imitation:
-    """Takes steps on batches of solvable states drawn on the device; a `Learner`."""
+class Imitation(Learner):
+    """Takes steps on batches of solvable states drawn on the device."""
 
     def __init__(
         self,
@@ -86,34 +86,24 @@ class Imitation:
         """
         if settings.batch < shards.size:
             raise InputError(f"a batch of {settings.batch} cannot be shared by {shards.size} processes; make it larger")
-        self.policy = policy
-        self._solved, self._settings, self._tasks = solved, settings, tasks
-        self._shards, self._seed = shards, seed
-        self._share = settings.batch // shards.size
-        self._networks = [Network(one, precision, compiled=compiled) for one in (policy, *copies)]
         # Steps of the size of the weight are for matrices; norms and biases are not pulled to zero.
-        self._optimizer = PolicyOptimizer(
+        super().__init__(
             policy,
+            torch.Generator(solved.device).manual_seed(seed * 1009 + shards.rank),
+            seed,
+            shards,
             learning_rate=settings.learning_rate,
             weight_decay=_WEIGHT_DECAY,
             only_matrices=True,
             betas=_BETAS,
-            shards=shards,
             folder=folder,
         )
-        self._generator = torch.Generator(solved.device).manual_seed(seed * 1009 + shards.rank)
-
-    @property
-    def steps(self) -> int:
-        """Steps of the optimizer taken."""
-        return self._optimizer.steps
+        self._solved, self._settings, self._tasks = solved, settings, tasks
+        self._share = settings.batch // shards.size
+        self._networks = [Network(one, precision, compiled=compiled) for one in (policy, *copies)]
 
     def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
-        """As `Learner`.
-
-        Raises:
-            TrainingError: a step was not finite.
-        """
+        """As `Learner.block`."""
         self.policy.train()
         drawn = self._draw(steps)
         sums = torch.zeros(2, device=self._solved.device)
@@ -143,31 +133,6 @@ class Imitation:
         rise = min((step + 1) / max(settings.warm_up, 1), 1.0)
         fallen = min(max((progress - 1.0 + settings.decay) / max(settings.decay, 1e-9), 0.0), 1.0)
         return rise * (_FINAL_LEARNING_RATE + (1 - _FINAL_LEARNING_RATE) * 0.5 * (1 + math.cos(math.pi * fallen)))
-
-    def export_policy(self, policy: Policy) -> Policy:
-        """As `Learner`."""
-        self._optimizer.export_policy(policy)
-        return policy.eval()
-
-    def load_policy(self, policy: Policy) -> None:
-        """As `Learner`."""
-        self._optimizer.load_policy(policy)
-
-    def state_dict(self) -> dict[str, torch.Tensor]:
-        """As `Learner`."""
-        return self._optimizer.state_dict()
-
-    def local_state_dict(self) -> dict[str, torch.Tensor]:
-        """As `Learner`."""
-        return {"generator": self._generator.get_state()}
-
-    def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
-        """As `Learner`."""
-        self._optimizer.load_state_dict(tensors)
-        if local is not None:
-            self._generator.set_state(local["generator"].cpu())
-        else:  # other processes than before draw other numbers
-            self._generator.manual_seed((self._seed * 1009 + self._shards.rank) * 100_003 + self.steps)
 
     def _draw(self, steps: int) -> Iterator[tuple[torch.Tensor, torch.Tensor | None, torch.Tensor | None]]:
         """Draw states, their targets and valid actions for each of some steps; None where there are no targets."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import torch
 
 from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import Policy, evaluate
+from falsework.learn.env.rollout import PolicyFunction, evaluate
 from falsework.learn.networks.policy import masked_log_probabilities
-from falsework.search.device.parallel_beams import Level, next_level, with_ancestors
+from falsework.search.device.parallel_beams import ParallelLevel, next_level, with_ancestors
 from falsework.search.device.rules import TensorRules
 
 _SPARE = 2
@@ -30,7 +30,7 @@ class PolicyBeamResult:
 
 def policy_beam_search(
     environment: Environment,
-    policy: Policy,
+    policy: PolicyFunction,
     starts: torch.Tensor,
     targets: torch.Tensor | None = None,
     *,
@@ -51,7 +51,7 @@ def policy_beam_search(
     rules, count, device = environment.rules, len(starts), starts.device
     number = torch.arange(count, device=device)
     found = rules.reached(starts, targets)
-    levels = [Level(starts, number, number, torch.zeros(count, device=device))]
+    levels = [ParallelLevel(starts, number, number, torch.zeros(count, device=device))]
     ends: list[torch.Tensor] = [found.nonzero()[:, 0]]
     going = (~found).nonzero()[:, 0]
 
@@ -86,7 +86,7 @@ def _best_of_rows(score: torch.Tensor, mask: torch.Tensor, count: int) -> tuple[
 
 
 def _candidates(
-    rules: TensorRules, level: Level, score: torch.Tensor, mask: torch.Tensor, width: int
+    rules: TensorRules, level: ParallelLevel, score: torch.Tensor, mask: torch.Tensor, width: int
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Best successors for each start, in the order of their scores."""
     row, action = _best_of_rows(score, mask, _SPARE * width)

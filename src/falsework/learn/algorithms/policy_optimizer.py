@@ -11,6 +11,7 @@ import torch
 from falsework.learn.algorithms.nan_guard import NanGuard
 from falsework.utils.collectives import average_gradients
 from falsework.utils.distributed import ProcessGroup
+from falsework.utils.tensors import below
 
 _MAX_GRADIENT_NORM = 1.0
 """Norm to which longer gradients are cut."""
@@ -114,8 +115,7 @@ class PolicyOptimizer:
     def load_state_dict(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Restore what `state_dict` gave; other names are ignored."""
         self.steps = int(tensors["steps"][0])
-        weights = {name[len("weight.") :]: one for name, one in tensors.items() if name.startswith("weight.")}
-        self.policy.load_state_dict(weights)
+        self.policy.load_state_dict(below("weight.", tensors))
         for place, one in enumerate(self._average):
             one.copy_(tensors[f"average.{place}"])
         state: dict[int, dict[str, torch.Tensor]] = {}

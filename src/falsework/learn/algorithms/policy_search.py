@@ -11,7 +11,7 @@ import torch
 
 from falsework.learn.algorithms.policy_beam import policy_beam_search
 from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import Policy, roll_out
+from falsework.learn.env.rollout import PolicyFunction, roll_out
 from falsework.replanning.result import Stage
 from falsework.search.planner import Planner
 from falsework.search.problem.guide import SupportGuide
@@ -49,7 +49,7 @@ class SolveReport:
 
 def solve_all(
     environment: Environment,
-    policy: Policy,
+    policy: PolicyFunction,
     starts: torch.Tensor,
     targets: torch.Tensor | None = None,
     *,

@@ -15,7 +15,7 @@ import torch
 from falsework.learn.algorithms.advantages import normalized
 from falsework.learn.algorithms.hindsight import relabel
 from falsework.learn.algorithms.imitation import imitation_loss
-from falsework.learn.algorithms.policy_optimizer import PolicyOptimizer
+from falsework.learn.algorithms.learner import Learner
 from falsework.learn.algorithms.ppo_loss import Loss, ppo_loss
 from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions
 from falsework.learn.algorithms.start_states import StartBatch, StartSampler
@@ -27,6 +27,7 @@ from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.policy import Policy
 from falsework.utils.collectives import summed
 from falsework.utils.distributed import ProcessGroup
+from falsework.utils.tensors import below
 
 _IMITATED = 0.25
 """States imitated per step, as a share of the batch."""
@@ -41,8 +42,8 @@ Demonstrations = tuple[torch.Tensor, torch.Tensor | None, torch.Tensor | None]
 """States, their targets, and valid actions; None without targets, and where actions are looked up."""
 
 
-class PPO:
-    """Improves a policy by the outcomes of its own rollouts; a `Learner`.
+class PPO(Learner):
+    """Improves a policy by the outcomes of its own rollouts.
 
     No loss is taken at held-out states: not by gradients of rollouts, not by imitation, not by hindsight.
     """
@@ -79,34 +80,29 @@ class PPO:
             shards: processes, each with its own rollouts, that average their gradients.
             folder: for the batch of a step that is not finite.
         """
-        self.policy = policy
-        self.updates = 0
-        """Collections learned from."""
-        self._environment, self._sampler, self._settings, self._shards = environment, starts, settings, shards
-        self._solved = SolvableStates(environment.rules) if solved is None else solved
-        self._tasks, self._begin, self._seed = tasks, begin, seed
-        self._network = Network(policy, precision, compiled=compiled)
-        self._playing = Network(policy, precision)
-        self._optimizer = PolicyOptimizer(
+        super().__init__(
             policy,
+            environment.generator(seed * 1009 + 700 + shards.rank),
+            seed,
+            shards,
             learning_rate=settings.learning_rate,
             weight_decay=settings.weight_decay,
             betas=settings.betas,
             epsilon=settings.epsilon,
-            shards=shards,
             folder=folder,
         )
-        self._generator = environment.generator(seed * 1009 + 700 + shards.rank)
+        self.updates = 0
+        """Collections learned from."""
+        self._environment, self._sampler, self._settings = environment, starts, settings
+        self._solved = SolvableStates(environment.rules) if solved is None else solved
+        self._tasks, self._begin = tasks, begin
+        self._network = Network(policy, precision, compiled=compiled)
+        self._playing = Network(policy, precision)
         self._share = max(settings.batch // shards.size, 1)
         """Transitions per step of this process."""
 
-    @property
-    def steps(self) -> int:
-        """Steps of the optimizer taken."""
-        return self._optimizer.steps
-
     def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
-        """As `Learner`; where there are several epochs, an update that begins is finished."""
+        """As `Learner.block`; where there are several epochs, an update that begins is finished."""
         left, numbers = steps, {}
         while left > 0:
             before = self.steps
@@ -199,35 +195,21 @@ class PPO:
         through = min(max((progress - self._begin) / max(1.0 - self._begin, 1e-9), 0.0), 1.0)
         return settings.learning_rate * (1.0 - (1.0 - _FINAL_LEARNING_RATE) * through)
 
-    def export_policy(self, policy: Policy) -> Policy:
-        """As `Learner`."""
-        self._optimizer.export_policy(policy)
-        return policy.eval()
-
-    def load_policy(self, policy: Policy) -> None:
-        """As `Learner`."""
-        self._optimizer.load_policy(policy)
-
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """As `Learner`."""
+        """As `Learner.state_dict`."""
         saved = {f"starts.{name}": tensor for name, tensor in self._sampler.state_dict().items()}
-        return {**self._optimizer.state_dict(), **saved, "updates": torch.tensor([self.updates])}
+        return {**super().state_dict(), **saved, "updates": torch.tensor([self.updates])}
 
     def local_state_dict(self) -> dict[str, torch.Tensor]:
-        """As `Learner`."""
+        """As `Learner.local_state_dict`."""
         saved = {f"starts.{name}": tensor for name, tensor in self._sampler.local_state_dict().items()}
-        return {**saved, "generator": self._generator.get_state()}
+        return {**saved, **super().local_state_dict()}
 
     def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
-        """As `Learner`."""
-        self._optimizer.load_state_dict(tensors)
+        """As `Learner.load_state_dict`."""
+        super().load_state_dict(tensors, local)
         self.updates = int(tensors["updates"][0])
-        own = None if local is None else _below("starts.", local)
-        self._sampler.load_state_dict(_below("starts.", tensors), own)
-        if local is not None:
-            self._generator.set_state(local["generator"].cpu())
-        else:  # other processes than before draw other numbers
-            self._generator.manual_seed((self._seed * 1009 + self._shards.rank) * 100_003 + self.steps)
+        self._sampler.load_state_dict(below("starts.", tensors), None if local is None else below("starts.", local))
 
     def _minibatches(self, count: int, most: int | None = None) -> list[tuple[torch.Tensor, torch.Tensor]]:
         """Draw rows of all transitions in random order, in pieces of one size, as many in every process.
@@ -321,10 +303,6 @@ class PPO:
 
 def _named(batch: Transitions) -> dict[str, torch.Tensor]:
     return {name: column for name, column in vars(batch).items() if column is not None}
-
-
-def _below(prefix: str, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    return {name[len(prefix) :]: tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
 def _padding(batch: StartBatch, parts: int) -> Transitions:

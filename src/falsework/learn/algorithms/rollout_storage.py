@@ -8,7 +8,7 @@ import torch
 
 from falsework.learn.algorithms.advantages import generalized_advantages
 from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import Move, Policy, play
+from falsework.learn.env.rollout import Move, PolicyFunction, play
 from falsework.learn.networks.policy import masked_log_probabilities
 
 
@@ -47,7 +47,7 @@ class Transitions:
 
 def collect_transitions(
     environment: Environment,
-    policy: Policy,
+    policy: PolicyFunction,
     starts: torch.Tensor,
     targets: torch.Tensor | None,
     generator: torch.Generator,

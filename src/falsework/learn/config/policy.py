@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
-from typing import Any, Literal, get_args
+from dataclasses import asdict, dataclass
+from typing import Literal, get_args
 
 from falsework.errors import InputError
 
 Kind = Literal["resmlp", "transformer", "gat", "mlp"]
 
 _DEFAULTS: dict[str, dict[str, int]] = {
-    "resmlp": {"layers": 4, "channels": 512, "heads": 1, "expansion": 2},
-    "transformer": {"layers": 4, "channels": 128, "heads": 8, "expansion": 2},
-    "gat": {"layers": 8, "channels": 16, "heads": 2, "expansion": 1},
-    "mlp": {"layers": 3, "channels": 64, "heads": 1, "expansion": 1},
+    "resmlp": {"layers": 4, "channels": 512, "heads": 1},
+    "transformer": {"layers": 4, "channels": 128, "heads": 8},
+    "gat": {"layers": 8, "channels": 16, "heads": 2},
+    "mlp": {"layers": 3, "channels": 64, "heads": 1},
 }
 """Sizes that 0 stands for. The sizes of `gat` and `mlp` are those of the paper (section 5.4)."""
-
-
+EXPANSION = 2
+"""Hidden channels of a feed-forward layer of `resmlp` and `transformer`, as a multiple of the channels."""
 _FEW = 20
 """Number of parts up to which a policy can memorise all pairs of states."""
 
@@ -37,15 +37,11 @@ class PolicySettings:
     """0: resmlp 512, transformer 128, gat 16, mlp 64."""
     heads: int = 0
     """Attention heads, which share the channels; 0: transformer 8, gat 2."""
-    expansion: int = 0
-    """Hidden channels of a feed-forward layer by channels, for `resmlp` and `transformer`; 0: 2."""
-    identity: bool = False
-    """Learn a vector for every part of this structure, for `transformer`: no transfer to other structures."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
             raise InputError(f"unknown policy kind {self.kind!r}; choose {', '.join(get_args(Kind))}")
-        for name in ("layers", "channels", "heads", "expansion"):
+        for name in ("layers", "channels", "heads"):
             value = getattr(self, name)
             if not isinstance(value, int) or value < 0:
                 raise InputError(f"policy {name} is {value!r}; give a positive number, or 0 for the default")
@@ -54,8 +50,6 @@ class PolicySettings:
             raise InputError(
                 f"policy channels {sizes.channels} do not divide among {sizes.heads} heads; choose a multiple"
             )
-        if self.identity and self.kind != "transformer":
-            raise InputError(f"identity is for policies of kind transformer, not {self.kind}; leave it out")
 
     def resolved(self) -> PolicySettings:
         """Return the settings with every 0 replaced by the default of the kind."""
@@ -70,20 +64,7 @@ class PolicySettings:
     @property
     def transfers(self) -> bool:
         """Whether the weights fit any structure."""
-        return self.kind in ("transformer", "gat") and not self.identity
-
-    @staticmethod
-    def from_dict(values: dict[str, Any]) -> PolicySettings:
-        """Settings from what `dataclasses.asdict` wrote.
-
-        Raises:
-            InputError: a name that is no setting, or a value out of range.
-        """
-        known = {one.name for one in fields(PolicySettings)}
-        odd = sorted(set(values) - known)
-        if odd:
-            raise InputError(f"{odd[0]!r} is no setting of a policy; there are {', '.join(sorted(known))}")
-        return PolicySettings(**values)
+        return self.kind in ("transformer", "gat")
 
 
 def recommended(parts: int, *, goal_conditioned: bool = False, kind: Kind | None = None) -> PolicySettings:

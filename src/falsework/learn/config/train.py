@@ -50,14 +50,13 @@ class TrainSettings:
     """Widths of the wider searches; none given: by the number of parts and the device."""
     pairs: int = 20_000
     """Start-goal pairs in the training set of a goal-conditioned policy, drawn from its first search."""
-    data_seed: int = 0
-    """Random seed of the searches, apart from `seed`: runs with different seeds share one test set."""
     minutes: float = 0.0
     """Total time, data included; 0: by the number of parts and the device."""
     steps: int = 0
     """Optimizer steps instead of a time limit: the run then depends on the seed alone; 0: use `minutes`."""
     seed: int = 0
-    """Random seed of weights, batches and rollouts."""
+    """Random seed of weights, batches and rollouts; not of the searches, so that runs with different seeds share one
+    test set."""
     block: int = 0
     """Steps between two looks at the clock; 0: 200 on a GPU, 20 on a processor."""
     evaluate_every: int = 5
@@ -71,8 +70,6 @@ class TrainSettings:
     work on the machine than they win."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Precision of the network; `auto` is bfloat16 on a GPU. Verdicts are not affected."""
-    compile: Literal["auto", "on", "off"] = "auto"
-    """Compile the network with torch; `auto` does on a GPU where there are minutes enough to pay for it."""
 
     def __post_init__(self) -> None:
         if not self.phases or any(not isinstance(one, ImitationPhase) for one in self.phases[:-1]):
@@ -83,7 +80,7 @@ class TrainSettings:
             raise InputError(f"unknown criterion {self.criterion!r}; choose {' or '.join(get_args(Criterion))}")
         if self.minutes < 0 or self.steps < 0:
             raise InputError("minutes and steps are not negative; leave them out for the defaults")
-        if self.seed < 0 or self.data_seed < 0:
+        if self.seed < 0:
             raise InputError("seeds are not negative")
         last = self.phases[-1]
         if self.policy.goal_conditioned and isinstance(last, PpoPhase) and last.starts == "complete":

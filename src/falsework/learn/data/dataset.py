@@ -38,7 +38,7 @@ _ARRAYS = frozenset({*_SETS, "boundary"})
 _KEYS = {"format", "name", "identity", "robots", "removable_only_if_clear", "fixed", "train_width", "test_width"}
 
 Report = Callable[[str], None]
-"""Told in words what is going on."""
+"""Called with progress messages."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,6 @@ def search_states(
     shards: ProcessGroup = ProcessGroup(),
     direction: Direction = Direction.ASSEMBLY,
     report: Report | None = None,
-    stop: Callable[[], bool] | None = None,
 ) -> tuple[States, bool]:
     """States of one beam search, and whether it reached its other end.
 
@@ -194,7 +193,6 @@ def search_states(
         shards: processes that search together.
         direction: end to begin at.
         report: called with progress messages.
-        stop: asked before every level.
 
     Returns:
         Shape (count, parts), and a truth value.
@@ -205,8 +203,8 @@ def search_states(
         if report is not None:
             report(f"search of width {width}: step {now.level} of {now.levels}")
 
-    result = search.run(progress=show, stop=stop)
-    if result.interrupted and stop is None:
+    result = search.run(progress=show)
+    if result.interrupted:
         raise KeyboardInterrupt
     return search.states(), result.found
 

@@ -200,18 +200,6 @@ def _solved_at_random(
     return solved
 
 
-def sample_pairs(graph: StateGraph, count: int, rng: np.random.Generator, *, held_out: States | None = None) -> Pairs:
-    """Draw pairs of a graph once; `PairSource` draws again and again.
-
-    Args:
-        graph: searched in the direction of disassembly.
-        count: how many.
-        rng: source of randomness.
-        held_out: states that are neither start nor target.
-    """
-    return PairSource(graph, held_out=held_out).draw(count, rng)
-
-
 def joined_pairs(pieces: list[Pairs], count: int | None = None) -> Pairs:
     """Several lots of pairs as one, all of them or the first `count`."""
     columns = ([getattr(piece, name) for piece in pieces] for name in ("states", "targets", "valid"))

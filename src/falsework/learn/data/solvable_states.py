@@ -16,8 +16,9 @@ _CHUNK = 1 << 16
 class SolvableStates:
     """A set of states from which the structure is known to come apart, on one device.
 
-    States are told apart by the 64-bit words of `StateHash` alone. Among ten million states and a billion look-ups the
-    chance that any two words agree by accident is one in two thousand, and what it would cost is one wrong sample.
+    States are told apart by their 64-bit hashes alone, those of `StateHash`. Among ten million states and a billion
+    look-ups the chance that any two hashes agree by accident is one in two thousand, and what it would cost is one
+    wrong sample.
 
     States kept for testing are never stored. If the set is told that one of them is solvable, actions that lead into it
     count as valid from then on, which is true and was found without looking at the test; nothing ever starts there.
@@ -33,13 +34,13 @@ class SolvableStates:
         self.rules = rules
         self.device = rules.device
         parts = rules.part_count
-        words = StateHash.for_parts(parts).words
-        change = np.concatenate([words[:, 1] ^ words[:, 2], words[:, 2] ^ words[:, 0]])
+        table = StateHash.for_parts(parts).words
+        change = np.concatenate([table[:, 1] ^ table[:, 2], table[:, 2] ^ table[:, 0]])
         self._change = put(change, self.device)
         self._states = torch.empty((0, parts), dtype=torch.uint8, device=self.device)
-        self._stored = self._words_of_none()
-        self._known = self._words_of_none()
-        self._held_out = self._words_of_none()
+        self._stored = self._no_hashes()
+        self._known = self._no_hashes()
+        self._held_out = self._no_hashes()
         self._visited = torch.empty(0, dtype=torch.bool, device=self.device)
         if states is not None:
             self.add(states)
@@ -68,9 +69,9 @@ class SolvableStates:
         return self.visited / max(self.held_out, 1)
 
     def hashes(self, states: torch.Tensor) -> torch.Tensor:
-        """The word of each state, int64, shape (batch,)."""
+        """The hash of each state, int64, shape (batch,)."""
         pieces = [self.rules.hashes(states[begin : begin + _CHUNK]) for begin in range(0, len(states), _CHUNK)]
-        return torch.cat(pieces) if pieces else self._words_of_none()
+        return torch.cat(pieces) if pieces else self._no_hashes()
 
     def add(self, states: torch.Tensor) -> int:
         """Learn that states are solvable; test states are not stored.
@@ -162,17 +163,17 @@ class SolvableStates:
         self._stored = torch.sort(self.hashes(self._states)).values
 
     def held_out_hashes(self) -> torch.Tensor:
-        """Words of test states that are known to be solvable, for other processes to know of. Shape (count,)."""
+        """Hashes of test states that are known to be solvable, for other processes to know of. Shape (count,)."""
         return self._known[in_sorted(self._held_out, self._known)]
 
-    def learn_held_out_hashes(self, words: torch.Tensor) -> None:
-        """Take over from other processes which test states are solvable; words of other states are not for this."""
-        fresh = torch.unique(words[~in_sorted(self._known, words)])
+    def learn_held_out_hashes(self, hashes: torch.Tensor) -> None:
+        """Take over from other processes which test states are solvable; hashes of other states are not for this."""
+        fresh = torch.unique(hashes[~in_sorted(self._known, hashes)])
         self._known = torch.sort(torch.cat([self._known, fresh])).values
 
     def sort(self) -> None:
-        """Put the states into the order of their words, which does not depend on who found what first."""
+        """Put the states into the order of their hashes, which does not depend on who found what first."""
         self._states = self._states[torch.argsort(self.hashes(self._states), stable=True)]
 
-    def _words_of_none(self) -> torch.Tensor:
+    def _no_hashes(self) -> torch.Tensor:
         return torch.empty(0, dtype=torch.int64, device=self.device)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 
@@ -94,7 +94,7 @@ class EnvironmentCounters:
     seconds_rules: float = 0.0
     """In masks, transitions and rewards."""
 
-    def as_dict(self) -> dict[str, int | float]:
+    def to_dict(self) -> dict[str, int | float]:
         """Plain numbers for reports, with the share of each kind of work in their sum."""
         numbers = asdict(self)
         seconds = {name: value for name, value in numbers.items() if name.startswith("seconds_")}
@@ -150,8 +150,10 @@ class Environment:
         self.exact = True
         """Send the few states that the GPU solver leaves undecided to the exact solver, which runs on the CPU while all
         rollouts wait; otherwise they count as not proven stable."""
+        self.record: Callable[[torch.Tensor], object] | None = None
+        """Called with the states after every step, shape (batch, parts)."""
         self._on_device = _tensor_oracle(self.oracle, self.device)
-        self._known = VerdictTable(self.rules)
+        self._verdicts = VerdictTable(self.rules)
 
     @property
     def part_count(self) -> int:
@@ -187,7 +189,7 @@ class Environment:
             return oracle(asked, asked)
 
         with self.timed("seconds_verdicts"):
-            return self._known.stable(states, needed, ask, final=self.exact)
+            return self._verdicts.stable(states, needed, ask, final=self.exact)
 
     def step(
         self,
@@ -221,6 +223,8 @@ class Environment:
             failed = ~stable | ~(success | mask.any(dim=1))
             reward = success.float() - failed.float()
         self.counters.steps += len(states)
+        if self.record is not None:
+            self.record(after)
         return Step(after, reward, success | failed, success, ~stable, mask)
 
     @contextmanager

@@ -12,7 +12,7 @@ from falsework.errors import InputError
 from falsework.learn.env.environment import Environment, Rollouts, Step
 
 
-class Policy(Protocol):
+class PolicyFunction(Protocol):
     """Proposes actions and says how good states are; every policy of `falsework.learn.networks.policy` is one."""
 
     def __call__(
@@ -73,7 +73,7 @@ def choose_actions(
 
 def play(
     environment: Environment,
-    policy: Policy,
+    policy: PolicyFunction,
     starts: torch.Tensor,
     targets: torch.Tensor | None = None,
     *,
@@ -107,7 +107,7 @@ def play(
 
 
 def _ask(
-    environment: Environment, policy: Policy, states: torch.Tensor, targets: torch.Tensor | None
+    environment: Environment, policy: PolicyFunction, states: torch.Tensor, targets: torch.Tensor | None
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Logits and values, in ever smaller pieces where memory runs out."""
     while True:
@@ -122,9 +122,9 @@ def _ask(
 
 @torch.no_grad()
 def evaluate(
-    policy: Policy, states: torch.Tensor, targets: torch.Tensor | None = None, rows_at_once: int = 1 << 13
+    policy: PolicyFunction, states: torch.Tensor, targets: torch.Tensor | None = None, rows_at_once: int = 1 << 13
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Logits and values of many states without gradients, in pieces; shapes as in `Policy`, `float32`."""
+    """Logits and values of many states without gradients, in pieces; shapes as in `PolicyFunction`, `float32`."""
     pieces = [
         policy(states[rows], None if targets is None else targets[rows])
         for rows in (slice(begin, begin + rows_at_once) for begin in range(0, len(states), rows_at_once))
@@ -135,7 +135,7 @@ def evaluate(
 
 def roll_out(
     environment: Environment,
-    policy: Policy,
+    policy: PolicyFunction,
     starts: torch.Tensor,
     targets: torch.Tensor | None = None,
     *,
@@ -149,7 +149,7 @@ def roll_out(
     Finished rollouts drop out of the batch that is evaluated.
 
     Args:
-        environment: rules and verdicts; `note` of it is called with what comes out.
+        environment: rules and verdicts.
         policy: called as `policy(states, targets)`; returns logits `(batch, 2 parts)` and values `(batch,)`.
         starts: stable, `uint8` on the device, shape (batch, parts).
         targets: shape (batch, parts), or None.

@@ -71,8 +71,10 @@ def transfer(
         InputError: the weights know the parts of their structure by number, or are of another network.
     """
     if not settings.transfers:
-        why = "knows every part by its number (identity)" if settings.identity else "reads the parts by their number"
-        raise InputError(f"a policy of kind {settings.kind} that {why} fits its own structure only; train another kind")
+        raise InputError(
+            f"a policy of kind {settings.kind} that reads the parts by their number fits its own structure only; train "
+            "another kind"
+        )
     policy = make_policy(assembly, settings, "cpu")
     try:
         policy.load_state_dict(dict(weights))

@@ -1,9 +1,9 @@
-"""Attention between the parts of a structure: the network that falsework trains by default.
+"""Attention between the parts of a structure: the network of goal-conditioned policies and of transfer.
 
 Each part is a token: what it is in the state (removed, installed, held, boundary; by its value in the target), how much
 of its contacts is with neighbours in each of these, and its own geometry. Parts attend to each other with a bias for
 each pair that a small network makes from the geometry of the pair (offset, contact, normal, area, hops in the contact
-graph). Nothing knows a part by its number unless `identity` asks for it, so the network is equivariant to renumbering
+graph). Nothing knows a part by its number, so the network is equivariant to renumbering
 parts, invariant to translation and to the unit of length, and its weights fit any structure. Removed parts stay in as
 tokens: a gap is worth knowing of.
 
@@ -27,7 +27,7 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.nn.functional import gelu, pad, scaled_dot_product_attention
 
 from falsework.assembly.model import Assembly
-from falsework.learn.config.policy import PolicySettings
+from falsework.learn.config.policy import EXPANSION, PolicySettings
 from falsework.learn.networks.geometric_features import PAIR_FEATURES, PART_FEATURES, PORTS, PartFeatures
 from falsework.learn.networks.policy import Policy
 
@@ -53,7 +53,6 @@ class PartTransformerPolicy(Policy):
         self.bias_net = nn.Sequential(
             nn.Linear(PAIR_FEATURES, 64), nn.GELU(), nn.Linear(64, sizes.layers * sizes.heads)
         )
-        self.identity = nn.Parameter(torch.randn(self.part_count, channels)) if sizes.identity else None
         blocks = [_Block(channels, sizes) for _ in range(sizes.layers)]
         self.blocks = nn.ModuleList(blocks)
         self.norm = nn.LayerNorm(channels)
@@ -75,8 +74,6 @@ class PartTransformerPolicy(Policy):
         around = torch.einsum("kij,bjs->biks", self.ports, kinds).flatten(2)
         x = self.state_in(torch.cat([kinds, around.to(kinds.dtype)], dim=2))
         shape = self.part_in(self.part_features)
-        if self.identity is not None:
-            shape = shape + self.identity
         x = x + shape.to(x.dtype)
         bias = self.bias_net(self.pair_features).to(x.dtype).permute(2, 0, 1)
         # Fused attention wants rows that lie together and begin at multiples of 16 bytes; the padding is sliced off.
@@ -111,8 +108,8 @@ class _Block(nn.Module):
         self.into = nn.Linear(channels, 3 * channels)
         self.out = nn.Linear(channels, channels)
         self.norm_up = nn.LayerNorm(channels)
-        self.up = nn.Linear(channels, sizes.expansion * channels)
-        self.down = nn.Linear(sizes.expansion * channels, channels)
+        self.up = nn.Linear(channels, EXPANSION * channels)
+        self.down = nn.Linear(EXPANSION * channels, channels)
 
     def forward(self, x: Tensor, bias: Tensor) -> Tensor:
         batch, parts, channels = x.shape

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from falsework.assembly.model import Assembly
-from falsework.learn.config.policy import PolicySettings
+from falsework.learn.config.policy import EXPANSION, PolicySettings
 from falsework.learn.networks.policy import Policy
 
 
@@ -21,7 +21,7 @@ class ResidualMlpPolicy(Policy):
     def __init__(self, assembly: Assembly, settings: PolicySettings) -> None:
         """Make the layers for the parts of an assembly."""
         super().__init__(assembly, settings)
-        channels, hidden = self.settings.channels, self.settings.expansion * self.settings.channels
+        channels, hidden = self.settings.channels, EXPANSION * self.settings.channels
         self.state_in = nn.Linear(self.part_count * self.kinds_of_part, channels)
         self.layers = nn.ModuleList(
             nn.Sequential(nn.LayerNorm(channels), nn.Linear(channels, hidden), nn.GELU(), nn.Linear(hidden, channels))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import Policy, roll_out
+from falsework.learn.env.rollout import PolicyFunction, roll_out
 from falsework.utils.collectives import summed
 from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import put
@@ -48,12 +48,12 @@ class GoalBlindPolicy:
     What the target keeps, it keeps only because the rules forbid to touch it (`Rules.mask` with targets).
     """
 
-    def __init__(self, policy: Policy) -> None:
+    def __init__(self, policy: PolicyFunction) -> None:
         """Wrap a policy of one state."""
         self._policy = policy
 
     def __call__(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """As `Policy`; ignores the targets."""
+        """As `PolicyFunction`; ignores the targets."""
         return self._policy(states)
 
 
@@ -66,7 +66,7 @@ def sample(states: NDArray[Any], count: int, seed: int = 0) -> NDArray[Any]:
 
 def greedy_success(
     environment: Environment,
-    policy: Policy,
+    policy: PolicyFunction,
     states: torch.Tensor,
     targets: torch.Tensor | None = None,
     *,
@@ -93,7 +93,7 @@ def greedy_success(
 
 def throughput(environment: Environment, seconds: float, shards: ProcessGroup = ProcessGroup()) -> dict[str, Any]:
     """Steps of the environment a second over all processes, and what share of the time went into what."""
-    counters = environment.counters.as_dict()
+    counters = environment.counters.to_dict()
     steps, asked = summed([float(counters["steps"]), float(counters["states_asked"])], shards, environment.device)
     shares = {name: round(float(value), 4) for name, value in counters.items() if name.startswith("share_")}
     return {
@@ -104,24 +104,14 @@ def throughput(environment: Environment, seconds: float, shards: ProcessGroup = 
     }
 
 
-@dataclass(frozen=True)
-class EvaluateSettings:
-    """Settings of an evaluation: sets of states and search."""
-
-    states: int = 0
-    """Most states of each set, a fixed sample; 0: all."""
-    search: bool = False
-    """Search where the most probable actions fail, so that every state gets a proven plan if one is found."""
-    seed: int = 0
-    """Of drawn rollouts in the search."""
-
-
 def evaluate(
     environment: Environment,
-    policy: Policy,
+    policy: PolicyFunction,
     sets: Sets,
-    settings: EvaluateSettings = EvaluateSettings(),
     *,
+    most: int = 0,
+    search: bool = False,
+    seed: int = 0,
     shards: ProcessGroup = ProcessGroup(),
     report: Report | None = None,
 ) -> dict[str, Any]:
@@ -131,7 +121,9 @@ def evaluate(
         environment: rules and verdicts.
         policy: what is evaluated.
         sets: states, and targets if there are any, of shape (count, parts).
-        settings: how many states, and whether to search.
+        most: states of each set, a fixed sample; 0: all.
+        search: search where the most probable actions fail, so that every state gets a proven plan if one is found.
+        seed: of drawn rollouts in the search.
         shards: processes that share the greedy rollouts.
         report: called with progress messages.
 
@@ -145,14 +137,14 @@ def evaluate(
     for number, (name, (states, targets)) in enumerate(sets.items()):
         if report is not None:
             report(number, len(sets), f"{len(states)} {name} states")
-        rows = sample(np.arange(len(states)), settings.states)
+        rows = sample(np.arange(len(states)), most)
         chosen = put(states[rows], environment.device)
         goals = None if targets is None else put(targets[rows], environment.device)
         success, _ = greedy_success(environment, policy, chosen, goals, shards=shards)
         results[name] = success.to_dict()
-        if settings.search and name == "test":
+        if search and name == "test":
             if report is not None:
                 report(number, len(sets), f"search from {name} states")
-            generator = environment.generator(settings.seed)
+            generator = environment.generator(seed)
             results[name]["search"] = solve_all(environment, policy, chosen, goals, generator=generator).to_dict()
     return results

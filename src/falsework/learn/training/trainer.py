@@ -14,33 +14,28 @@ import torch
 from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
+from falsework.learn.algorithms.learner import Learner
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.train import TrainSettings, to_dict
 from falsework.learn.data.dataset import Dataset
-from falsework.learn.data.recording_environment import RecordingEnvironment
 from falsework.learn.data.solvable_states import SolvableStates
+from falsework.learn.env.environment import Environment
 from falsework.learn.networks import policy as policies
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.factory import describe, make_policy
 from falsework.learn.training.budget import TrainingBudget
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, save_run, write_run
 from falsework.learn.training.evaluate import Sets, Success, greedy_success, throughput
-from falsework.learn.training.learners import (
-    Learner,
-    LearnerContext,
-    below,
-    gather_local,
-    local_of,
-    share_solved,
-)
+from falsework.learn.training.learners import gather_local, local_of, make_learner, share_solved
 from falsework.learn.training.logger import Journal
+from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.training_data import collect_training_data
 from falsework.search.device.oracle import tensor_oracle
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.collectives import decided, same_weights
 from falsework.utils.distributed import ProcessGroup
-from falsework.utils.tensors import put
+from falsework.utils.tensors import below, put
 
 Report = Callable[[float, str], None]
 """Progress callback `(share done, message)`."""
@@ -128,11 +123,21 @@ class Trainer:
         self._checkpoint = None if folder is None else CheckpointFile(folder)
         self._curve: list[dict[str, float]] = []
         self._saved = time.perf_counter()
-        self._oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
-        self._environment = RecordingEnvironment(
+        oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
+        self._run = RunContext(
+            assembly,
+            settings,
+            tensor_oracle(oracle, device),
+            device,
+            shards,
+            folder,
+            report=lambda text: self.report(0.0, text),
+            note=self.notes.append,
+        )
+        self._environment = Environment(
             assembly,
             settings.robots,
-            oracle=self._oracle,
+            oracle=oracle,
             device=device,
             clearance=settings.removable_only_if_clear,
         )
@@ -152,21 +157,14 @@ class Trainer:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_run(self.folder, self._metadata())
         self._data = collect_training_data(
-            self.assembly,
-            self.settings,
-            tensor_oracle(self._oracle, self.device),
-            device=self.device,
-            shards=self.shards,
-            folder=self.folder,
+            self._run,
             kept=resume,
             dataset=dataset,
-            report=lambda text: self.report(0.0, text),
-            note=self.notes.append,
             enough=lambda: self.budget.progress(self.steps) >= _SEARCHED_BY,
         )
         self.data_seconds = self._data.seconds
         self._solved.hold_out(self._data.held_out)
-        self._environment.solved = self._solved
+        self._record_visits(True)
         if saved is None:
             self._solved.add(self._data.starts)
         else:
@@ -245,11 +243,16 @@ class Trainer:
         last = self._phase == len(settings.phases) - 1
         pays = self.device.type == "cuda" and settings.minutes >= _COMPILE_FROM and last
         one_size = isinstance(phase, ImitationPhase) or phase.epochs == 1
-        compiled = settings.compile == "on" or (settings.compile == "auto" and pays and one_size)
-        context = LearnerContext(
-            self._environment, self._policy, self._solved, self._data, settings, self.shards, self.folder
+        return make_learner(
+            self._run,
+            self._environment,
+            self._policy,
+            self._solved,
+            self._data,
+            phase,
+            begin=self._phase_begun,
+            compiled=pays and one_size,
         )
-        return context.make(phase, begin=self._phase_begun, compiled=compiled)
 
     def _next_phase(self, learner: Learner, progress: float) -> Learner:
         """Begin the next phase with the weights that the last one arrived at."""
@@ -263,13 +266,22 @@ class Trainer:
     def _evaluate(self, learner: Learner, sets: Sets) -> dict[str, Success]:
         learner.export_policy(self._best)
         success = {}
-        with self._environment.paused_recording():
-            for name, (states, targets) in sets.items():
-                goals = None if targets is None else put(targets, self.device)
-                success[name], _ = greedy_success(
-                    self._environment, self._asked, put(states, self.device), goals, shards=self.shards
-                )
+        self._record_visits(False)
+        for name, (states, targets) in sets.items():
+            goals = None if targets is None else put(targets, self.device)
+            success[name], _ = greedy_success(
+                self._environment, self._asked, put(states, self.device), goals, shards=self.shards
+            )
+        self._record_visits(True)
         return success
+
+    def _record_visits(self, training: bool) -> None:
+        """Record visits to held-out states, and give up states that the GPU leaves open, while rollouts are trained on.
+
+        Rollouts of an evaluation are not recorded, and leave no state open.
+        """
+        self._environment.record = self._solved.record_visits if training else None
+        self._environment.exact = not training
 
     def _log(self, journal: Journal | None, numbers: dict[str, float], success: dict[str, Success]) -> None:
         line = {f"success/{name}": one.share for name, one in success.items()}

@@ -10,20 +10,18 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from falsework.assembly.model import Assembly
 from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings
-from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, load_dataset, save_dataset, task_for
+from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, load_dataset, save_dataset
 from falsework.learn.data.goal_dataset import GoalDataset, GoalDataSettings, SearchStates, build_goal_dataset
 from falsework.learn.data.goal_pairs import Pairs
 from falsework.learn.data.random_walks import GoalSampler, RandomWalkGoals
 from falsework.learn.data.symmetry_augmentation import SymmetryAugmentation, symmetric_images
 from falsework.learn.training.checkpoint import DATA, SEARCHED
 from falsework.learn.training.evaluate import Sets, sample
-from falsework.search.device.oracle import TensorOracle
+from falsework.learn.training.run_context import RunContext
 from falsework.search.problem.hashing import StateIndex
-from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import put
 
 
@@ -49,57 +47,42 @@ class TrainingData:
 
 
 def collect_training_data(
-    assembly: Assembly,
-    settings: TrainSettings,
-    oracle: TensorOracle,
+    run: RunContext,
     *,
-    device: torch.device,
-    shards: ProcessGroup = ProcessGroup(),
-    folder: Path | None = None,
     kept: bool = False,
     dataset: Dataset | None = None,
-    report: Callable[[str], None] | None = None,
-    note: Callable[[str], None] | None = None,
     enough: Callable[[], bool] | None = None,
 ) -> TrainingData:
     """Search for states, or read those that an earlier piece of the run found.
 
     Args:
-        assembly: the structure.
-        settings: filled in.
-        oracle: verdicts.
-        device: where the data is to be.
-        shards: processes that search together.
-        folder: of the run, where states are kept.
+        run: what is trained; states are kept in its folder.
         kept: read them if they are there.
         dataset: states to use instead.
-        report: called with progress messages.
-        note: called with warnings.
         enough: called between searches for goals; true if no time is left for more, alike in all processes.
 
     Raises:
         InputError: data of another criterion than the run.
     """
     begun = time.perf_counter()
+    assembly, settings, device = run.assembly, run.settings, run.device
     count, images = settings.evaluation_states, symmetries(assembly)
     if settings.policy.goal_conditioned:
-        path = None if folder is None else folder / SEARCHED
-        task = task_for(assembly, settings.robots, settings.removable_only_if_clear).judged_by(oracle)
+        path = None if run.folder is None else run.folder / SEARCHED
         if kept and path is not None and path.exists():
-            searched = SearchStates.load(path, task)
+            searched = SearchStates.load(path, run.task)
         else:
             searches = _target_searches(settings)
             searched = SearchStates.find(
-                task, searches, oracle, device=device, shards=shards, report=report, enough=enough
+                run.task, searches, run.oracle, device=device, shards=run.shards, report=run.report, enough=enough
             )
-            if shards.is_main_process:
-                _keep(path, lambda where: searched.save(where, task), note)
-        pairs = find_pairs(assembly, settings, oracle, device=device, shards=shards, searched=searched)
+            _keep(run, path, lambda where: searched.save(where, run.task))
+        pairs = find_pairs(run, searched)
         held_out = symmetric_images(pairs.held_out, images)
         tasks: GoalSampler = RandomWalkGoals(pairs.wide, device=device, held_out=held_out)
         if len(images) > 1:
             tasks = SymmetryAugmentation(tasks, images, device=device, held_out=held_out)
-        generator = torch.Generator(device).manual_seed(settings.data_seed)
+        generator = torch.Generator(device).manual_seed(0)
         states, targets, _ = tasks.draw(settings.pairs, generator)
         return TrainingData(
             states,
@@ -110,26 +93,31 @@ def collect_training_data(
             {"test": _some(pairs.test, count)},
             time.perf_counter() - begun,
         )
-    path = None if folder is None else folder / DATA
+    path = None if run.folder is None else run.folder / DATA
     if kept and path is not None and path.exists():
         data, fresh = load_dataset(path, assembly), False
     else:
-        task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
-        searches = DataSettings(widths=_widths(settings), seed=settings.data_seed)
         data, fresh = dataset, True
         if data is None:
+            searches = DataSettings(widths=_widths(settings))
             data = build_dataset(
-                assembly, task, searches, oracle=oracle, device=str(device), shards=shards, report=report
+                assembly,
+                run.task,
+                searches,
+                oracle=run.oracle,
+                device=str(device),
+                shards=run.shards,
+                report=run.report,
             )
-        if not data.complete and note is not None:
-            note("not every search reached the complete structure, so little is known of it; wider ones may")
+        if not data.complete:
+            run.note("not every search reached the complete structure, so little is known of it; wider ones may")
     if data.criterion != settings.criterion:
         raise InputError(
             f"the states to learn from are stable under the criterion {data.criterion}, and the run is of "
             f"{settings.criterion}; choose one of them for both"
         )
-    if fresh and shards.is_main_process:
-        _keep(path, lambda where: save_dataset(data, where), note)
+    if fresh:
+        _keep(run, path, lambda where: save_dataset(data, where))
     held_out = symmetric_images(np.concatenate([data.test, data.validation]), images)
     held = StateIndex(held_out)
     train, more = (states[held.find(states) < 0] for states in (data.train, data.more))
@@ -144,36 +132,31 @@ def collect_training_data(
     )
 
 
-def find_pairs(
-    assembly: Assembly,
-    settings: TrainSettings,
-    oracle: TensorOracle,
-    *,
-    device: torch.device,
-    shards: ProcessGroup = ProcessGroup(),
-    searched: SearchStates | None = None,
-) -> GoalDataset:
+def find_pairs(run: RunContext, searched: SearchStates | None = None) -> GoalDataset:
     """Pairs of states and targets that a run with targets learns from and is tested on; always the same ones."""
-    task = task_for(assembly, settings.robots, settings.removable_only_if_clear).judged_by(oracle)
-    searches = _target_searches(settings)
     return build_goal_dataset(
-        assembly, task, searches, oracle=oracle, device=str(device), shards=shards, searched=searched
+        run.assembly,
+        run.task,
+        _target_searches(run.settings),
+        oracle=run.oracle,
+        device=str(run.device),
+        shards=run.shards,
+        searched=searched,
     )
 
 
 def _target_searches(settings: TrainSettings) -> GoalDataSettings:
-    return GoalDataSettings(widths=_widths(settings), pairs=settings.pairs, seed=settings.data_seed)
+    return GoalDataSettings(widths=_widths(settings), pairs=settings.pairs)
 
 
-def _keep(path: Path | None, save: Callable[[Path], None], note: Callable[[str], None] | None) -> None:
+def _keep(run: RunContext, path: Path | None, save: Callable[[Path], None]) -> None:
     """Keep data in the folder of a run, if it has one; a full disk is worth a note, not the run."""
-    if path is None:
+    if path is None or not run.shards.is_main_process:
         return
     try:
         save(path)
     except OSError as error:
-        if note is not None:
-            note(f"cannot keep {path}: {error.strerror}; a resumed run searches again")
+        run.note(f"cannot keep {path}: {error.strerror}; a resumed run searches again")
 
 
 def _widths(settings: TrainSettings) -> tuple[int, ...]:

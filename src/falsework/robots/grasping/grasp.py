@@ -18,7 +18,6 @@ from falsework.robots.kernels.kernel_arrays import make_obstacles
 from falsework.robots.kernels.rrt_connect import check_many
 from falsework.robots.model.cell import CellRobot, Gripper
 from falsework.robots.model.part_shapes import PartShapes
-from falsework.utils.bits import intersect, pack
 
 Array = NDArray[np.float64]
 
@@ -105,26 +104,6 @@ def grasps(
                 if len(found) == limit:
                     return found
     return found
-
-
-def withdrawals(assembly: Assembly, parts: PartShapes, part: int, state: ArrayLike) -> Array:
-    """Return directions in the world along which a part leaves in a straight line, shape (ways, 3); steepest first.
-
-    From the clearance table, for the parts that are present; ways that lead down are left out, since the floor is not
-    in the table.
-
-    Raises:
-        StateError: another number of parts.
-    """
-    there = np.asarray(state) > 0
-    if there.shape != (parts.part_count,):
-        raise StateError(f"state has shape {there.shape}; expected ({parts.part_count},), one value a part")
-    table = assembly.clearance
-    ways = slice(table.start[part], table.start[part + 1])
-    blocked = intersect(table.blockers[ways], pack(there[None]))
-    free = table.directions[ways][~np.asarray(blocked).reshape(-1)] @ parts.turn.T
-    free = free[free[:, 2] > -1e-6]
-    return free[np.lexsort((*np.round(free, 9).T[:2], -np.round(free[:, 2], 9)))]
 
 
 def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array, size: float) -> list[list[Grasp]]:

@@ -30,7 +30,7 @@ PLACEMENT_SWEEPS = 2
 """How often every robot is moved while the others stand."""
 
 
-class Reach(IntEnum):
+class Reachability(IntEnum):
     """What a robot can do with a part, from nothing to holding it."""
 
     TOO_HEAVY = 0
@@ -53,14 +53,14 @@ class ReachTable:
     """Ids, shape (parts,)."""
     robots: tuple[str, ...]
     levels: NDArray[np.int8]
-    """`Reach` of each robot for each part, shape (parts, robots)."""
+    """`Reachability` of each robot for each part, shape (parts, robots)."""
     pairs: dict[tuple[int, int], tuple[str, str]]
     """What comes too near, for (part id, robot) in collision."""
 
     @property
     def unreached(self) -> list[int]:
         """Parts that no robot can hold."""
-        return self.parts[(self.levels != Reach.REACHED).all(axis=1)].tolist()
+        return self.parts[(self.levels != Reachability.REACHED).all(axis=1)].tolist()
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,17 +99,17 @@ def reach_table(
             if parts.mass[part] > entry.payload:
                 continue
             found = grasps(assembly, parts, part, alone, entry, limit=GRASPS_PER_PART)
-            levels[row, robot] = Reach.NO_GRASP
+            levels[row, robot] = Reachability.NO_GRASP
             if not found:
                 continue
             solutions = np.concatenate(inverse(entry, np.array([grasp.tool for grasp in found])))
-            levels[row, robot] = Reach.OUT_OF_REACH
+            levels[row, robot] = Reachability.OUT_OF_REACH
             if not len(solutions):
                 continue
             contact = Contact(gripper=frozenset({part}))
             view = world.view(scene, robot, contact=contact, margin=cell.margins.line)
             hits = view.hits(solutions)
-            levels[row, robot] = Reach.REACHED if (hits < 0).any() else Reach.IN_THE_WAY
+            levels[row, robot] = Reachability.REACHED if (hits < 0).any() else Reachability.IN_THE_WAY
             if (hits >= 0).all():
                 pairs[part, robot] = view.pair(int(hits[0]))
         report(row + 1, len(ids))

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from falsework.errors import DependencyError, InputError
-from falsework.robots.grasping.reachability import Reach, ReachTable
+from falsework.robots.grasping.reachability import Reachability, ReachTable
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import move
@@ -48,7 +48,7 @@ def draw_reach(cell: Cell, parts: PartShapes, table: ReachTable, path: Path) -> 
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.set_aspect("equal")
-    counts = dict(zip(table.parts.tolist(), (table.levels == Reach.REACHED).sum(axis=1).tolist(), strict=True))
+    counts = dict(zip(table.parts.tolist(), (table.levels == Reachability.REACHED).sum(axis=1).tolist(), strict=True))
     robots = cell.robot_count
     shades = [(0.93 - 0.55 * k / robots, 0.93 - 0.25 * k / robots, 0.90) for k in range(1, robots + 1)]
     colours = [(0.80, 0.24, 0.20), *shades]

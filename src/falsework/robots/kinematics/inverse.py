@@ -46,7 +46,7 @@ SOLUTION_SPACING = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Solver:
+class IkSolver:
     """Inverse kinematics of one arm, prepared once by `solver_of`."""
 
     model: RobotModel
@@ -97,24 +97,24 @@ def inverse_flange(model: RobotModel, flanges: ArrayLike) -> list[Array]:
 
 
 @lru_cache(maxsize=64)
-def solver_of(model: RobotModel) -> Solver:
+def solver_of(model: RobotModel) -> IkSolver:
     """Look at the axes of an arm and choose how to invert it."""
     if model.joints != 6 or model.prismatic.any():
-        return Solver(model, "general", None)
+        return IkSolver(model, "general", None)
     poses = link_poses(model, np.zeros(6))
     axes = np.einsum("jik,jk->ji", poses[1:, :3, :3], model.axes)
     screws = Screws(axes, poses[1:, :3, 3].copy(), poses[-1] @ model.flange)
     parallel = np.abs(axes @ axes.T) > 1 - 1e-9
     square = np.abs(axes @ axes.T) < 1e-9
     if not (square[0, 1] and parallel[1, 2]):
-        return Solver(model, "general", None)
+        return IkSolver(model, "general", None)
     meet45, meet56 = screws.meeting(3, 4), screws.meeting(4, 5)
     if parallel[2, 3] and meet56 is not None and square[3, 4] and square[4, 5]:
-        return Solver(model, "parallel", screws.with_center(meet56))
+        return IkSolver(model, "parallel", screws.with_center(meet56))
     if meet45 is not None and square[3, 4] and square[4, 5]:
         spherical = screws.distance(5, meet45) < 1e-6
-        return Solver(model, "spherical" if spherical else "wrist", screws.with_center(meet45, spherical))
-    return Solver(model, "general", None)
+        return IkSolver(model, "spherical" if spherical else "wrist", screws.with_center(meet45, spherical))
+    return IkSolver(model, "general", None)
 
 
 def tail_of(model: RobotModel, tool: Array | None = None) -> Array:

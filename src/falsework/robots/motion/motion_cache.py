@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
-from falsework.robots.motion.path_planner import Motion, MotionSettings, plan_free
+from falsework.robots.motion.path_planner import Motion, plan_free
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class MotionCache:
         """
         self.world = world
         self.motions = self.motions_kept = self.views = 0
-        self._settings, self._seed = MotionSettings(nodes=nodes), seed
+        self._nodes, self._seed = nodes, seed
         self._motions: dict[bytes, Motion] = {}
         self._views: dict[bytes, CollisionQuery] = {}
 
@@ -47,7 +47,7 @@ class MotionCache:
             self.motions += 1
             view = self.view(scene, robot, NO_CONTACT, self.world.cell.margins.free)
             seed = (zlib.crc32(key) + self._seed) % 2**31
-            self._motions[key] = plan_free(view, start, goal, seed=seed, settings=self._settings)
+            self._motions[key] = plan_free(view, start, goal, seed=seed, nodes=self._nodes)
         else:
             self.motions_kept += 1
         return self._motions[key]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,6 +18,8 @@ from falsework.robots.motion.collision_world import CollisionQuery
 
 Array = NDArray[np.float64]
 
+LONGEST_EDGE = 1.0
+"""Longest edge of a tree, rad in joint space."""
 SHORTCUTS = 60
 """Shortcuts tried on a path that the trees found."""
 BLOCKED_MARGIN_SHARE = 0.5
@@ -45,22 +46,11 @@ Reason = Literal[
     "goal outside limits",
     "start in collision",
     "goal in collision",
-    "out of time",
     "no connection",
     "no solution on the line",
     "joint limit on the line",
     "collision on the line",
 ]
-
-
-@dataclass(frozen=True)
-class MotionSettings:
-    """Limits of the search for a free path."""
-
-    stride: float = 1.0
-    """Longest edge of a tree, rad in joint space."""
-    nodes: int = 4000
-    """Nodes of each tree; when they are used up, there is no connection."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +66,6 @@ class Motion:
     """Configuration at which they do, shape (joints,)."""
     samples: int = 0
     """Nodes of the trees when the search ended."""
-    travelled: float = 0.0
-    """Lines: how far the tool came, metres."""
 
     def __bool__(self) -> bool:
         """Whether there is a path."""
@@ -90,23 +78,19 @@ def plan_free(
     goal: ArrayLike,
     *,
     seed: int = 0,
-    deadline: float | None = None,
-    settings: MotionSettings = MotionSettings(),
+    nodes: int = 4000,
 ) -> Motion:
     """Return a path from one configuration to another that keeps the margin of the view everywhere.
 
     The straight edge is tried first, then two trees grow (RRT-Connect), then shortcuts follow. Every edge is
-    proven free between its ends too (`rrt_connect.edge_free`). The same seed gives the same path, unless the
-    deadline strikes.
+    proven free between its ends too (`rrt_connect.edge_free`). The same seed gives the same path.
 
     Args:
         view: who moves in what.
         start, goal: configurations, shape (joints,).
         seed: of the samples.
-        deadline: seconds from now after which the search gives up; None: when the trees are full.
-        settings: limits of the search.
+        nodes: of each tree; when they are used up, there is no connection.
     """
-    began = time.perf_counter()
     model = view.model
     a, b = (np.ascontiguousarray(values, dtype=np.float64) for values in (start, goal))
     for values, which in ((a, "start"), (b, "goal")):
@@ -121,7 +105,6 @@ def plan_free(
     direct = np.stack([a, b])
     if edges_free(direct, resolution, *arrays, opened) == 1:
         return Motion("found", direct)
-    nodes = settings.nodes
     trees = np.empty((2, nodes, model.joints))
     trees[0, 0], trees[1, 0] = a, b
     parents = np.full((2, nodes), -1, np.int64)
@@ -132,7 +115,7 @@ def plan_free(
     drawn = 0
     while True:
         met, one, other = grow(
-            trees, parents, sizes, low, high, settings.stride, ROUNDS_PER_CALL, resolution, state, *arrays, opened
+            trees, parents, sizes, low, high, LONGEST_EDGE, ROUNDS_PER_CALL, resolution, state, *arrays, opened
         )
         drawn += ROUNDS_PER_CALL
         if met == 1:
@@ -140,8 +123,6 @@ def plan_free(
         size = int(sizes[0] + sizes[1])
         if met == -1 or drawn >= 10 * nodes:
             return Motion("no connection", samples=size)
-        if deadline is not None and time.perf_counter() - began > deadline:
-            return Motion("out of time", samples=size)
     path = _branch(trees[0], parents[0], one)[::-1] + _branch(trees[1], parents[1], other)
     room = np.empty((len(path) + 2 * SHORTCUTS + 2, model.joints))
     room[: len(path)] = path
@@ -204,17 +185,17 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
             break
         step /= 2
         if halving == LINE_HALVINGS:
-            return Motion("no solution on the line", at=path[-1], travelled=float(ahead[max(good - 1, 0)]))
+            return Motion("no solution on the line", at=path[-1])
     inside = view.model.within_limits(path)
     if not inside.all():
         bad = int(np.argmin(inside))
-        return Motion("joint limit on the line", at=path[bad], travelled=float(ahead[max(bad - 1, 0)]))
+        return Motion("joint limit on the line", at=path[bad])
     arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
     opened = np.empty((2, INTERVALS), np.int64)
     free = int(edges_free(path, resolution_of(view), *arrays, opened))
     if free < len(path) - 1:
-        return _blocked(view, path, free, float(ahead[free]))
-    return Motion("found", path, travelled=float(distance))
+        return _blocked(view, path, free)
+    return Motion("found", path)
 
 
 def _branch(tree: Array, parents: NDArray[np.int64], leaf: int) -> list[Array]:
@@ -226,11 +207,11 @@ def _branch(tree: Array, parents: NDArray[np.int64], leaf: int) -> list[Array]:
     return found
 
 
-def _blocked(view: CollisionQuery, path: Array, edge: int, travelled: float) -> Motion:
+def _blocked(view: CollisionQuery, path: Array, edge: int) -> Motion:
     """Say what is in the way on an edge that is not free."""
     for share in np.linspace(0, 1, 9):
         values = path[edge] + share * (path[edge + 1] - path[edge])
         hit = int(view.hits(values)[0])
         if hit != CLEAR:
-            return Motion("collision on the line", pair=view.pair(hit), at=values, travelled=travelled)
-    return Motion("collision on the line", at=path[edge + 1], travelled=travelled)
+            return Motion("collision on the line", pair=view.pair(hit), at=values)
+    return Motion("collision on the line", at=path[edge + 1])

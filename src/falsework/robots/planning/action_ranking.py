@@ -31,7 +31,7 @@ class ExecutionHeuristic:
         self.graph, self.guide = graph, guide
 
     def __call__(self, states: States, actions: Mask) -> Array:
-        """As `rollout.Taste`: shapes (batch, parts) and (batch, 2 parts), which is returned too."""
+        """As `solvability.ActionScore`: shapes (batch, parts) and (batch, 2 parts), which is returned too."""
         scores = self.guided(states, actions)
         for row, action in zip(*(index.tolist() for index in np.nonzero(actions)), strict=True):
             scores[row, action] += self.of(states[row], action)
@@ -60,7 +60,7 @@ class ActionRanking:
         Args:
             graph: keyframes of the structure in the cell.
             ease: how easy actions are, wherever the robots are.
-            proposals: which actions are legal, and which are known to keep the way open.
+            solvability: which actions are legal, and which are known to keep the way open.
         """
         self.graph, self.ease, self.solvability = graph, ease, solvability
 

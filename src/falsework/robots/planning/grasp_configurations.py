@@ -13,8 +13,6 @@ from falsework.assembly.state import REMOVED, States
 from falsework.robots.grasping.grasp import Grasp, grasps
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
-from falsework.robots.model.cell import Cell
-from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.motion.collision_world import Contact, Scene
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.planning.failure_report import FailureLog
@@ -35,20 +33,9 @@ class GraspConfiguration:
 class GraspConfigurations:
     """Grasp configurations of the robots of a cell, computed on demand."""
 
-    def __init__(
-        self, assembly: Assembly, cell: Cell, parts: PartShapes, cache: MotionCache, reasons: FailureLog, *, limit: int
-    ) -> None:
-        """Nothing is found yet.
-
-        Args:
-            assembly: the structure.
-            cell: the robots and what is around them.
-            parts: the parts as bodies in the cell.
-            cache: views of its scenes.
-            reasons: takes note of why a part cannot be held.
-            limit: number of grasps of a part that are looked at, best first.
-        """
-        self.assembly, self.cell, self.parts = assembly, cell, parts
+    def __init__(self, assembly: Assembly, cache: MotionCache, reasons: FailureLog, *, limit: int) -> None:
+        """Look at the `limit` best grasps of a part in the scenes of `cache`; log to `reasons` why none is possible."""
+        self.assembly, self.cell, self.parts = assembly, cache.world.cell, cache.world.parts
         self.cache, self.reasons, self.limit = cache, reasons, limit
         self._grips: dict[tuple[int, int, bytes], list[GraspConfiguration]] = {}
         self._places: dict[int, Array] = {}

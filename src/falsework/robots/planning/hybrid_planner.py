@@ -23,7 +23,7 @@ from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic
-from falsework.robots.planning.failure_report import Explanation, FailureLog, explain
+from falsework.robots.planning.failure_report import Explanation, explain
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
 from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
 from falsework.robots.planning.solvability import SolvabilityCheck
@@ -36,6 +36,8 @@ from falsework.stability.oracle import Stability
 
 _EDGES_PER_ACTION = 3
 """Motions of one action that are tried at a keyframe."""
+_ACTIONS_PER_KEYFRAME = 8
+"""Actions that are tried at a keyframe with motions, before it counts as a dead end."""
 _SOLVABILITY_CHECKS = 4
 """Checks of solvability at one keyframe in the first search; later searches may make more."""
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
@@ -54,15 +56,13 @@ class HybridSettings:
     """Searches, each in another order."""
     dead_ends: int = 15
     """Dead ends in the first search; when they are used up, the next one begins and may have more."""
-    actions: int = 8
-    """Actions that are tried at a keyframe with motions, before it counts as a dead end."""
     keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
     forces: bool = False
     """Keep the contact forces that prove each state in the plan."""
 
     def __post_init__(self) -> None:
-        if min(self.attempts, self.dead_ends, self.actions) < 1:
-            raise InputError("a search needs at least one attempt, dead end and action; give numbers from 1 on")
+        if min(self.attempts, self.dead_ends) < 1:
+            raise InputError("a search needs at least one attempt and dead end; give numbers from 1 on")
         if self.deadline is not None and self.deadline <= 0:
             raise InputError(f"a deadline of {self.deadline:g} s leaves no time; give seconds above 0")
 
@@ -156,10 +156,7 @@ class _Search:
         self.began = time.perf_counter()
         self.assembly, self.cell, self.oracle = assembly, cell, oracle
         self.settings, self.progress = settings, progress
-        self.reasons = FailureLog() if graph is None else graph.reasons
-        self.graph = graph or KeyframeGraph(
-            assembly, cell, settings=settings.keyframes, seed=settings.seed, reasons=self.reasons
-        )
+        self.graph = graph or KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed)
         self.task = task_in_cell(assembly, cell, task, self.graph.exits)
         ease = ExecutionHeuristic(self.graph, None if guide is None else MemoizedGuide(guide))
         score = None if guide is None else ease
@@ -300,7 +297,7 @@ class _Search:
                 self.counts["rejected"] += 1
                 self.impossible.add((node.key, action))
             tried += 1
-            if tried == self.settings.actions:
+            if tried == _ACTIONS_PER_KEYFRAME:
                 return
 
     def _note_dead_end(self, node: Node, depth: int) -> None:
@@ -347,7 +344,7 @@ class _Search:
             outcome,
             len(self.best),
             self.task.steps,
-            self.reasons,
+            self.graph.reasons,
             self.tried,
             [robot.name for robot in self.cell.robots],
             self.assembly.names,
@@ -391,7 +388,7 @@ class _Search:
             "unsolvable": self.counts["unsolvable"],
             "replays_fallen": self.counts["replays_fallen"],
             "solvable_states": len(self.solvability),
-            "free_motions": self.graph.motions,
-            "free_motions_used_again": self.graph.motions_kept,
+            "free_motions": self.graph.cache.motions,
+            "free_motions_used_again": self.graph.cache.motions_kept,
             "verdicts": self.oracle.counters.asked,
         }

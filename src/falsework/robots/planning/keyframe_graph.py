@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.robots.model.cell import Cell
-from falsework.robots.model.part_shapes import PartShapes, place_parts
+from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 
 _APPROACH_LENGTHS = (1.0, 0.4, 1.8)
 """Lengths of the line on which a gripper approaches a part, in approach margins of the cell."""
+_MAX_PLACES = 4
+"""Free motions to a drop-off that are tried."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +43,6 @@ class KeyframeSettings:
     """Grasps of a part, best first."""
     candidates: int = 24
     """Configurations of one robot for one grasp or place that are looked at closely, nearest first."""
-    directions: int = 4
-    """Ways out that are tried for a part."""
-    places: int = 4
-    """Free motions to a drop-off that are tried."""
     nodes: int = 500
     """Nodes of the trees of one free motion."""
 
@@ -109,8 +107,6 @@ class KeyframeGraph:
         *,
         settings: KeyframeSettings = KeyframeSettings(),
         seed: int = 0,
-        reasons: FailureLog | None = None,
-        parts: PartShapes | None = None,
     ) -> None:
         """Nothing is computed yet.
 
@@ -119,16 +115,14 @@ class KeyframeGraph:
             cell: the robots and what is around them.
             settings: how many possibilities are tried.
             seed: of the free motions.
-            reasons: takes note of why things are impossible.
-            parts: the parts as bodies in the cell, if they are at hand.
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
-        self.parts = parts or place_parts(assembly, cell.placement)
+        self.parts = place_parts(assembly, cell.placement)
         self.world = CollisionWorld(cell, self.parts)
-        self.reasons = FailureLog() if reasons is None else reasons
-        self._cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
-        self._grips = GraspConfigurations(assembly, cell, self.parts, self._cache, self.reasons, limit=settings.grasps)
-        self._withdrawal = Withdrawal(cell, self._cache, self.reasons, directions=settings.directions)
+        self.reasons = FailureLog()
+        self.cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
+        self._grips = GraspConfigurations(assembly, self.cache, self.reasons, limit=settings.grasps)
+        self._withdrawal = Withdrawal(self.cache, self.reasons)
         self.exits = ExitDirections(assembly, self.parts.turn)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
@@ -147,7 +141,7 @@ class KeyframeGraph:
         """
         state = np.asarray(state, np.uint8)
         wanted = np.flatnonzero((state == HELD) & ~self.assembly.boundary).tolist()
-        robots = range(self.cell.robot_count)
+        robots, line = range(self.cell.robot_count), self.cell.margins.line
         for chosen in itertools.permutations(robots, len(wanted)):
             options = [self.grips(robot, part, state) for robot, part in zip(chosen, wanted, strict=True)]
             for grips in itertools.product(*options):
@@ -156,7 +150,7 @@ class KeyframeGraph:
                 for grip, part in zip(grips, wanted, strict=True):
                     values[grip.robot], held[grip.robot] = grip.configuration, part
                 node = Node(state, tuple(values), tuple(held))
-                if all(self._stands(node, robot) for robot in robots):
+                if not any(self._view(node, r, line).collides(node.configurations[r])[0] for r in robots):
                     yield node
 
     def grips(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
@@ -181,21 +175,6 @@ class KeyframeGraph:
         alone[part] = HELD
         return any(self.grips(robot, part, alone) for robot in range(self.cell.robot_count))
 
-    @property
-    def motions(self) -> int:
-        """Free motions that were planned."""
-        return self._cache.motions
-
-    @property
-    def motions_kept(self) -> int:
-        """Number of free motions found in the cache."""
-        return self._cache.motions_kept
-
-    @property
-    def views(self) -> int:
-        """Views of scenes that were made."""
-        return self._cache.views
-
     @cached_property
     def lowest(self) -> float:
         """Height of the lowest centre of a part, metres."""
@@ -213,10 +192,8 @@ class KeyframeGraph:
 
     def collision(self, node: Node, robot: int) -> tuple[str, str] | None:
         """Return the names of two bodies that collide at a robot's configuration, or None."""
-        part = node.held[robot]
-        contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
         # At the start of a plan robots stand as they stand: what does not touch is good enough.
-        return self._cache.view(node.scene, robot, contact, 0.0).explain(node.configurations[robot])
+        return self._view(node, robot, 0.0).explain(node.configurations[robot])
 
     # Holding
 
@@ -239,7 +216,7 @@ class KeyframeGraph:
         if not grips:
             return
         contact = Contact(gripper=frozenset({part}))
-        view = self._cache.view(node.scene, robot, contact, self.cell.margins.line)
+        view = self.cache.view(node.scene, robot, contact, self.cell.margins.line)
         values = np.array([grip.configuration for grip in grips])
         hits = view.hits(values)
         for row in np.flatnonzero(hits >= 0)[:1]:
@@ -252,7 +229,7 @@ class KeyframeGraph:
 
     def _try_grip(self, node: Node, part: int, grip: GraspConfiguration, view: CollisionQuery) -> Edge | None:
         robot, margins = grip.robot, self.cell.margins
-        clear = self._cache.view(node.scene, robot, NO_CONTACT, margins.free)
+        clear = self.cache.view(node.scene, robot, NO_CONTACT, margins.free)
         outside: Array | None = None
         for share in _APPROACH_LENGTHS:
             retreat = follow_line(view, grip.configuration, -grip.grasp.approach, share * margins.approach)
@@ -269,7 +246,7 @@ class KeyframeGraph:
         # A robot cannot grip anew later: the part must be able to leave in this grip, when its way is free.
         if not self._can_leave_later(node, part, grip):
             return None
-        free = self._cache.motion(node.scene, robot, node.configurations[robot], outside)
+        free = self.cache.motion(node.scene, robot, node.configurations[robot], outside)
         if not free:
             self.reasons.add("hold", part, robot, f"way to the part: {free.reason}", free.pair, free.at)
             return None
@@ -307,7 +284,7 @@ class KeyframeGraph:
 
     def _carry(self, node: Node, part: int, robot: int, paths: tuple[Array, ...], scene: Scene) -> Edge | None:
         entry = self.cell.robots[robot]
-        view = self._cache.view(scene, robot, NO_CONTACT, self.cell.margins.free)
+        view = self.cache.view(scene, robot, NO_CONTACT, self.cell.margins.free)
         end = paths[-1][-1]
         places = self._grips.places(robot)
         if not len(places):
@@ -319,8 +296,8 @@ class KeyframeGraph:
             self.reasons.add(
                 "remove", part, robot, "every place to put it collides", view.pair(int(hits[0])), places[0]
             )
-        for goal in clear[np.argsort(np.abs(clear - end).max(axis=1), kind="stable")][: self.settings.places]:
-            free = self._cache.motion(scene, robot, end, goal)
+        for goal in clear[np.argsort(np.abs(clear - end).max(axis=1), kind="stable")][:_MAX_PLACES]:
+            free = self.cache.motion(scene, robot, end, goal)
             if free:
                 state = node.state.copy()
                 state[part] = REMOVED
@@ -334,11 +311,10 @@ class KeyframeGraph:
 
     # What both need
 
-    def _stands(self, node: Node, robot: int) -> bool:
+    def _view(self, node: Node, robot: int, margin: float) -> CollisionQuery:
         part = node.held[robot]
         contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
-        view = self._cache.view(node.scene, robot, contact, self.cell.margins.line)
-        return not bool(view.collides(node.configurations[robot])[0])
+        return self.cache.view(node.scene, robot, contact, margin)
 
 
 def _replaced(node: Node, state: States, robot: int, values: Array, part: int | None) -> Node:

@@ -10,21 +10,24 @@ a replay falls is forbidden from then on, and what could only go on through it i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, Mask, States
-from falsework.robots.planning.rollout import ActionScore, roll_out
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.planner import Planner
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.result import Route, SearchResult, Stop
+from falsework.search.problem.rollout import roll_out
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
 from falsework.stability.oracle import Stability
+
+ActionScore = Callable[[States, Mask], NDArray[np.floating]]
+"""Scores the actions that lead out of states, as a `falsework.search.problem.guide.Guide` in disassembly."""
 
 _JOIN_LEVELS = 8
 """Steps that the joining search looks ahead."""
@@ -86,7 +89,7 @@ class SolvabilityCheck:
         """Find one abstract plan. Where parts are missing, the task then says how late they can come."""
         settings = PlannerSettings(width=_FIRST_BEAM_WIDTH, seed=self._seed)
         planner = Planner(self.task, self.oracle, settings, guide=self._guide)
-        route = self._roll_out(None, stop) or self._roll_out(np.random.default_rng(self._seed), stop)
+        route = self.roll_out(None, stop) or self.roll_out(np.random.default_rng(self._seed), stop)
         if route is not None:
             planner.begin_with(route)
         result = planner.run(stop=stop)  # which replays what it finds
@@ -100,7 +103,7 @@ class SolvabilityCheck:
     def perturb(self, seed: int) -> None:
         """Find another abstract plan to follow, with the guide's score disturbed; the old one stays known."""
         rng = np.random.default_rng([self._seed, seed])
-        route = self._roll_out(rng)
+        route = self.roll_out(rng)
         if route is not None:
             self._follow([route])
             return
@@ -168,29 +171,40 @@ class SolvabilityCheck:
                 break
         return ()
 
-    def _roll_out(self, rng: np.random.Generator | None, stop: Stop | None = None) -> Route | None:
-        """Roll out the action score to the target, greedily or sampled; None without a score or a complete rollout."""
-        if self._score is None or self.task.steps == 0:
+    def roll_out(self, rng: np.random.Generator | None, stop: Stop | None = None) -> Route | None:
+        """Roll out the action score to the target, greedily or sampled; None without a score or a complete rollout.
+
+        After every action the structure stands, or the next best one is taken; none leads to a forbidden state.
+        """
+        score = self._score
+        if score is None or self.task.steps == 0:
             return None
-        target, rows = {self.task.target.tobytes()}, 1 if rng is None else _ROLLOUTS
+        rows = 1 if rng is None else _ROLLOUTS
         for _ in range(_MAX_FALLEN_REPLAYS):
-            route = roll_out(
-                self.task,
-                self.oracle,
-                self._score,
-                self.task.start,
-                target,
+            rollouts = roll_out(
+                [self.task],
+                np.repeat(self.task.start[None], rows, axis=0),
+                np.zeros(rows, dtype=np.int64),
+                lambda states, legal, _: score(states, legal),
                 rng=rng,
-                rows=rows,
-                forbidden=self._forbidden,
-                stop=stop,
+                stable=self._allowed,
+                next_best=True,
+                stop=None if stop is None else lambda _: stop(),
             )
+            route = next((Route.through(rollout.states) for rollout in rollouts if rollout.reached), None)
             row = None if route is None else self.falls(route)
             if route is None or row is None:
                 return route
             if not self.forbid(route, row):
                 break
         return None
+
+    def _allowed(self, _: NDArray[np.int64], states: States, parents: States) -> Mask:
+        """Return which states are stable and not forbidden; a forbidden one costs no verdict."""
+        allowed = np.array([state.tobytes() not in self._forbidden for state in states], dtype=bool)
+        if allowed.any():
+            allowed[allowed] = self.oracle.stable(states[allowed], parents=parents[allowed])
+        return allowed
 
     def preferred(self, state: States, action: int) -> bool:
         """Return whether an action follows the plan found last."""

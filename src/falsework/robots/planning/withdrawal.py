@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Contact, Scene
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
@@ -18,22 +17,16 @@ Array = NDArray[np.float64]
 
 _LENGTHS = (1.0, 2.0, 4.0)
 """Lengths of the line on which a part leaves, in approach margins of the cell, tried in turn until it is clear."""
+_MAX_WAYS = 4
+"""Ways out that are tried for a part."""
 
 
 class Withdrawal:
     """Straight withdrawal lines for parts that robots hold."""
 
-    def __init__(self, cell: Cell, cache: MotionCache, reasons: FailureLog, *, directions: int) -> None:
-        """Nothing is computed yet.
-
-        Args:
-            cell: the robots and what is around them.
-            cache: views of its scenes.
-            reasons: takes note of why a part cannot leave.
-            directions: ways out that are tried for a part.
-        """
-        self.cell, self.cache, self.reasons = cell, cache, reasons
-        self.directions = directions
+    def __init__(self, cache: MotionCache, reasons: FailureLog) -> None:
+        """Draw parts out in the scenes of `cache`, and log to `reasons` why one cannot leave."""
+        self.cell, self.cache, self.reasons = cache.world.cell, cache, reasons
 
     def lines(
         self, scene: Scene, part: int, robot: int, here: Array, ways: Array, what: str
@@ -84,4 +77,4 @@ class Withdrawal:
     def _ordered(self, ways: Array, tool: Array) -> Array:
         """Ways out to try: best first those away from where the gripper points, then upwards."""
         score = ways @ -tool[:3, 2] + 0.5 * ways[:, 2]
-        return ways[np.argsort(-score, kind="stable")][: self.directions]
+        return ways[np.argsort(-score, kind="stable")][:_MAX_WAYS]

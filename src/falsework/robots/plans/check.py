@@ -23,27 +23,17 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True)
-class CheckSettings:
-    """Settings of a check."""
-
-    step: float = 0.01
-    """No joint moves farther between two samples, rad or m."""
-    tolerance: float = 0.001
-    """A part that leaves its place, or arrives there, may overlap its neighbours by so much, metres; where the
-    structure's own meshes overlap by more at that place, this is doubled until they do not."""
-    reach: float = 0.005
-    """A gripper holds a part if it is no farther from it than this, metres."""
-    joins: float = 1e-5
-    """Joint values that differ by no more are the same, rad or m."""
-    over: float = 0.01
-    """Share by which rounded knots may exceed a limit of velocity or acceleration."""
-    problems: int = 20
-    """Stop after so many."""
-
-    def __post_init__(self) -> None:
-        if not 0 < self.step <= 0.5:
-            raise InputError(f"a check every {self.step:g} rad is too coarse or none; give up to 0.5, such as 0.01")
+_OVERLAP = 0.001
+"""A part that leaves its place, or arrives there, may overlap its neighbours by so much, metres; where the structure's
+own meshes overlap by more at that place, this is doubled until they do not."""
+_GRIP_DISTANCE = 0.005
+"""A gripper holds a part if it is no farther from it than this, metres."""
+_SAME_JOINT = 1e-5
+"""Joint values that differ by no more are the same, rad or m."""
+_LIMIT_EXCESS = 0.01
+"""Share by which rounded knots may exceed a limit of velocity or acceleration."""
+_MAX_PROBLEMS = 20
+"""Problems after which the check stops."""
 
 
 @dataclass(frozen=True)
@@ -98,17 +88,17 @@ class CheckReport:
 class _Checker:
     """Walks through a plan and keeps what it finds."""
 
-    def __init__(self, plan: RobotPlan, assembly: Assembly, cell: Cell, settings: CheckSettings) -> None:
-        self.plan, self.cell, self.settings = plan, cell, settings
+    def __init__(self, plan: RobotPlan, assembly: Assembly, cell: Cell, resolution: float) -> None:
+        self.plan, self.cell, self.resolution = plan, cell, resolution
         parts = place_parts(assembly, cell.placement)
-        self.judge = PinocchioCollisionChecker(cell, parts, settings.tolerance)
+        self.judge = PinocchioCollisionChecker(cell, parts, _OVERLAP)
         self.boundary = assembly.boundary
         self.problems: list[PlanProblem] = []
         self.samples = self.trajectories = 0
         self.largest_step = self.largest_join = self.velocity = self.acceleration = 0.0
 
     def full(self) -> bool:
-        return len(self.problems) >= self.settings.problems
+        return len(self.problems) >= _MAX_PROBLEMS
 
     def say(self, step: int, robot: int, what: str, **more) -> None:
         self.problems.append(PlanProblem(step, self.cell.robots[robot].name, what, **more))
@@ -125,7 +115,7 @@ class _Checker:
             if part is None:
                 continue
             far = self.judge.grip_distance(robot, frame.configurations[robot], part)
-            if far > self.settings.reach:
+            if far > _GRIP_DISTANCE:
                 name = self.judge.parts.names[part]
                 self.say(step, robot, f"the gripper is {1000 * far:.1f} mm away from {name}, which it should hold")
 
@@ -190,7 +180,7 @@ class _Checker:
     def _joins(self, index: int, robot: int, here: Array, there: Array, end: Array) -> Array:
         far = float(np.abs(here - there).max())
         self.largest_join = max(self.largest_join, far)
-        if far > self.settings.joins:
+        if far > _SAME_JOINT:
             self.say(index, robot, f"it jumps by {far:.4g} rad between two motions")
         return end
 
@@ -202,7 +192,7 @@ class _Checker:
         self.velocity = max(self.velocity, float(velocity.max()))
         self.acceleration = max(self.acceleration, float(push.max()))
         for what, found in (("speed", velocity), ("acceleration", push)):
-            if found.max() > 1 + self.settings.over:
+            if found.max() > 1 + _LIMIT_EXCESS:
                 joint = model.joint_names[int(np.argmax(found))]
                 self.say(index, robot, f"the {what} of {joint} is {100 * found.max():.0f} % of its limit")
         if any(np.abs(trajectory.velocities[end]).max() > 1e-6 for end in (0, -1)):
@@ -217,7 +207,7 @@ class _Checker:
         grip: Array | None,
         at_place: bool,
     ) -> None:
-        moments, samples = trajectory.dense(self.settings.step)
+        moments, samples = trajectory.dense(self.resolution)
         self.samples += len(samples)
         self.trajectories += 1
         if len(samples) > 1:
@@ -251,8 +241,8 @@ def check_robot_plan(
     plan: RobotPlan,
     assembly: Assembly,
     cell: Cell,
-    settings: CheckSettings = CheckSettings(),
     *,
+    step: float = 0.01,
     progress: Progress | None = None,
 ) -> CheckReport:
     """Check all motions of a plan with Pinocchio (kinematics) and Coal (collisions).
@@ -275,16 +265,19 @@ def check_robot_plan(
         plan: what to check.
         assembly: the structure that it is for.
         cell: the cell that it is for.
-        settings: what counts as right.
+        step: farthest that a joint moves between two samples, rad or m.
         progress: called with steps done and all steps.
 
     Raises:
+        InputError: a step that is too large, or not above zero.
         PlanError: the plan is for another structure or cell.
         DependencyError: Pinocchio or Coal is missing.
     """
+    if not 0 < step <= 0.5:
+        raise InputError(f"a check every {step:g} rad is too coarse or none; give up to 0.5, such as 0.01")
     plan.check_identity(assembly, cell)
     began = time.perf_counter()
-    checker = _Checker(plan, assembly, cell, settings)
+    checker = _Checker(plan, assembly, cell, step)
     checker.start()
     for index in range(len(plan)):
         if checker.full():

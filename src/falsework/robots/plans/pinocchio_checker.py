@@ -46,7 +46,7 @@ def import_pinocchio() -> tuple[Any, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class CollisionBody:
     """Something that takes part in a check."""
 
     name: str
@@ -152,7 +152,9 @@ class PinocchioCollisionChecker:
                 if present[number]:
                     shrunk = self._shrunk(number, body.slack)
                     name = f"part {self.parts.names[number]}"
-                    standing.append(("shrunk part", number, Body(name, shrunk, WORLD, np.eye(4), slack=body.slack)))
+                    standing.append(
+                        ("shrunk part", number, CollisionBody(name, shrunk, WORLD, np.eye(4), slack=body.slack))
+                    )
         bodies = [body for _, body in moving] + [body for _, _, body in standing]
         geometry = self._pin.GeometryModel()
         for number, body in enumerate(bodies):
@@ -215,32 +217,32 @@ class PinocchioCollisionChecker:
         self._joints.append(joints)
         self.slots.append(slice(begin, self.model.nq))
 
-    def _robot_bodies(self, robot: int) -> list[tuple[int, Body]]:
+    def _robot_bodies(self, robot: int) -> list[tuple[int, CollisionBody]]:
         """Moving bodies: the link that each is of, `joints + 1` for the gripper."""
         entry = self.cell.robots[robot]
         found = []
         for link in range(1, entry.model.joints + 1):
             name = f"{entry.name} {entry.model.link_names[link]}"
             for shape in self._links[robot][link]:
-                found.append((link, Body(name, shape, self._joints[robot][link - 1], np.eye(4))))
+                found.append((link, CollisionBody(name, shape, self._joints[robot][link - 1], np.eye(4))))
         for shape in self._grippers[robot]:
-            body = Body(f"{entry.name} gripper", shape, self._joints[robot][-1], entry.model.flange)
+            body = CollisionBody(f"{entry.name} gripper", shape, self._joints[robot][-1], entry.model.flange)
             found.append((entry.model.joints + 1, body))
         return found
 
-    def _carried(self, robot: int, part: int, grip: Array, at_place: bool) -> list[Body]:
+    def _carried(self, robot: int, part: int, grip: Array, at_place: bool) -> list[CollisionBody]:
         """The part in a gripper; where it may touch its neighbours once for each distance that it is shrunk by."""
         entry = self.cell.robots[robot]
         # A part at its place has the identity as its pose, so in the flange it is the inverse of the flange's pose.
         placement = entry.model.flange @ inverse_pose(self.flange(robot, grip))
         name, joint = f"part {self.parts.names[part]}", self._joints[robot][-1]
         if not at_place:
-            return [Body(name, self._parts[part], joint, placement)]
+            return [CollisionBody(name, self._parts[part], joint, placement)]
         (least, _), *more = self._loose(part)
         tangled: frozenset[int] = frozenset().union(*(others for _, others in more))
-        found = [Body(name, self._shrunk(part, least), joint, placement, spared=tangled)]
+        found = [CollisionBody(name, self._shrunk(part, least), joint, placement, spared=tangled)]
         return found + [
-            Body(name, self._shrunk(part, slack), joint, placement, against=others, slack=slack)
+            CollisionBody(name, self._shrunk(part, slack), joint, placement, against=others, slack=slack)
             for slack, others in more
         ]
 
@@ -287,24 +289,25 @@ class PinocchioCollisionChecker:
         here, request, result = self._coal.Transform3s(), self._coal.CollisionRequest(), self._coal.CollisionResult()
         return bool(self._coal.collide(one, here, other, here, request, result))
 
-    def _standing(self, robot: int, present: NDArray[np.bool_]) -> list[tuple[str, int, Body]]:
-        found: list[tuple[str, int, Body]] = []
+    def _standing(self, robot: int, present: NDArray[np.bool_]) -> list[tuple[str, int, CollisionBody]]:
+        found: list[tuple[str, int, CollisionBody]] = []
         for other, entry in enumerate(self.cell.robots):
             name = f"{entry.name} {entry.model.link_names[0]}"
             kind = "base" if other == robot else "robot"
-            found += [(kind, other, Body(name, shape, WORLD, entry.base)) for shape in self._links[other][0]]
+            found += [(kind, other, CollisionBody(name, shape, WORLD, entry.base)) for shape in self._links[other][0]]
             if other != robot:
                 found += [("robot", other, body) for _, body in self._robot_bodies(other)]
         for part in np.flatnonzero(present).tolist():
-            body = Body(f"part {self.parts.names[part]}", self._parts[part], WORLD, np.eye(4))
+            body = CollisionBody(f"part {self.parts.names[part]}", self._parts[part], WORLD, np.eye(4))
             found.append(("part", part, body))
         found += [
-            ("obstacle", k, Body(name, shape, WORLD, np.eye(4))) for k, (name, shape) in enumerate(self._obstacles)
+            ("obstacle", k, CollisionBody(name, shape, WORLD, np.eye(4)))
+            for k, (name, shape) in enumerate(self._obstacles)
         ]
         if self.cell.floor is not None:
             below = np.eye(4)
             below[2, 3] = self.cell.floor - 0.5
-            found.append(("floor", 0, Body("floor", self._floor, WORLD, below)))
+            found.append(("floor", 0, CollisionBody("floor", self._floor, WORLD, below)))
         return found
 
     @staticmethod

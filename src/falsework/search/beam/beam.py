@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +12,7 @@ from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
 from falsework.search.beam.frontier import Frontier, Level, expand
 from falsework.search.beam.histories import Histories
+from falsework.search.beam.level_search import LevelSearch
 from falsework.search.beam.selection import Selector
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
@@ -21,18 +20,11 @@ from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.result import (
     Outcome,
-    Progress,
-    Route,
     SearchCounters,
-    SearchProgress,
     SearchResult,
-    Stop,
     beam_failure,
 )
 from falsework.search.problem.task import Direction, Task
-from falsework.utils.archive import read_archive, write_archive
-
-FORMAT = "falsework.beam/2"
 
 _RETREAT_LEVELS = 8
 """Levels that a beam goes back when it is tried again ..."""
@@ -42,8 +34,8 @@ _REPORTED_STATES = 64
 """States handed back as deepest and as rejected, at most."""
 
 
-class BeamSearch:
-    """Beam search that can be stepped, interrupted, saved and resumed."""
+class BeamSearch(LevelSearch):
+    """Beam search that can be stepped, interrupted, packed and resumed."""
 
     def __init__(
         self, task: Task, oracle: Oracle, settings: BeamSettings = BeamSettings(), *, guide: Guide | None = None
@@ -56,9 +48,9 @@ class BeamSearch:
             settings: width, direction and how states are chosen.
             guide: scores actions; without it only diversity decides.
         """
-        self.task = task = task.judged_by(oracle)
-        self.settings = settings
-        self.levels: list[Level] = []
+        task = task.judged_by(oracle)
+        super().__init__(task, settings)
+        self.levels = self._levels
         self._whole: list[bool] = []
         """For each level after the first, and for the attempt at the next if dead: no stable state was left out."""
         self._judge = CountingOracle(oracle)
@@ -70,27 +62,15 @@ class BeamSearch:
         self._farthest = 0
         self._deepest = np.empty((0, task.part_count), dtype=np.uint8)
         self._rejected = np.empty((0, task.part_count), dtype=np.uint8)
-        self._dead = False
         self._retried = 0
         self._before = SearchCounters()
         self._undecided = self._sliding = 0
-        self._seconds = 0.0
         origin = task.origin(settings.direction)[None]
         if task.contains(origin)[0]:
             one = np.ones(1, np.int8)
             self.levels.append(Level(origin, np.zeros(1, np.int64), np.full(1, -1, np.int64), np.zeros(1), one))
         else:
             self._dead = True
-
-    @property
-    def done(self) -> bool:
-        """Whether the goal is reached or nothing is left to expand."""
-        return self._dead or len(self.levels) == self.task.steps + 1
-
-    @property
-    def found(self) -> bool:
-        """Whether the goal is reached."""
-        return len(self.levels) == self.task.steps + 1
 
     @property
     def exhaustive(self) -> bool:
@@ -102,11 +82,6 @@ class BeamSearch:
         """Work done so far, earlier runs included."""
         now = SearchCounters(0, self._candidates, self._judge.asked, self._judge.rejected)
         return self._before + now + SearchCounters(states=sum(len(level.states) for level in self.levels))
-
-    def states(self) -> States:
-        """Return all states of the beam so far, level by level from the origin. Shape (count, parts)."""
-        empty = np.empty((0, self.task.part_count), dtype=np.uint8)
-        return np.concatenate([empty, *(level.states for level in self.levels)])
 
     def step(self) -> bool:
         """Find the next level; False if there is none.
@@ -209,31 +184,13 @@ class BeamSearch:
         del self._whole[level:]
         self._dead = False
 
-    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Search until the goal is reached, no state is left, or `stop` returns true.
+    def _advance(self) -> None:
+        if not self.step():
+            self._retry()
 
-        Args:
-            progress: called after every level.
-            stop: called before every level; true stops the search, which can then be saved or continued.
-
-        Returns:
-            A found route, or how far the search came; `interrupted` after `stop` or an interruption from the keyboard.
-        """
-        begun = time.perf_counter()
-        interrupted = False
-        try:
-            while not self.done:
-                if stop is not None and stop():
-                    interrupted = True
-                    break
-                if not self.step():
-                    self._retry()
-                if progress is not None:
-                    progress(self._report(time.perf_counter() - begun))
-        except KeyboardInterrupt:
-            interrupted = True
-        self._seconds += time.perf_counter() - begun
-        return self.result(interrupted=interrupted)
+    @property
+    def _asked(self) -> int:
+        return self._judge.asked
 
     def forbid(self, states: States) -> None:
         """Rule states out from now on, and take the search back to where none of them is on the way.
@@ -257,39 +214,6 @@ class BeamSearch:
         self.rewind(
             max(len(self.levels) - 1 - _RETREAT_LEVELS * _RETREAT_FACTOR ** (self._retried - 1), 0), self.settings
         )
-
-    def route(self) -> Route:
-        """Return the path of highest score from start to target, in disassembly order; only once `found`."""
-        if not self.found:
-            raise InputError("the beam search has not reached its goal; there is no route yet")
-        row, states, actions = 0, [], []
-        for level in reversed(self.levels):
-            states.append(level.states[row])
-            actions.append(level.action[row])
-            row = int(level.parent[row])
-        moves = np.array(actions[:-1], dtype=np.int64)
-        if self.settings.direction is Direction.DISASSEMBLY:
-            return Route(np.array(states[::-1]), moves[::-1].copy())
-        return Route(np.array(states), moves)
-
-    def save(self, path: Path | str) -> None:
-        """Write the current search, to be resumed by `load`."""
-        write_archive(path, FORMAT, *self.pack())
-
-    @classmethod
-    def load(cls, path: Path | str, task: Task, oracle: Oracle, *, guide: Guide | None = None) -> BeamSearch:
-        """Read a search that `save` wrote, to continue it.
-
-        Raises:
-            InputError: no such file, a damaged one, or one of another task.
-        """
-        header, arrays = read_archive(path, FORMAT)
-        if header.get("task") != task.judged_by(oracle).to_dict():
-            raise InputError(f"{path} belongs to another structure or task; begin a new search")
-        try:
-            return cls.unpack(header, arrays, task, oracle, guide=guide)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path} is damaged ({error}); begin a new search") from None
 
     def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return the state of the search: plain values, and arrays."""
@@ -349,19 +273,8 @@ class BeamSearch:
         search._farthest, search._retried = int(header["farthest"]), int(header["retried"])
         return search
 
-    def _report(self, seconds: float) -> SearchProgress:
-        return SearchProgress(
-            self.settings.direction,
-            len(self.levels) - 1,
-            self.task.steps,
-            len(self.levels[-1].states) if self.levels else 0,
-            self.settings.width,
-            self._judge.asked,
-            seconds,
-        )
-
     def result(self, *, interrupted: bool = False) -> SearchResult:
-        """Return the result so far; `interrupted` if the search was stopped from outside."""
+        """As `LevelSearch.result`."""
         undecided, limit = self._judge.undecided + self._undecided, ""
         sliding = self._judge.sliding + self._sliding
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND

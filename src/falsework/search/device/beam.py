@@ -2,40 +2,31 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.beam.frontier import Level
+from falsework.search.beam.level_search import LevelSearch
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.k_means import find_centers
 from falsework.search.device.oracle import BatchedTensorOracle, TensorOracle
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.result import (
     Outcome,
-    Progress,
-    Route,
     SearchCounters,
-    SearchProgress,
     SearchResult,
-    Stop,
     beam_failure,
 )
-from falsework.search.problem.task import Direction, Task
+from falsework.search.problem.task import Task
 from falsework.stability.verdict import Verdict
 from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import import_torch, mix, place_in_group
 
 if TYPE_CHECKING:
     import torch
-
-    TensorGuide = Callable[[torch.Tensor, torch.Tensor, Direction], torch.Tensor]
-    """As `Guide`, on tensors; must give the same scores in every process."""
 
 _REPORTED_STATES = 64
 """States handed back as deepest and as rejected, at most."""
@@ -52,7 +43,6 @@ class _TensorLevel:
     states: torch.Tensor
     parent: torch.Tensor
     action: torch.Tensor
-    score: torch.Tensor
     hashes: torch.Tensor
 
 
@@ -63,7 +53,6 @@ class _Candidates:
     parent: torch.Tensor
     action: torch.Tensor
     hashes: torch.Tensor
-    score: torch.Tensor
     free: torch.Tensor
     """Stable because the level is."""
 
@@ -72,10 +61,10 @@ class _Candidates:
 
     def take(self, rows: torch.Tensor | slice) -> _Candidates:
         """Return some of the candidates."""
-        return _Candidates(*(getattr(self, name)[rows] for name in ("parent", "action", "hashes", "score", "free")))
+        return _Candidates(*(getattr(self, name)[rows] for name in ("parent", "action", "hashes", "free")))
 
 
-class DeviceBeam:
+class DeviceBeam(LevelSearch):
     """Beam search as `BeamSearch`, with the states of all levels on one device.
 
     Rules, direction, width, diversity and verdicts mean the same; which of equally good states survive differs, since
@@ -92,7 +81,6 @@ class DeviceBeam:
         settings: BeamSettings = BeamSettings(),
         *,
         device: torch.device | str = "cpu",
-        guide: TensorGuide | None = None,
         shards: ProcessGroup = ProcessGroup(),
     ) -> None:
         """Begin at the origin of the direction; the start and the target are taken as stable.
@@ -102,8 +90,7 @@ class DeviceBeam:
             oracle: verdicts on tensors; it says too which moves need one, see `Task.judged_by`.
             settings: width, direction, diversity and seed; levels are always judged whole (`lookahead` is 0).
             device: where the search lives.
-            guide: scores actions.
-            shards: the processes that search together; all must be given the same task, settings and guide.
+            shards: the processes that search together; all must be given the same task and settings.
 
         Raises:
             DependencyError: torch is not installed.
@@ -112,57 +99,40 @@ class DeviceBeam:
         if settings.lookahead:
             raise InputError("a beam on a device judges whole levels; set lookahead to 0, or use BeamSearch")
         torch = import_torch()
-        self.task = task = task.judged_by(oracle)
-        self.settings = settings
+        task = task.judged_by(oracle)
+        super().__init__(task, settings)
+        self._levels: list[_TensorLevel]
         self.device = torch.device(device)
         self.shards = shards
         self.exhaustive = True
         """No state was left out so far: if the search dies now, there is no plan."""
         self._rules = TensorRules(task, self.device, settings.direction)
         self._judge = BatchedTensorOracle(oracle, shards)
-        self._guide = guide
-        self._candidates = self._asked = 0
+        self._candidates = self._verdicts = 0
         self._refused = torch.zeros(3, dtype=torch.int64, device=self.device)
         """Not stable, and of these undecided, and sliding."""
         self._rejected = np.empty((0, task.part_count), dtype=np.uint8)
-        self._seconds = 0.0
-        self._levels: list[_TensorLevel] = []
         self._host: list[Level] = []
         origin = self._rules.origin()
         self._dead = not task.contains(task.origin(settings.direction)[None])[0]
         if not self._dead:
             none = torch.zeros(1, dtype=torch.int64, device=self.device)
-            self._levels.append(_TensorLevel(origin, none, none - 1, none.double(), self._rules.hashes(origin)))
-
-    @property
-    def found(self) -> bool:
-        """Whether the goal is reached."""
-        return len(self._levels) == self.task.steps + 1
-
-    @property
-    def done(self) -> bool:
-        """Whether the goal is reached or nothing is left to expand."""
-        return self._dead or self.found
+            self._levels.append(_TensorLevel(origin, none, none - 1, self._rules.hashes(origin)))
 
     @property
     def counters(self) -> SearchCounters:
         """Work done so far, by all processes."""
         states = sum(len(level.states) for level in self._levels)
-        return SearchCounters(states, self._candidates, self._asked, int(self._refused[0]))
+        return SearchCounters(states, self._candidates, self._verdicts, int(self._refused[0]))
 
     @property
-    def levels(self) -> list[Level]:
+    def levels(self) -> list[Level]:  # type: ignore[override]
         """Levels so far, copied to the host."""
         for level in self._levels[len(self._host) :]:
-            tensors = (level.states, level.parent, level.action, level.score)
-            states, parent, action, score = (tensor.cpu().numpy() for tensor in tensors)
-            self._host.append(Level(states, parent, action, score, np.ones(len(states), dtype=np.int8)))
+            states, parent, action = (one.cpu().numpy() for one in (level.states, level.parent, level.action))
+            count = len(states)
+            self._host.append(Level(states, parent, action, np.zeros(count), np.ones(count, dtype=np.int8)))
         return self._host
-
-    def states(self) -> States:
-        """Return all states of the beam so far, level by level from the origin. Shape (count, parts)."""
-        empty = np.empty((0, self.task.part_count), dtype=np.uint8)
-        return np.concatenate([empty, *(level.states for level in self.levels)])
 
     def step(self) -> bool:
         """Find the next level; False if there is none."""
@@ -181,7 +151,7 @@ class DeviceBeam:
             self._refused += torch.stack([answer.sum() for answer in answers])
         rows = stable.nonzero()[:, 0]
         self._candidates += len(candidates)
-        self._asked += len(asked)
+        self._verdicts += len(asked)
         self.exhaustive &= len(rows) <= width
         self._dead = len(rows) == 0
         if self._dead:
@@ -189,57 +159,18 @@ class DeviceBeam:
             self._rejected = self._written(level, some).cpu().numpy()
             return False
         kept = candidates.take(self._choose(level, candidates.take(rows), rows))
-        self._levels.append(
-            _TensorLevel(
-                self._written(level, kept),
-                kept.parent,
-                kept.action,
-                kept.score,
-                kept.hashes,
-            )
-        )
+        self._levels.append(_TensorLevel(self._written(level, kept), kept.parent, kept.action, kept.hashes))
         return True
 
-    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Step until the goal is reached, nothing is left, or `stop` stops it.
+    def _advance(self) -> None:
+        self.step()
 
-        Args:
-            progress: called after every level.
-            stop: called before every level; several processes must all return the same.
-
-        Returns:
-            A found route, or how far the search came.
-        """
-        begun = time.perf_counter()
-        interrupted = False
-        try:
-            while not self.done:
-                if stop is not None and stop():
-                    interrupted = True
-                    break
-                self.step()
-                if progress is not None:
-                    progress(self._report(self._seconds + time.perf_counter() - begun))
-        except KeyboardInterrupt:
-            interrupted = True
-        self.states()  # brings the levels to the host, which waits for the device and belongs to the time
-        self._seconds += time.perf_counter() - begun
-        return self.result(interrupted=interrupted)
-
-    def route(self) -> Route:
-        """Return the path of highest score from start to target, in disassembly order; only once `found`."""
-        if not self.found:
-            raise InputError("the beam search has not reached its goal; there is no route yet")
-        row, states = 0, []
-        for level in reversed(self.levels):
-            states.append(level.states[row])
-            row = int(level.parent[row])
-        if self.settings.direction is Direction.DISASSEMBLY:
-            states.reverse()
-        return Route.through(np.array(states))
+    @property
+    def _asked(self) -> int:
+        return self._verdicts
 
     def result(self, *, interrupted: bool = False) -> SearchResult:
-        """Return the result so far; `interrupted` if the search was stopped from outside."""
+        """As `LevelSearch.result`."""
         (_, undecided, sliding), limit = self._refused.tolist(), ""
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:
@@ -261,18 +192,6 @@ class DeviceBeam:
             notes=tuple(self._judge.notes),
         )
 
-    def _report(self, seconds: float) -> SearchProgress:
-        kept = len(self._levels[-1].states) if self._levels else 0
-        return SearchProgress(
-            self.settings.direction,
-            len(self._levels) - 1,
-            self.task.steps,
-            kept,
-            self.settings.width,
-            self._asked,
-            seconds,
-        )
-
     def _expand(self, level: _TensorLevel) -> _Candidates:
         """Return every legal move from a level; states reached twice are kept once, dead ends not at all."""
         torch = import_torch()
@@ -282,15 +201,7 @@ class DeviceBeam:
         first, group = self._merge(level, hashes, parent, action)
         free = torch.zeros(len(first), dtype=torch.int32, device=self.device)
         free.index_add_(0, group, (~rules.needs_verdict(action)).int())
-        score = level.score[parent[first]]
-        if self._guide is not None:
-            scores = self._guide(level.states, mask, self.settings.direction)
-            if scores.shape != mask.shape:
-                raise InputError(
-                    f"the guide returned scores of shape {tuple(scores.shape)}; expected {tuple(mask.shape)}"
-                )
-            score = score + scores.double()[parent[first], action[first]]
-        candidates = _Candidates(parent[first], action[first], hashes[first], score, free > 0)
+        candidates = _Candidates(parent[first], action[first], hashes[first], free > 0)
         if self.task.clearance is None:
             return candidates
         alive = torch.ones(len(candidates), dtype=torch.bool, device=self.device)
@@ -337,7 +248,7 @@ class DeviceBeam:
         return first[:distinct], torch.empty_like(place).scatter_(0, order, place)
 
     def _choose(self, level: _TensorLevel, stable: _Candidates, rows: torch.Tensor) -> torch.Tensor:
-        """Choose `width` of the stable candidates `rows`, best scored first."""
+        """Choose `width` of the stable candidates `rows`."""
         torch = import_torch()
         width = self.settings.width
         words = mix(stable.hashes, (self.settings.seed << 20) + len(self._levels))
@@ -351,31 +262,22 @@ class DeviceBeam:
             mine, _ = self.shards.block(len(order))
             joined = torch.stack(centers.assign(self._written(level, stable.take(order[mine]))), dim=1)
             labels, distance = self.shards.gather_blocks(joined, len(order)).unbind(dim=1)
-            order = self._deal(order, labels, distance, stable.score)
-        else:
-            order = self._best_first(order, stable.score)
-        return rows[self._best_first(order[:width], stable.score)]
-
-    def _deal(
-        self, order: torch.Tensor, labels: torch.Tensor, distance: torch.Tensor, score: torch.Tensor
-    ) -> torch.Tensor:
-        """The best of each cluster, then the next of each, and so on; best scored, then nearest to the centre."""
-        torch = import_torch()
-        by = self._best_first(torch.argsort(distance, stable=True), score[order])
-        by = by[torch.argsort(labels[by], stable=True)]
-        return order[by[torch.argsort(place_in_group(labels[by]), stable=True)]]
+            order = _deal(order, labels, distance)
+        return rows[order[:width]]
 
     def _written(self, level: _TensorLevel, candidates: _Candidates) -> torch.Tensor:
         """Return candidates written down as states, shape (candidates, parts)."""
         return self._rules.follow(level.states[candidates.parent], candidates.action)
 
-    def _best_first(self, order: torch.Tensor, score: torch.Tensor) -> torch.Tensor:
-        """Return an order with the best scored moved to the front; without a guide all scores are the same."""
-        if self._guide is None:
-            return order
-        return order[import_torch().argsort(-score[order], stable=True)]
-
     def _chunks(self, count: int) -> list[slice]:
         """Return rows whose states fit into a bounded piece of memory."""
         rows = max(_CHUNK_BYTES // max(self.task.part_count, 1), 1)
         return [slice(begin, begin + rows) for begin in range(0, count, rows)]
+
+
+def _deal(order: torch.Tensor, labels: torch.Tensor, distance: torch.Tensor) -> torch.Tensor:
+    """Return the nearest to the centre of each cluster, then the next of each, and so on."""
+    torch = import_torch()
+    by = torch.argsort(distance, stable=True)
+    by = by[torch.argsort(labels[by], stable=True)]
+    return order[by[torch.argsort(place_in_group(labels[by]), stable=True)]]

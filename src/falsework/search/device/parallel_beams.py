@@ -49,7 +49,7 @@ class ParallelBeamResult:
 
 
 @dataclass(eq=False)
-class Level:
+class ParallelLevel:
     """States of several searches the same number of steps away from their origins, those of one search together."""
 
     states: torch.Tensor
@@ -61,9 +61,9 @@ class Level:
     value: torch.Tensor
     """Number that the order of successors depends on, such as a hash or a score, shape (count,)."""
 
-    def take(self, rows: torch.Tensor) -> Level:
+    def take(self, rows: torch.Tensor) -> ParallelLevel:
         """Some of the states."""
-        return Level(self.states[rows], self.owner[rows], self.parent[rows], self.value[rows])
+        return ParallelLevel(self.states[rows], self.owner[rows], self.parent[rows], self.value[rows])
 
 
 Stable = Callable[["torch.Tensor", "torch.Tensor", "torch.Tensor"], "torch.Tensor"]
@@ -72,12 +72,12 @@ Stable = Callable[["torch.Tensor", "torch.Tensor", "torch.Tensor"], "torch.Tenso
 
 def next_level(
     rules: TensorRules,
-    level: Level,
+    level: ParallelLevel,
     candidates: tuple[torch.Tensor, torch.Tensor, torch.Tensor],
     stable: Stable,
     width: int,
     spare: int,
-) -> Level:
+) -> ParallelLevel:
     """Judge the first candidates of each search and keep the first that are stable.
 
     Args:
@@ -96,10 +96,10 @@ def next_level(
     after = rules.follow(before, action)
     rows = stable(after, before, action).nonzero()[:, 0]
     rows = rows[place_in_group(level.owner[parent[rows]]) < width]
-    return Level(after[rows], level.owner[parent[rows]], parent[rows], value[rows])
+    return ParallelLevel(after[rows], level.owner[parent[rows]], parent[rows], value[rows])
 
 
-def with_ancestors(levels: list[Level], chosen: list[torch.Tensor]) -> list[Level]:
+def with_ancestors(levels: list[ParallelLevel], chosen: list[torch.Tensor]) -> list[ParallelLevel]:
     """States chosen at each level, and those that they were come to by.
 
     Args:
@@ -173,10 +173,10 @@ class _Beams:
         self._judge = BatchedTensorOracle(oracle, ProcessGroup())
         self._dead = not task.contains(task.origin(direction)[None])[0]
 
-    def run(self, owners: torch.Tensor) -> list[Level]:
+    def run(self, owners: torch.Tensor) -> list[ParallelLevel]:
         """All levels of some searches, as far as the last of them came."""
         origin = self._rules.origin().expand(len(owners), -1).contiguous()
-        levels = [Level(origin, owners, owners - owners[0], self._rules.hashes(origin))]
+        levels = [ParallelLevel(origin, owners, owners - owners[0], self._rules.hashes(origin))]
         while len(levels) <= self._steps and not self._dead:
             level = levels[-1]
             candidates = self._candidates(level, len(levels))
@@ -187,7 +187,7 @@ class _Beams:
             levels.append(level)
         return levels
 
-    def some(self, levels: list[Level], keep: int) -> list[Level]:
+    def some(self, levels: list[ParallelLevel], keep: int) -> list[ParallelLevel]:
         """States of each search drawn evenly, `keep` on average, and those that they were come to by."""
         torch = import_torch()
         first = levels[0].owner[0]
@@ -196,7 +196,7 @@ class _Beams:
         drawn = [uniform(word) < share[level.owner - first] for word, level in zip(words, levels, strict=True)]
         return with_ancestors(levels, [rows.nonzero()[:, 0] for rows in drawn])
 
-    def _candidates(self, level: Level, number: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def _candidates(self, level: ParallelLevel, number: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Successors of the states of a level, those of each search in random order."""
         torch = import_torch()
         parent, action, hashes = self._rules.children(level.states, level.value, self._rules.moves(level.states))

@@ -15,6 +15,8 @@ from falsework.search.problem.state_graph import StateGraph
 
 _CHUNK = 8192
 _TRIES = 200
+_WEIGHT_CHANGES = 12
+"""Changes of weights for each choice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,6 @@ def choose_alternatives(
     *,
     given: Sequence[Route] = (),
     seed: int = 0,
-    rounds: int = 12,
     stop: Stop | None = None,
 ) -> Alternatives:
     """Choose routes of a state graph so that the two most similar ones differ as much as possible.
@@ -99,7 +100,6 @@ def choose_alternatives(
         count: number of routes to choose.
         given: routes of the task to begin with; a random one if there is none.
         seed: breaks ties.
-        rounds: changes of weights for each choice.
         stop: called before every choice; true returns the routes chosen so far.
 
     Returns:
@@ -117,7 +117,7 @@ def choose_alternatives(
         if random is None:
             return Alternatives.of([])
         routes = [random]
-    chooser = _Farthest(graph, rng, rounds)
+    chooser = _Farthest(graph, rng)
     stop = stop or (lambda: False)
     while len(routes) < min(count, graph.count_routes()) and not stop():
         route = chooser.from_all(routes)
@@ -149,12 +149,11 @@ def _spread(alternatives: Alternatives) -> tuple[float, float]:
 class _Farthest:
     """Finds the route of a graph that is farthest from given ones."""
 
-    def __init__(self, graph: StateGraph, rng: np.random.Generator, rounds: int) -> None:
+    def __init__(self, graph: StateGraph, rng: np.random.Generator) -> None:
         useful = graph.solvable[graph.target] & graph.reachable[graph.source]
         self._graph = graph
         self._levels = [np.arange(edges.start, edges.stop)[useful[edges]] for edges in graph.edges_by_level()]
         self._rng = rng
-        self._rounds = rounds
         self._gains: dict[bytes, NDArray[np.float32]] = {}
 
     def from_all(self, routes: Sequence[Route]) -> Route | None:
@@ -162,7 +161,7 @@ class _Farthest:
         gains = np.stack([self._gain(route) for route in routes]).astype(np.float64)
         weight = np.full(len(routes), 1.0 / len(routes))
         best, best_distance = None, 0.0
-        for _ in range(self._rounds):
+        for _ in range(_WEIGHT_CHANGES):
             route = self._best_route(weight @ gains)
             distance = np.array([(order_distance(route, r) + state_distance(route, r)) / 2 for r in routes])
             if distance.min() > best_distance:

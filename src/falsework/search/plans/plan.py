@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import REMOVED, Mask, States
+from falsework.assembly.state import Mask, States
 from falsework.errors import PlanError
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
@@ -201,8 +201,3 @@ class Plan:
         """Parts that the plan removes, or inserts, in its order."""
         parts = len(self.boundary)
         return self.actions[self.actions >= parts] - parts
-
-    @property
-    def parts_left(self) -> int:
-        """Parts that are there at the target, boundary not counted."""
-        return int(((self.route.states[-1] != REMOVED) & ~self.boundary).sum())

@@ -21,7 +21,7 @@ from falsework.viewer.margin_strip import margin_strip
 from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.origin_guard import LOCAL, WILDCARDS, OriginGuard, start_server
 from falsework.viewer.page.page_text import about_text, legend_text, marked_text, where_text
-from falsework.viewer.page.scene import SIZE, Scene
+from falsework.viewer.page.scene import SIZE, ViserScene
 from falsework.viewer.page.viewer_state import ViewerState
 
 FRAMES = 15.0
@@ -80,7 +80,7 @@ class Page:
         self._stop = threading.Event()
         self._playing = threading.Event()
         self._quiet = False
-        self.scene = Scene(self.server.scene, model.timeline)
+        self.scene = ViserScene(self.server.scene, model.timeline)
         self._arrange()
         self._controls()
         self.server.scene.on_click()(self._clicked)

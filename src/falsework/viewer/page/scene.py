@@ -35,7 +35,7 @@ _PALE = 0.18
 _SHARP = np.cos(np.radians(25.0))
 
 
-class Scene:
+class ViserScene:
     """Browser scene; `show` updates it."""
 
     def __init__(self, scene: Any, timeline: Timeline) -> None:

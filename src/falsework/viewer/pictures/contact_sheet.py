@@ -15,7 +15,7 @@ from falsework.viewer.appearance import TRAVEL, Appearance, appearance_at, bound
 from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms
 from falsework.viewer.arrows import Arrows
 from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, ROBOTS, SLIDING, hex_of, ramp, robot_color
-from falsework.viewer.pictures.render import Camera, Image, Solid, render
+from falsework.viewer.pictures.render import Camera, ColoredSolid, Image, render
 from falsework.viewer.proof import StateProof
 from falsework.viewer.timeline import NO_ROBOT, Timeline, interesting
 
@@ -35,13 +35,15 @@ _ARROW = 0.006
 """Thickness of arrows, in diagonals of the structure."""
 
 
-def solids_of(assembly: Assembly, appearance: Appearance) -> list[Solid]:
+def solids_of(assembly: Assembly, appearance: Appearance) -> list[ColoredSolid]:
     """Return all parts that are seen, as meshes with their colours."""
     solids = []
     for part in np.flatnonzero(appearance.opacity > 0):
         mesh = assembly.meshes[part]
         color = tuple(float(channel) / 255 for channel in appearance.color[part])
-        solids.append(Solid(mesh.vertices + appearance.shift[part], mesh.faces, color, float(appearance.opacity[part])))
+        solids.append(
+            ColoredSolid(mesh.vertices + appearance.shift[part], mesh.faces, color, float(appearance.opacity[part]))
+        )
     return solids
 
 
@@ -52,7 +54,7 @@ def draw(
     *,
     bounds: NDArray[np.float64] | None = None,
     arrows: Sequence[Arrows] = (),
-    extra: Sequence[Solid] = (),
+    extra: Sequence[ColoredSolid] = (),
     samples: int = 3,
 ) -> Image:
     """Return the picture of one state.
@@ -158,7 +160,7 @@ def one_state(
         samples: pixels are averaged over `samples` squared.
     """
     pillow = import_pillow()
-    extra: Sequence[Solid] = ()
+    extra: Sequence[ColoredSolid] = ()
     appearance = appearance_at(
         timeline, position, action_probabilities=action_probabilities, marks=marks, travelling=arms is None
     )

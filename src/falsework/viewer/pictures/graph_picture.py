@@ -77,7 +77,6 @@ def graph_figure(
     route: States | None = None,
     visited: States | None = None,
     title: str = "",
-    labels: tuple[str, str] = ("a plan", "visited by the policy"),
 ) -> Any:
     """Figure of a state graph for Matplotlib.
 
@@ -87,7 +86,6 @@ def graph_figure(
         route: states of a plan, drawn as a thick line, shape (steps + 1, parts).
         visited: states that a policy came through, drawn in blue, shape (count, parts).
         title: a line above.
-        labels: what the legend calls route and visited states.
 
     Raises:
         DependencyError: Matplotlib is not installed.
@@ -130,7 +128,7 @@ def graph_figure(
         axis.spines[side].set_visible(False)
     axis.set_xlabel("steps of assembly", fontsize=9, color=INK)
     axis.tick_params(labelsize=8, colors=INK)
-    _legend(axis, route is not None, visited is not None, bool((~useful).any()), labels)
+    _legend(axis, route is not None, visited is not None, bool((~useful).any()))
     if title:
         axis.set_title(title, fontsize=10, color=INK)
     return figure
@@ -177,12 +175,12 @@ def _draw_icons(
             axis.plot(place[node, 0], place[node, 1] - 0.42, "o", color=SEEN, markersize=3.5, zorder=4)
 
 
-def _legend(axis: Any, route: bool, visited: bool, useless: bool, labels: tuple[str, str]) -> None:
+def _legend(axis: Any, route: bool, visited: bool, useless: bool) -> None:
     entries = []
     if route:
-        entries.append((ROUTE, labels[0]))
+        entries.append((ROUTE, "a plan"))
     if visited:
-        entries.append((SEEN, labels[1]))
+        entries.append((SEEN, "visited by the policy"))
     if useless:
         entries.append((USELESS, "no way on from here, or none to here"))
     for color, words in entries:

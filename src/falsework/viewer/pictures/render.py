@@ -7,7 +7,7 @@ every pixel. Pictures need no display and no graphics driver.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numba
@@ -62,7 +62,7 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Solid:
+class ColoredSolid:
     """Mesh with one colour."""
 
     vertices: Array
@@ -75,7 +75,9 @@ class Solid:
     """Below 1 what is behind shines through; of several such solids behind each other only the nearest shows."""
 
 
-def render(solids: Sequence[Solid], camera: Camera, bounds: Array, *, floor: bool = True, samples: int = 3) -> Image:
+def render(
+    solids: Sequence[ColoredSolid], camera: Camera, bounds: Array, *, floor: bool = True, samples: int = 3
+) -> Image:
     """Return the picture of some solids.
 
     Args:
@@ -110,7 +112,7 @@ class _Surface:
     """Of the solids, with opacity, shape (solids, 4)."""
 
     @classmethod
-    def of(cls, solids: Sequence[Solid]) -> _Surface:
+    def of(cls, solids: Sequence[ColoredSolid]) -> _Surface:
         if not solids:
             return cls(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0, dtype=np.int64), np.ones((1, 4)))
         triangles = np.concatenate([np.asarray(solid.vertices, dtype=float)[solid.faces] for solid in solids])
@@ -170,11 +172,6 @@ class _Eye:
         seen[..., 0] = (seen[..., 0] - self._center[0]) * self._scale + width / 2
         seen[..., 1] = height / 2 - (seen[..., 1] - self._center[1]) * self._scale
         return seen
-
-
-def moved(solid: Solid, shift: Array) -> Solid:
-    """Return the same solid elsewhere; `shift` has shape (3,), metres."""
-    return replace(solid, vertices=solid.vertices + shift)
 
 
 def _unit(vector: Any) -> Array:

@@ -1,0 +1,77 @@
+"""Learner: what imitation and PPO have in common, an optimizer, random numbers and their state in a checkpoint."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import torch
+
+from falsework.learn.algorithms.policy_optimizer import PolicyOptimizer
+from falsework.learn.networks.policy import Policy
+from falsework.utils.distributed import ProcessGroup
+
+
+class Learner(ABC):
+    """Improves a policy, a block of steps at a time."""
+
+    def __init__(
+        self, policy: Policy, generator: torch.Generator, seed: int, shards: ProcessGroup, **optimizer: Any
+    ) -> None:
+        """Begin with the weights that the policy has.
+
+        Args:
+            policy: trained in place.
+            generator: of batches and rollouts, different in every process.
+            seed: of these.
+            shards: processes that average their gradients.
+            optimizer: further options of `PolicyOptimizer`.
+        """
+        self.policy = policy
+        self._generator, self._seed, self._shards = generator, seed, shards
+        self._optimizer = PolicyOptimizer(policy, shards=shards, **optimizer)
+
+    @property
+    def steps(self) -> int:
+        """Steps of the optimizer taken."""
+        return self._optimizer.steps
+
+    @abstractmethod
+    def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
+        """Take some steps of the optimizer.
+
+        Args:
+            steps: how many.
+            progress: of the whole training, before and after.
+
+        Returns:
+            Numbers to log.
+
+        Raises:
+            TrainingError: a step was not finite.
+        """
+
+    def export_policy(self, policy: Policy) -> Policy:
+        """Write the weights to be evaluated into another policy of the same kind, and return it."""
+        self._optimizer.export_policy(policy)
+        return policy.eval()
+
+    def load_policy(self, policy: Policy) -> None:
+        """Continue with the weights of another policy of the same kind, such as the result of the phase before."""
+        self._optimizer.load_policy(policy)
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return the state that is the same in all processes."""
+        return self._optimizer.state_dict()
+
+    def local_state_dict(self) -> dict[str, torch.Tensor]:
+        """Return the state that belongs to this process."""
+        return {"generator": self._generator.get_state()}
+
+    def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
+        """Restore both; `local` is None if the number of processes has changed."""
+        self._optimizer.load_state_dict(tensors)
+        if local is not None:
+            self._generator.set_state(local["generator"].cpu())
+        else:  # other processes than before draw other numbers
+            self._generator.manual_seed((self._seed * 1009 + self._shards.rank) * 100_003 + self.steps)

@@ -1,0 +1,44 @@
+"""Context of a training run: what its data, its learners and its loop share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import torch
+
+from falsework.assembly.model import Assembly
+from falsework.learn.config.train import TrainSettings
+from falsework.learn.data.dataset import task_for
+from falsework.search.device.oracle import TensorOracle
+from falsework.search.problem.task import Task
+from falsework.utils.distributed import ProcessGroup
+
+
+@dataclass(frozen=True, eq=False)
+class RunContext:
+    """Structure, settings, verdicts and processes of one run."""
+
+    assembly: Assembly
+    settings: TrainSettings
+    """Resolved."""
+    oracle: TensorOracle
+    """Verdicts."""
+    device: torch.device
+    """Where data, rollouts and networks are."""
+    shards: ProcessGroup = field(default_factory=ProcessGroup)
+    """Processes that work on the run together."""
+    folder: Path | None = None
+    """Of the run, if it keeps anything."""
+    report: Callable[[str], None] | None = None
+    """Called with progress messages while data is searched for."""
+    note: Callable[[str], None] = lambda text: None
+    """Called with what went wrong that does not matter much."""
+
+    @cached_property
+    def task(self) -> Task:
+        """Taking the whole structure apart, by the criterion of the oracle."""
+        task = task_for(self.assembly, self.settings.robots, self.settings.removable_only_if_clear)
+        return task.judged_by(self.oracle)
