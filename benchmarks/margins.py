@@ -154,7 +154,7 @@ def plans(names: list[str], robots: int) -> None:
             friction=assembly.friction,
             first=None if before is None else before[1],
             maximised=None if weakest is None else weakest[1],
-            bound=after.bound,
+            **({} if after.bound is None else {"bound": after.bound}),
             first_s=first_s,
             maximise_s=seconds,
         )
