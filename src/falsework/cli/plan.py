@@ -89,6 +89,8 @@ class MakePlan(Command):
         oracle = DemandingStability(assembly, stability, demands) if demands else Stability(assembly, stability)
         if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
+        if demands:  # a search that was saved under other margins is another search
+            task = replace(task, identity=f"{task.identity} {demands}")
         demanding = oracle if isinstance(oracle, DemandingStability) else None
         if demanding is not None and refuse_weak_end(demanding, task, output):
             return Exit.NO
