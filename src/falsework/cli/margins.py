@@ -42,7 +42,8 @@ class FindMargins(Command):
     examples: ClassVar[tuple[str, ...]] = (
         "falsework margins arch:blocks=15",
         "falsework margins plan.json --json",
-        "falsework margins my-folder --states states.json --polygon --placement 1mm,2mm",
+        "falsework margins my-folder --polygon --settlement",
+        "falsework margins my-folder --placement 1mm,2mm --draws 100",
     )
 
     structure: StructureOptions

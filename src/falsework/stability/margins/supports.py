@@ -16,6 +16,8 @@ from falsework.stability.stiffness import MOVEMENT, structure_size
 
 Array = NDArray[np.float64]
 
+_DEEPEST = 0.9
+"""Largest settlement, as a share of the limit on movement: parts settle under their own weight too."""
 _SHALLOW = 1e-3
 """Distance between the ends of a bracket of settlements that is small enough, as a share of the largest movement."""
 
@@ -48,7 +50,7 @@ def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int
     """Return how deep each boundary part that carries something may sink, the others in place.
 
     The law of the criterion tells it: a fixed part sinks, the others follow, and what they find is at rest within the
-    limit on movement, or it is not. So a settlement beyond a thousandth of the structure counts as no bound.
+    limit on movement, or it is not. So a settlement of nearly a thousandth of the structure counts as no bound.
 
     Args:
         prober: of the structure, under `contact`.
@@ -60,7 +62,7 @@ def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int
     """
     assembly, problem, claim, depths = prober.assembly, prober.problem, prober.settings.claim, []
     active = problem.active(state[None])[0]
-    cap = MOVEMENT * structure_size(assembly)
+    cap = _DEEPEST * MOVEMENT * structure_size(assembly)
     for part in np.flatnonzero(assembly.boundary).tolist():
         if not (active & ((problem.part_a == part) | (problem.part_b == part))).any():
             continue
