@@ -6,6 +6,7 @@
 #   make package sdist and wheel, tried in an environment of their own
 #   make check   all of it, as CI does     make clean   remove what these made
 #   make results the tables, from benchmarks/results/*.jsonl
+#   make kernels the portable code of the kernels, after a change of one in stability/, geometry/ or utils/
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -30,7 +31,7 @@ GLTF_VALIDATOR ?= gltf-validator@2.0.0-dev.3.10
 # One worker a core; test files stay whole, since their fixtures are shared.
 PYTEST_ARGS ?= -n logical --dist loadfile
 
-.PHONY: demo install compile test lint types docs package lock images results check clean help
+.PHONY: demo install compile kernels test lint types docs package lock images results check clean help
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -73,9 +74,13 @@ $(VENV)/.docs: $(VENV)/.core
 
 # Compiled once, before test workers start, each of which would otherwise compile the same code.
 $(VENV)/.compiled: $(VENV)/.core $(shell grep -rl njit src --include='*.py')
-	@echo "compiling the kernels, which takes about two minutes"
+	@echo "compiling the kernels"
 	@$(BIN)/python tests/compile_kernels.py
 	@touch $@
+
+# Portable code of the kernels that every plan needs; it travels in the package.
+kernels: $(VENV)/.core
+	$(BIN)/python tests/make_kernels.py
 
 install: $(VENV)/.lint $(VENV)/.test $(VENV)/.docs
 

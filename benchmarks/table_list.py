@@ -132,6 +132,25 @@ TABLES = {
         ),
         benchmark="margins plans",
     ),
+    "first-minute": Table(
+        "first_minute",
+        (("command", "{what}"), ("compiled code", "{cache}")),
+        (
+            ("s", "{seconds}"),
+            ("processor time, s", "{processor_seconds}"),
+            ("before, s", "{before.processor_seconds}"),
+            ("ratio", "{ratio}"),
+            ("memory, GiB", "{peak_gib}"),
+            ("runs", "{runs}"),
+        ),
+        benchmark="first_minute",
+    ),
+    "first-minute-ideas": Table(
+        "first_minute",
+        (("what is compiled at the first call", "{idea}"),),
+        (("processor time, s", "{processor_seconds}"),),
+        benchmark="first_minute ideas",
+    ),
     "search-plans": Table(
         "search",
         (*STRUCTURE, ("criterion", "{criterion}")),
@@ -247,6 +266,17 @@ TABLES = {
         ),
         benchmark="learning table3",
         where=all_states,
+    ),
+    "recipes": Table(
+        "learning",
+        (*STRUCTURE_AND_ROBOTS, ("searches to learn from", "{recipe}"), ("network", "{policy}")),
+        (
+            ("validation states, %", "{validation.success:%}"),
+            ("unseen states, %", "{test.success:%}"),
+            ("seconds", "{seconds}"),
+            ("of these for data", "{data_seconds}"),
+        ),
+        benchmark="learning recipe",
     ),
     "data-collection": Table(
         "learning",

@@ -59,7 +59,7 @@ def test_the_wheel_holds_every_file_of_the_package(wheel: zipfile.ZipFile) -> No
     expected = {path.relative_to(source).as_posix() for path in files}
     packed = {name for name in wheel.namelist() if ".dist-info/" not in name}
     assert packed == expected
-    for suffix in (".cuh", ".schema.json", ".toml", "py.typed"):
+    for suffix in (".cuh", ".schema.json", ".toml", "kernels.zip", "py.typed"):
         assert any(name.endswith(suffix) for name in packed), f"no {suffix} in the wheel"
 
 

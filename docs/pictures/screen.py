@@ -35,11 +35,11 @@ def page(path: Path) -> None:
     shown.refresh()
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium, args=FLAGS)
-        tab = browser.new_page(viewport={"width": 1200, "height": 720})
+        tab = browser.new_page(viewport={"width": 1200, "height": 780})
         tab.goto(shown.address)
         tab.get_by_text("Step", exact=True).wait_for()
         tab.add_style_tag(content=".mantine-Notifications-root { display: none }")
-        tab.wait_for_timeout(6000)
+        tab.wait_for_timeout(12_000)
         tab.screenshot(path=str(path))
         browser.close()
     shown.close()

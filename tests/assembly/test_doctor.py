@@ -93,6 +93,35 @@ def test_what_is_divided_between_two_parts_is_no_fault(low: float, word: str, co
         assert load_structure(column).part_count == 3
 
 
+def test_depth_of_every_overlap_and_not_of_joints(column: Path) -> None:
+    """Overlaps that a joint divides are no fault; those of another size are, with their depth."""
+    write_box(column, "2", (0, 0, 1.9), (1, 1, 3))
+    write_box(column, "3", (0.2, 0.2, 2.5), (0.8, 0.8, 3.5))
+    found = diagnose(column)
+    assert not found.loads
+    assert [len(report.doubts) for report in found.parts] == [0, 0, 1, 1]
+    (doubt,) = found.parts[2].doubts
+    assert re.fullmatch(r"passes through part 3 by 4[89]\d mm", doubt)
+    assert not found.additions
+
+
+def test_lengths_that_are_given_may_be_the_fault(column: Path) -> None:
+    write_box(column, "2", (0, 0, 1.996), (1, 1, 3))
+    add(column, {"contact": {"gap": 0.001, "overlap": 0.001}})
+    found = diagnose(column)
+    assert not found.loads
+    assert found.parts[2].doubts == ("passes through part 1 by 4 mm",)
+    assert any("it loads without the lengths gap and overlap" in remark for remark in found.remarks)
+
+
+def test_a_support_that_is_a_surface_is_mended(column: Path) -> None:
+    (column / "0.obj").write_text("v -1 -1 1\nv 2 -1 1\nv 2 2 1\nv -1 2 1\nf 1 2 3 4\n")
+    found = diagnose(column)
+    assert found.loads
+    assert found.parts[0].mended == "given a thickness"
+    assert not found.doubtful
+
+
 def test_boundary_and_unit_are_proposed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for level in range(3):
         write_box(tmp_path, f"{level}", (0, 0, 300 * level), (300, 300, 300 * level + 300))

@@ -51,6 +51,15 @@ class Model:
         self.file.Objects.AddMesh(mesh, attributes)
         return mesh
 
+    def sheet(self, layer: int, name: str) -> None:
+        mesh = self.rhino.Mesh()
+        for x, y in ((0, 0), (100, 0), (100, 100), (0, 100)):
+            mesh.Vertices.Add(x, y, 0)
+        mesh.Faces.AddFace(0, 1, 2, 3)
+        attributes = self.rhino.ObjectAttributes()
+        attributes.LayerIndex, attributes.Name = layer, name
+        self.file.Objects.AddMesh(mesh, attributes)
+
     def write(self, path: Path) -> Path:
         self.file.Write(str(path), 8)
         return path
@@ -95,11 +104,31 @@ def test_extrusions_have_render_meshes(public_structure_path: Callable[[str], Pa
 
 @pytest.mark.usefixtures("rhino")
 def test_genevault_as_rhino_has_it(public_structure_path: Callable[[str], Path]) -> None:
-    with pytest.warns(RepairWarning, match="198 on layer RBE::Interfaces, 35 on layer Supports"):
+    with pytest.warns(RepairWarning, match="left out: 198 on layer RBE::Interfaces$"):
         found = diagnose(public_structure_path("formats/genevault.3dm"))
-    assert len(found.parts) == 75
+    assert found.loads
+    assert len(found.parts) == 110
     assert not found.doubtful
-    assert found.cured
+    fixed = [report for report in found.parts if report.boundary]
+    assert len(fixed) == 35
+    assert {report.mended for report in fixed} == {"given a thickness"}
+
+
+def test_supports_that_are_surfaces_are_given_a_thickness(rhino: Any, tmp_path: Path) -> None:
+    model = Model(rhino)
+    supports, blocks = model.layer("Supports"), model.layer("Blocks")
+    model.sheet(supports, "ground")
+    model.sheet(blocks, "drawing")
+    model.box(0, blocks, "stone")
+    with pytest.warns(RepairWarning) as caught:
+        assembly = load_structure(model.write(tmp_path / "model.3dm"))
+    texts = [str(warning.message) for warning in caught]
+    assert any("open surfaces (1, the first is part ground)" in text for text in texts)
+    assert any(text.endswith("left out: 1 on layer Blocks") for text in texts)
+    assert assembly.names == ("ground", "stone")
+    assert assembly.boundary.tolist() == [True, False]
+    assert assembly.meshes[0].bounds[:, 2] == pytest.approx([-np.sqrt(2) / 1000, 0])
+    assert assembly.contacts.areas == pytest.approx([0.01])
 
 
 def test_a_rhino_file_without_meshes(rhino: Any, tmp_path: Path) -> None:

@@ -28,6 +28,16 @@ def page(timeline: Timeline) -> Iterator[Page]:
     opened.close()
 
 
+def test_a_page_begins_at_the_step_of_its_model(timeline: Timeline) -> None:
+    model = ViewerState(timeline)
+    model.go_to(2)
+    opened = Page(model, port=PORT + 1)
+    try:
+        assert opened._slider.value == 2
+    finally:
+        opened.close()
+
+
 def handshake(port: int, host: str, origin: str | None) -> int:
     """Status that an upgrade request gets; `PORT` in the names is the port."""
     headers = {

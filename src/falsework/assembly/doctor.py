@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -19,12 +18,14 @@ from falsework.assembly.load import LOAD_OPTIONS, described_options, read_draft
 from falsework.assembly.model import Assembly
 from falsework.assembly.store import read_description
 from falsework.errors import AssemblyError, InputError, MeshError
-from falsework.geometry.contact.interfaces import ContactSettings, find_contacts
-from falsework.geometry.mesh.boxes import box_pairs
+from falsework.geometry.contact.interfaces import ContactSettings, exact_contacts, find_contacts
+from falsework.geometry.contact.joints import depths_beyond, find_joints
+from falsework.geometry.contact.overlap import Overlaps, depth, find_overlaps
 from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.obj import read_obj
 from falsework.geometry.mesh.read import SUFFIXES, UNITS, load_meshes, natural_key, unit_length
+from falsework.geometry.mesh.repair import check_mesh, thicken_supports
 
 _TINY = 1e-3
 """Volume below which a part is doubtful, as a share of the median."""
@@ -32,8 +33,6 @@ _SAME = 1e-6
 """Distance of the bounds of duplicates, as a share of a part's size."""
 _SIZES = (0.02, 5.0)
 """Smallest and largest size of a typical part that raises no doubt about the unit, metres."""
-_NEAR = 0.1
-"""Largest gap that a tolerance can bridge, as a share of a typical part's size."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def diagnose(path: str | Path, unit: str | None = None) -> Diagnosis:
         draft, options = _read(path, unit)
     except InputError as error:
         return Diagnosis(str(path), str(error), (), "", (), 0, None, {}, False, None)
-    solids, mended, errors = _solids(draft)
+    solids, mended, errors = _solids(draft, options.get("boundary"))
     size = np.array([np.linalg.norm(np.ptp(block.vertices, axis=0)) * draft.scale for block in draft.blocks])
     doubts: list[list[str]] = [[error] if error else [] for error in errors]
     _compare_parts(solids, doubts)
@@ -143,10 +142,10 @@ def diagnose(path: str | Path, unit: str | None = None) -> Diagnosis:
     else:
         stored = None
         settings = options.get("contact_settings") or ContactSettings()
-        count, tolerances = _contacts(solids, settings, fixed, doubts)
-        if tolerances:
-            given = {key: value for key, value in asdict(settings).items() if value != asdict(ContactSettings())[key]}
-            additions["contact"] = {**given, **tolerances}
+        count = _contacts(solids, settings, fixed, doubts)
+        fitted = replace(settings, gap=None, overlap=None)
+        if settings != fitted and _load(draft, {**options, "contact_settings": fitted})[0] is not None:
+            remarks.append("it loads without the lengths gap and overlap of its contacts: joints are then fitted")
         if not fixed.any():
             remarks.append("no part is boundary")
             additions["boundary"] = _lowest(draft)
@@ -158,10 +157,9 @@ def diagnose(path: str | Path, unit: str | None = None) -> Diagnosis:
         additions = {"unit": likely, **{key: value for key, value in additions.items() if key == "boundary"}}
     cured = False
     if additions:
-        contact = ContactSettings(**additions["contact"]) if "contact" in additions else None
-        changed = {"contact_settings": contact, "boundary": additions.get("boundary")}
         scaled = replace(draft, scale=unit_length(likely)) if likely else draft
-        cured = _load(scaled, {**options, **{key: value for key, value in changed.items() if value}})[0] is not None
+        fixing = {"boundary": additions["boundary"]} if "boundary" in additions else {}
+        cured = _load(scaled, {**options, **fixing})[0] is not None
     reports = tuple(
         PartReport(
             number,
@@ -222,21 +220,38 @@ def _one_block(file: Path) -> Block:
     return Block(file.stem, np.concatenate([vertices for vertices, _ in objects]), faces)
 
 
-def _solids(draft: Draft) -> tuple[list[TriangleMesh | None], list[str], list[str]]:
+def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], list[str], list[str]]:
     """Return the mesh of each part or None, what was repaired in it, and what is wrong with it."""
-    solids: list[TriangleMesh | None] = []
-    mended, errors = [], []
+    none = np.zeros((0, 3))
+    surfaces: list[tuple[str, np.ndarray, np.ndarray]] = []
+    errors = []
     for block in draft.blocks:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        try:
+            surface, error = block.triangles(draft.scale), ""
+        except MeshError as reason:
+            surface, error = (block.name, none, none.astype(np.int64)), str(block.attributes.get("error", reason))
+        surfaces.append(surface)
+        errors.append(error)
+    solids: list[TriangleMesh | None] = []
+    mended = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        whole = thicken_supports(surfaces, draft.supports(boundary))
+        for part, (before, after) in enumerate(zip(surfaces, whole, strict=True)):
+            caught.clear()
             try:
-                solid, error = block.solid(draft.scale), ""
+                solids.append(None if errors[part] else check_mesh(*after))
             except MeshError as reason:
-                solid, error = None, str(block.attributes.get("error", reason))
-        solids.append(solid)
-        mended.append("; ".join(str(warning.message).split(": ", 1)[-1] for warning in caught))
-        errors.append(error.removeprefix(f"part {block.name} ").removeprefix(f"part {block.name}: "))
-    return solids, mended, errors
+                solids.append(None)
+                errors[part] = str(reason)
+            done = [str(warning.message).split(": ", 1)[-1] for warning in caught]
+            mended.append("; ".join([*(["given a thickness"] if after is not before else []), *done]))
+    names = [block.name for block in draft.blocks]
+    shortened = (
+        error.removeprefix(f"part {name} ").removeprefix(f"part {name}: ")
+        for name, error in zip(names, errors, strict=True)
+    )
+    return solids, mended, list(shortened)
 
 
 def _compare_parts(solids: Sequence[TriangleMesh | None], doubts: list[list[str]]) -> None:
@@ -280,49 +295,45 @@ def _boundary(draft: Draft, options: dict[str, Any]) -> np.ndarray:
 
 def _contacts(
     solids: Sequence[TriangleMesh | None], settings: ContactSettings, fixed: np.ndarray, doubts: list[list[str]]
-) -> tuple[int, dict[str, float]]:
-    """Note pairs that overlap and parts without a contact.
-
-    Returns:
-        The number of contacts, and the tolerances in metres that would let these parts touch.
-    """
+) -> int:
+    """Note pairs that overlap and parts without a contact; return the number of contacts."""
     there = [number for number, solid in enumerate(solids) if solid is not None]
     meshes = [solid for solid in solids if solid is not None]
     if not meshes:
-        return 0, {}
+        return 0
     gap, overlap = settings.lengths(meshes)
-    settings = replace(settings, gap=gap, overlap=overlap)
-    bounds = np.array([mesh.bounds for mesh in meshes])
-    count, deepest, touching = 0, 0.0, np.zeros(len(meshes), dtype=bool)
-    for i, j in zip(*(side.tolist() for side in box_pairs(bounds[:, 0] - gap, bounds[:, 1] + gap)), strict=True):
-        try:
-            found = len(find_contacts((meshes[i], meshes[j]), settings))
-        except AssemblyError as error:
-            depth = re.search(r"by ([\d.e+-]+) mm", str(error))
-            deepest = max(deepest, float(depth[1]) / 1000 if depth else 0.0)
-            how = f"passes through part {{}} by {depth[1]} mm" if depth else "does not fit part {}"
-            doubts[there[i]].append(how.format(meshes[j].name))
-            doubts[there[j]].append(how.format(meshes[i].name))
-            found = 1
-        count += found
-        touching[[i, j]] |= found > 0
-    tolerances = {"overlap": _rounded_up(deepest)} if deepest else {}
-    widest, typical = 0.0, float(np.median(np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)))
+    overlaps = find_overlaps(meshes, overlap, corner=settings.corner)
+    depths = _depths(meshes, overlaps, settings, max(gap, overlap))
+    for (i, j), deep in zip(overlaps.parts.tolist(), depths.tolist(), strict=True):
+        if deep:
+            for one, other in ((i, j), (j, i)):
+                doubts[there[one]].append(f"passes through part {meshes[other].name} by {1000 * deep:.3g} mm")
+    touching = np.zeros(len(meshes), dtype=bool)
+    touching[overlaps.parts] = True
+    try:
+        contacts = exact_contacts(meshes, settings) if depths.any() else find_contacts(meshes, settings)
+    except AssemblyError:  # an overlap that was measured as less deep than it is
+        contacts = exact_contacts(meshes, settings)
+    touching[contacts.parts] = True
     for row in np.flatnonzero(~touching & ~fixed[there]).tolist():
         other, away = nearest(row, meshes)
         where = f"; part {meshes[other].name} is nearest, {1000 * away:.3g} mm away" if other >= 0 else ""
         doubts[there[row]].append(f"touches no other part{where}")
-        if away < _NEAR * typical:
-            widest = max(widest, away)
-    if widest:
-        tolerances["gap"] = _rounded_up(widest)
-    return count, tolerances
+    return len(contacts)
 
 
-def _rounded_up(length: float) -> float:
-    """Return a length a little above another, with two digits."""
-    step = 10.0 ** (np.floor(np.log10(length)) - 1)
-    return float(f"{np.ceil(1.05 * length / step) * step:.2g}")
+def _depths(
+    meshes: Sequence[TriangleMesh], overlaps: Overlaps, settings: ContactSettings, tolerance: float
+) -> np.ndarray:
+    """Return the depth of each overlap that is deeper than allowed, zero for the others, shape (pairs,), metres."""
+    first, second = overlaps.parts.T
+    if not (settings.gap is None and settings.overlap is None):
+        deep = np.array([depth(meshes[a], meshes[b]) for a, b in overlaps.parts.tolist()])
+        return np.where(deep > overlaps.limit, deep, 0.0)
+    among = np.zeros((len(meshes), len(meshes)), dtype=bool)
+    among[first, second] = True
+    bound = find_joints(meshes, among, settings.curvature, 2 * tolerance).bound
+    return depths_beyond(meshes, overlaps, bound[first, second])
 
 
 def _lowest(draft: Draft) -> list[int]:

@@ -12,12 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.interfaces import StoredInterface, compare_interfaces, interface_contacts
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
-from falsework.assembly.store import part_ids
+from falsework.assembly.store import part_ids, support_names
 from falsework.errors import AssemblyError, InputError, MeshError
 from falsework.geometry.contact.interfaces import ContactSettings
-from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
-from falsework.geometry.mesh.repair import check_mesh
+from falsework.geometry.mesh.repair import check_mesh, thicken_supports
 
 InterfaceSource = Literal["found", "stored", "compare"]
 """Contacts of an assembly: found from its meshes, those that its file stores, or the former, compared with the
@@ -39,14 +38,14 @@ class Block:
     key: Hashable = None
     """Name of the part by which interfaces of the file refer to it."""
 
-    def solid(self, scale: float) -> TriangleMesh:
-        """Return the checked mesh of triangles, in metres.
+    def triangles(self, scale: float) -> tuple[str, NDArray[np.float64], NDArray[np.int64]]:
+        """Return the name, the vertices in metres, shape (vertices, 3), and triangles, shape (triangles, 3).
 
         Args:
             scale: length of the file's unit in metres.
 
         Raises:
-            MeshError: no faces, a face without its vertices, or no solid.
+            MeshError: no faces, or a face without its vertices.
         """
         faces: list[list[int]] = []
         for face in self.faces:
@@ -56,7 +55,7 @@ class Block:
             faces.extend([face[corner] for corner in triangle] for triangle in corners)
         if not faces:
             raise MeshError(f"part {self.name} has no faces; leave it out of the model")
-        return check_mesh(self.name, self.vertices * scale, np.array(faces, dtype=np.int64))
+        return self.name, self.vertices * scale, np.array(faces, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +92,17 @@ class Draft:
             stored.append(StoredInterface((one, two), points, np.asarray(interface["normal"])))
         return Draft(path, scale, tuple(blocks), tuple(stored))
 
+    def supports(self, boundary: ArrayLike | None) -> list[int]:
+        """Return the parts that are fixed, as far as they are there.
+
+        Args:
+            boundary: as of `assemble`.
+        """
+        if boundary is None:
+            return [number for number, block in enumerate(self.blocks) if block.support]
+        named = support_names(boundary)
+        return [number for number, block in enumerate(self.blocks) if number in named or block.name in named]
+
     def assemble(
         self,
         *,
@@ -122,13 +132,15 @@ class Draft:
             raise InputError(f"no source of interfaces {interfaces!r}; choose {', '.join(get_args(InterfaceSource))}")
         if interfaces != "found" and not self.interfaces:
             raise InputError(f"{self.path} stores no interfaces; leave out --interfaces {interfaces}")
-        meshes = tuple(block.solid(self.scale) for block in self.blocks)
+        fixed = self.supports(boundary)
+        solids = [block.triangles(self.scale) for block in self.blocks]
+        meshes = tuple(check_mesh(*solid) for solid in thicken_supports(solids, fixed))
         numbers = [float(value) for value in self._values("density")]
         frictions = set(self._values("friction"))
         if friction is None and len(frictions) > 1:
             raise AssemblyError(f"{self.path} has blocks of different friction; give one for all with --friction")
         if boundary is None:
-            boundary = [number for number, block in enumerate(self.blocks) if block.support]
+            boundary = fixed
         elif isinstance(boundary, list):
             boundary = part_ids(boundary, [block.name for block in self.blocks])
         assembly = Assembly.from_meshes(

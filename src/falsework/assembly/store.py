@@ -65,7 +65,7 @@ def load_assembly(
     chosen = unit if unit is not None else described.get("unit", "m")
     unit_length(chosen)
     meshes = load_meshes(
-        source, chosen, supports=_supports(described.get("boundary", []) if boundary is None else boundary)
+        source, chosen, supports=support_names(described.get("boundary", []) if boundary is None else boundary)
     )
     count = described.get("parts", len(meshes))
     if count != len(meshes):
@@ -196,7 +196,7 @@ def _contact_settings(given: Mapping[str, Any], file: Path) -> ContactSettings:
         raise AssemblyError(f"contact in {file} cannot be used: {error}") from error
 
 
-def _supports(boundary: ArrayLike) -> list[int | str]:
+def support_names(boundary: ArrayLike) -> list[int | str]:
     """Return the boundary as ids or names, whichever way it is given; what is wrong with it is said later."""
     given = np.asarray(boundary, dtype=object)
     if given.ndim == 1 and len(given) and all(isinstance(item, bool | np.bool_) for item in given):

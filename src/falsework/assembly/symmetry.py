@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from falsework.assembly.model import Assembly
 
@@ -89,6 +88,8 @@ def _image(
     for group in (np.flatnonzero(~fixed), np.flatnonzero(fixed)):
         if len(group) == 0:
             continue
+        from scipy.spatial import KDTree
+
         distance, nearest = KDTree(place[group]).query(moved[group])
         there = np.asarray(distance) <= _NEAR * size
         image[group] = np.where(there | ~fixed[group], group[nearest], group)

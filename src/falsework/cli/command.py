@@ -1,17 +1,17 @@
-"""Base of all subcommands: exit codes, and the options that name a structure."""
+"""Base of all subcommands, and the options that name a structure."""
 
 from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from falsework.cli.arguments import parse_load, parse_numbers, parse_parts
+from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -21,17 +21,6 @@ UNSET = ""
 """Shown in place of a default where leaving an option out is the default."""
 CONE_HINT = "(default: quadratic under contact, octagon under equilibrium)"
 """Shown as the default of options for the friction cone."""
-
-
-class Exit(IntEnum):
-    """Exit codes; scripts rely on them."""
-
-    DONE = 0
-    NO = 1
-    """The input is valid and the answer is no."""
-    WRONG_INPUT = 2
-    INTERRUPTED = 130
-    """As shells report it: 128 plus the number of SIGINT."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import importlib
 import io
 import os
 import sys
+import textwrap
 import traceback
 import warnings
 from collections.abc import Sequence
-from typing import Annotated, Any, Union, cast
-
-import tyro
+from dataclasses import is_dataclass
+from functools import cache
+from pathlib import Path
+from shutil import get_terminal_size
+from types import UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Union, cast, get_args, get_origin, get_type_hints
 
 from falsework import __version__
-from falsework.cli.command import Command, Exit
+from falsework.cli.exit_code import Exit
 from falsework.cli.output import Output
 from falsework.errors import FalseworkError
+
+if TYPE_CHECKING:
+    from falsework.cli.command import Command
 
 COMMANDS = {
     "structures": "Structures",
@@ -97,14 +105,20 @@ def _parse(arguments: list[str]) -> Command | None:
     if arguments == ["--version"]:
         sys.stdout.write(f"falsework {__version__}\n")
         return None
+    if arguments in (["--help"], ["-h"]):
+        sys.stdout.write(_overview())
+        return None
+    import tyro
+
     named = next((name for name in (" ".join(arguments[:2]), *arguments[:1]) if name in COMMANDS), None)
     if named is not None:
         kind: Any = _command_class(named)
+        _spell_unions_out(kind)
         about, program, rest = _help_text(kind), f"falsework {named}", arguments[len(named.split()) :]
     else:
         group = [name for name in COMMANDS if " " in name and name.split()[:1] == arguments[:1]]
         classes = [
-            Annotated[kind, tyro.conf.subcommand(name.split()[-1] if group else name, description=_first_line(kind))]
+            Annotated[kind, tyro.conf.subcommand(name.split()[-1] if group else name, description=_first_line(name))]
             for name, kind in ((name, _command_class(name)) for name in group or COMMANDS)
         ]
         program, rest = ("falsework", arguments) if not group else (f"falsework {arguments[0]}", arguments[1:])
@@ -113,19 +127,60 @@ def _parse(arguments: list[str]) -> Command | None:
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            return cast(Command, tyro.cli(kind, prog=program, description=about, args=rest, config=markers))
+            return cast("Command", tyro.cli(kind, prog=program, description=about, args=rest, config=markers))
     except SystemExit as exit_request:
         if exit_request.code in (None, 0):
             return None
         raise _UsageError(_one_line(complaint.getvalue()) or f"wrong options; see {program} --help") from None
 
 
+def _spell_unions_out(kind: Any) -> None:
+    """Turn `X | None` into `Optional[X]` in the fields of a command, for Python before 3.14.
+
+    To check a default against the former, tyro imports typeguard and with it asyncio, for a fifth of a second.
+    """
+    hints = get_type_hints(kind, include_extras=True)
+    for name, hint in hints.items():
+        inner, notes = (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
+        if isinstance(inner, UnionType):
+            inner = Union[get_args(inner)]  # noqa: UP007
+            hints[name] = Annotated[(inner, *notes)] if notes else inner
+        elif is_dataclass(inner):
+            _spell_unions_out(inner)
+    kind.__annotations__ = hints
+
+
 def _command_class(name: str) -> type[Command]:
     return getattr(importlib.import_module(f"falsework.cli.{name.split()[0]}"), COMMANDS[name])
 
 
-def _first_line(kind: type[Command]) -> str:
-    return (kind.__doc__ or "").splitlines()[0]
+@cache
+def _first_lines(module: str) -> dict[str, str]:
+    """Return the first line that the classes of a module say of themselves, without importing the module."""
+    source = Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8")
+    classes = [found for found in ast.parse(source).body if isinstance(found, ast.ClassDef)]
+    return {found.name: (ast.get_docstring(found) or "").partition("\n")[0] for found in classes}
+
+
+def _first_line(name: str) -> str:
+    return _first_lines(name.split()[0]).get(COMMANDS[name], "")
+
+
+def _overview() -> str:
+    """Return the help text of the whole program; the command line's parser would take a second to import for it."""
+    indent = max(map(len, COMMANDS)) + 4
+    lines = [
+        "usage: falsework [-h] [--version] SUBCOMMAND ...",
+        "",
+        _ABOUT,
+        "",
+        "Subcommands, each with its own --help:",
+    ]
+    for name in COMMANDS:
+        first = f"  {name}".ljust(indent)
+        width = max(get_terminal_size().columns, indent + 20)
+        lines += textwrap.wrap(_first_line(name), width, initial_indent=first, subsequent_indent=" " * indent)
+    return "\n".join(lines) + "\n"
 
 
 def _help_text(kind: type[Command]) -> str:

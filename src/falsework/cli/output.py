@@ -32,12 +32,16 @@ class Output:
 
     def say(self, text: RenderableType) -> None:
         """Print a result for people, who have it on standard output; a machine has it as a record already."""
-        if not self.machine:
-            self._console(error=False).print(text, soft_wrap=isinstance(text, str), markup=False, highlight=False)
+        if self.machine:
+            return
+        if isinstance(text, str):
+            sys.stdout.write(text + "\n")
+        else:
+            self._console(error=False).print(text, markup=False, highlight=False)
 
     def note(self, text: str) -> None:
         """Print a remark beside the result, such as why there is none, to the error stream."""
-        self._console(error=True).print(text, soft_wrap=True, markup=False, highlight=False)
+        sys.stderr.write(text + "\n")
 
     @contextmanager
     def bar(self, title: str) -> Iterator[Callable[[int, int, str], None]]:
@@ -46,12 +50,12 @@ class Output:
         Yields:
             Takes what is done, what there is to do, and words for the present state.
         """
+        if not sys.stderr.isatty():
+            yield self._log(title)
+            return
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         console = self._console(error=True)
-        if not console.is_terminal:
-            yield self._log(title)
-            return
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[now]}"), TimeElapsedColumn())
         with Progress(*columns, console=console, transient=True) as progress:
             task = progress.add_task(title, total=None, now="")

@@ -71,7 +71,6 @@ class MakePlan(Command):
     def run(self, output: Output) -> Exit:
         """Search, prove, save."""
         from falsework.cli.demands import explain_shortfall, refuse_weak_end
-        from falsework.cli.failure import explain
         from falsework.search.find import find_plans
         from falsework.search.margins.demands import DemandingStability, Demands
         from falsework.search.maximise import maximise_margin
@@ -126,6 +125,8 @@ class MakePlan(Command):
         if planning.found:
             self._report(self._save(planning.plans), planning, output)
         elif not result.interrupted:
+            from falsework.cli.failure import explain
+
             failure = explain(assembly, oracle, result)
             lacks, words = ({}, "") if demanding is None else explain_shortfall(demanding, result)
             output.record(failure.to_dict(assembly) | ({"shortfall": lacks} if demanding is not None else {}))

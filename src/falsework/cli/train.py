@@ -48,9 +48,7 @@ class Train(JudgingCommand):
     method: Method = "default"
     """Preset: imitation of searches and then PPO from many rollouts (`default`), `imitation` alone, PPO with the
     curriculum of the `paper` from scratch, or PPO from the `complete` structure alone, a baseline."""
-    policy: Annotated[
-        Kind | None, arg(help_behavior_hint="(default: resmlp; transformer for large goal-conditioned structures)")
-    ] = None
+    policy: Annotated[Kind | None, arg(help_behavior_hint="(default: resmlp; transformer above 20 parts)")] = None
     """Network: residual layers over the state (`resmlp`), attention between parts (`transformer`), the paper's graph
     attention (`gat`) or its baseline (`mlp`). The weights of transformer and gat fit other structures."""
     goal_conditioned: bool = False

@@ -16,6 +16,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.repair import RepairWarning
+from falsework.geometry.mesh.sheets import is_sheet
 
 _UNITS = {
     "Microns": 1e-6,
@@ -45,8 +46,9 @@ def load_rhino(path: Path | str, *, unit: str | None = None, **options: Any) -> 
 
     Parts are meshes, and Breps, extrusions and SubDs with the meshes that Rhino stored for display; instances of blocks
     are resolved. Those on a layer `Supports` are boundary. If a layer `Blocks` holds any, the parts are those on
-    `Blocks` and `Supports`; otherwise those on all layers. Sublayers count as their layers. Surfaces, and what is on a
-    layer `Interfaces`, are left out with a warning.
+    `Blocks` and `Supports`; otherwise those on all layers. Sublayers count as their layers. Surfaces on
+    `Supports` are given a thickness; other surfaces, and what is on a layer `Interfaces`, are left out; both with a
+    warning.
 
     Args:
         path: the file.
@@ -96,10 +98,13 @@ def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
         folders = layers.get(entry.Attributes.LayerIndex, ["?"])
         for name, vertices, faces in _solids(path, model, entry, np.eye(4)):
             words = {folder.lower() for folder in folders}
-            if len(faces) < 4 or _is_flat(vertices) or "interfaces" in words:
+            block = Block(name, vertices, faces, support="supports" in words)
+            sheet = block.support and bool(faces) and is_sheet(*block.triangles(1.0)[1:])
+            surface = (len(faces) < 4 or _is_flat(vertices)) and not sheet
+            if surface or "interfaces" in words:
                 left_out["::".join(folders)] += 1
             else:
-                found.append((words, Block(name, vertices, faces, support="supports" in words)))
+                found.append((words, block))
     if any("blocks" in words for words, _ in found):
         found = [(words, block) for words, block in found if words & {"blocks", "supports"}]
     if not found:

@@ -1,8 +1,9 @@
 """Worker pool: batching, deadlines, and recovery of lost workers.
 
-Everything here runs in the event loop of the process that talks to clients; nothing in it takes long. A request that
-waits is answered at its deadline whatever the workers do. A worker that dies takes at most one try of its requests with
-it: each is tried once more, by itself, and if it takes the next worker down as well, it is refused.
+Everything here runs in the event loop of the process that talks to clients, except for the threads that listen to the
+pipes of the workers; nothing in it takes long. A request that waits is answered at its deadline whatever the workers
+do. A worker that dies takes at most one try of its requests with it: each is tried once more, by itself, and if it
+takes the next worker down as well, it is refused.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import json
 import logging
 import multiprocessing
 import os
+import threading
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -243,15 +245,22 @@ class Pool:
         except OSError:
             self._lost(worker)
 
-    def _heard(self, worker: _Worker) -> None:
-        """A worker has put something into its pipe."""
-        try:
-            while worker.pipe.poll():
-                self._take_in(worker, worker.pipe.recv())
-        except (EOFError, OSError):
-            self._lost(worker)
+    def _listen(self, worker: _Worker, loop: asyncio.AbstractEventLoop) -> None:
+        """Hand what a worker puts into its pipe to the event loop, until the worker is gone; what a thread runs.
+
+        Event loops on Windows cannot wait for pipes.
+        """
+        with contextlib.suppress(RuntimeError):  # the loop is closed
+            try:
+                while True:
+                    loop.call_soon_threadsafe(self._take_in, worker, worker.pipe.recv())
+            except (EOFError, OSError):
+                worker.pipe.close()
+                loop.call_soon_threadsafe(self._lost, worker)
 
     def _take_in(self, worker: _Worker, message: Ready | Failed | Done | None) -> None:
+        if worker not in self._workers:
+            return
         if isinstance(message, Done):
             ticket = (worker.busy or {}).pop(message.number, None)
             if ticket is not None:
@@ -306,10 +315,8 @@ class Pool:
         self._plan(worker.kind, 0.0)
 
     def _drop(self, worker: _Worker) -> None:
-        """Forget a worker; it ends when its pipe closes."""
+        """Forget a worker, which is gone or about to be ended."""
         self._workers.remove(worker)
-        asyncio.get_running_loop().remove_reader(worker.pipe.fileno())
-        worker.pipe.close()
         if worker.watchdog is not None:
             worker.watchdog.cancel()
 
@@ -339,7 +346,8 @@ class Pool:
             return
         worker = _Worker(kind, process, mine)
         self._workers.append(worker)
-        asyncio.get_running_loop().add_reader(mine.fileno(), self._heard, worker)
+        listener = threading.Thread(target=self._listen, args=(worker, asyncio.get_running_loop()), daemon=True)
+        listener.start()
 
     def _late(self, ticket: PendingRequest, seconds: float) -> None:
         """A request has run out of time while it waited or was worked on."""

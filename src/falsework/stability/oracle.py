@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,10 +24,12 @@ from falsework.stability.margins.conditions import Prober
 from falsework.stability.margins.margins import QUICK, MarginFinder
 from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.problem import build_problem
-from falsework.stability.reference.clarabel import ExactSolver
-from falsework.stability.reference.gurobi import GurobiSolver
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
+
+if TYPE_CHECKING:
+    from falsework.stability.reference.clarabel import ExactSolver
+    from falsework.stability.reference.gurobi import GurobiSolver
 
 _GUESSES = 128 * 1024 * 1024
 """Bytes kept of contact forces or displacements to start children from."""
@@ -75,8 +78,7 @@ class Stability:
         self.assembly = assembly
         self.settings = settings
         self.problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
-        exact = GurobiSolver if settings.solver == "gurobi" else ExactSolver
-        self.exact = exact(assembly, settings, self.problem)
+        self._gurobi = self._make_gurobi()
         self.counters = Counters()
         self._cpu = self._make_cpu()
         self._gpu = self._make_gpu()
@@ -85,6 +87,15 @@ class Stability:
         self._guess_shape = (self.problem.parts, 6) if contact else (self.problem.points, 3)
         self._guesses: OrderedDict[bytes, NDArray[np.float32]] = OrderedDict()
         self._guesses_limit = _GUESSES // max(self._guess_bytes // 2, 1)
+
+    @cached_property
+    def exact(self) -> ExactSolver:
+        """The solver that decides what the others leave open; most searches never ask it."""
+        if self._gurobi is not None:
+            return self._gurobi
+        from falsework.stability.reference.clarabel import ExactSolver
+
+        return ExactSolver(self.assembly, self.settings, self.problem)
 
     @property
     def holds_keep_stable(self) -> bool:
@@ -258,6 +269,14 @@ class Stability:
             exact.proof[:] = proof_of(exact.verdict, self.settings.criterion)
         decided.put(rows, exact)
         return decided
+
+    def _make_gurobi(self) -> GurobiSolver | None:
+        """Return Gurobi's solver if the settings ask for it."""
+        if self.settings.solver != "gurobi":
+            return None
+        from falsework.stability.reference.gurobi import GurobiSolver
+
+        return GurobiSolver(self.assembly, self.settings, self.problem)
 
     def _make_gpu(self) -> GpuSolver | None:
         """Return the solver on the GPU if the settings ask for it; with `auto`, only where there is one."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from falsework.utils.kernels import njit
 
 Words = NDArray[np.uint64]
 
@@ -24,14 +25,18 @@ def unpack(words: Words) -> NDArray[np.bool_]:
     return np.unpackbits(little.view(np.uint8), axis=1, bitorder="little").astype(bool)
 
 
-@numba.njit(cache=True)
-def intersect(one: Words, two: Words) -> NDArray[np.bool_]:  # pragma: no cover - compiled
+def intersect(one: Words, two: Words) -> NDArray[np.bool_]:
     """Return whether each set of `one` shares a member with each of `two`, shape (len(one), len(two))."""
     found = np.zeros((len(one), len(two)), dtype=np.bool_)
+    _intersect(np.ascontiguousarray(one), np.ascontiguousarray(two), found)
+    return found
+
+
+@njit(cache=True)
+def _intersect(one: Words, two: Words, found: NDArray[np.bool_]) -> None:  # pragma: no cover - compiled
     for i in range(len(one)):
         for j in range(len(two)):
             for word in range(one.shape[1]):
                 if one[i, word] & two[j, word]:
                     found[i, j] = True
                     break
-    return found

@@ -59,6 +59,12 @@ def test_the_test_set_is_what_a_wider_search_finds_beyond(arch: Any, data: Datas
     assert beyond == {bytes(row) for row in data.test}
 
 
+def test_equal_widths_run_side_by_side(arch: Any, data: Dataset) -> None:
+    assert list(data.seconds)[-2:] == ["width 12, seed 2", "2 of width 24, seed 3"]
+    apart = build_dataset(arch, data.task, DataSettings(6, 12, (24, 25, 24)), device="cpu")
+    assert list(apart.seconds)[-3:] == ["width 24, seed 3", "width 25, seed 4", "width 24, seed 5"]
+
+
 def test_same_seed_same_data(arch: Any, data: Dataset) -> None:
     again = build_dataset(arch, data.task, data.settings, device="cpu")
     other = build_dataset(arch, data.task, DataSettings(6, 12, seed=7), device="cpu")

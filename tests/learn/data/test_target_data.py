@@ -97,7 +97,7 @@ def test_after_a_search_that_died_out_one_begins_at_the_empty_structure(
         found = parallel_beam_search(task, oracle, count, width, direction=direction, **options)
         return replace(found, found=np.arange(count) < next(through))
 
-    monkeypatch.setattr("falsework.learn.data.goal_dataset.parallel_beam_search", search)
+    monkeypatch.setattr("falsework.learn.data.dataset.parallel_beam_search", search)
     task, device = task_for(bottle), torch.device("cpu")
     settings = GoalDataSettings(train_width=4, test_width=12, widths=(2,) * 12 + (3,), pairs=100, test_pairs=20)
     SearchStates.find(task, settings, tensor_oracle(Stability(bottle), device), device=device)

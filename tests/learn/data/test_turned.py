@@ -17,7 +17,7 @@ from falsework.learn.config.train import TrainSettings  # noqa: E402
 from falsework.learn.data.dataset import task_for  # noqa: E402
 from falsework.learn.data.goal_dataset import GoalDataSettings, build_goal_dataset  # noqa: E402
 from falsework.learn.data.random_walks import RandomWalkGoals  # noqa: E402
-from falsework.learn.data.symmetry_augmentation import SymmetryAugmentation  # noqa: E402
+from falsework.learn.data.symmetry_augmentation import SymmetryAugmentation, turned_states  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.training.run_context import RunContext  # noqa: E402
 from falsework.learn.training.training_data import collect_training_data  # noqa: E402
@@ -110,3 +110,36 @@ def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly) -> 
     for states in (data_of_run.starts, data_of_run.targets, *drawn_later[:2]):
         assert not test & {tuple(state) for state in states.tolist()}
         assert (data.wide.index.find(states.numpy()) < 0).any()
+
+
+def test_a_policy_that_numbers_parts_learns_from_images_of_states(dome: Assembly) -> None:
+    """They stand, and none of them is an image of a state that is held out."""
+    oracle = Stability(dome)
+    plain, alone, turned = (
+        collect_training_data(
+            RunContext(
+                dome,
+                TrainSettings(policy=PolicySettings(kind), data=data, widths=(6, 6), evaluation_states=8),
+                HostOracle(oracle),
+                CPU,
+            )
+        )
+        for kind, data in (("transformer", "wide"), ("resmlp", "width64"), ("resmlp", "wide"))
+    )
+    count = len(plain.starts)
+    images = symmetries(dome)
+    assert torch.equal(turned.starts[:count], plain.starts)
+    assert len(turned.starts) == len(images) * count
+    assert len(alone.starts) < count
+    assert oracle.stable(turned.starts.numpy()).all()
+    held_out = {bytes(row) for row in turned.held_out.numpy()}
+    assert not held_out & {bytes(row) for row in turned.starts.numpy()}
+
+
+def test_no_more_images_than_wanted(dome: Assembly) -> None:
+    states = torch.eye(dome.part_count, dtype=torch.uint8)
+    images = symmetries(dome)
+    some = turned_states(states, images, 3 * len(states) + 1)
+    assert len(some) == 3 * len(states)
+    assert torch.equal(some[len(states) :].argmax(dim=1), torch.as_tensor(images[1:3].ravel()))
+    assert torch.equal(turned_states(states, images, 1), states)

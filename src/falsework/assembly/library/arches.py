@@ -6,7 +6,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import root_scalar
 
 from falsework.assembly.library.blocks import Blocks, Solid, box, gather, prism
 from falsework.assembly.library.catalogue import Range, structure
@@ -63,6 +62,8 @@ def catenary(
     half = span / 2
     if not 0.02 <= rise / half <= 20:
         raise InputError(f"rise {rise:g} m does not suit span {span:g} m; give 0.01 to 10 times the span")
+    from scipy.optimize import root_scalar
+
     # z = rise - scale (cosh(x / scale) - 1), with scale such that z vanishes at the ends.
     shape = root_scalar(lambda u: (np.cosh(u) - 1.0) / u - rise / half, bracket=(1e-6, 20.0), xtol=1e-15).root
     scale = half / shape

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
-from scipy.optimize import root_scalar
 
 Array = NDArray[np.float64]
 
@@ -54,6 +52,9 @@ class Funicular:
 def find_form(rim: float, rise: float) -> Funicular:
     """Find the thrust for which the form rises by `rise` above a circle of radius `rim`, both in metres."""
     radius = np.linspace(0.0, rim, _SAMPLES)
+
+    from scipy.integrate import solve_ivp
+    from scipy.optimize import root_scalar
 
     def solve(ratio: float) -> Array:
         """Return depth below the crown and slope at all samples for a ratio weight / thrust (1/m)."""

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.utils.kernels import njit
 
 Array = NDArray[np.float64]
 
@@ -140,7 +140,7 @@ def cones_between(moving: Pieces, obstacle: Pieces, part: int) -> Cones:
     return Cones(facets, np.full(len(facets), _STRICT), start, np.full(len(sizes), part, dtype=np.int64))
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _cones(
     p: Array, p_start: NDArray[np.int64], p_normals: Array, p_edges: Array,
     q: Array, q_start: NDArray[np.int64], q_normals: Array, q_edges: Array,
@@ -172,7 +172,7 @@ def _cones(
     return facets[:used].copy(), sizes[:cones].copy()
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _gap(a: Array, b: Array, x: float, y: float, z: float) -> float:  # pragma: no cover - compiled
     """Return the distance by which `b` lies ahead of `a` along an axis."""
     far, near = -np.inf, np.inf
@@ -185,7 +185,7 @@ def _gap(a: Array, b: Array, x: float, y: float, z: float) -> float:  # pragma: 
     return near - far
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _separating(
     a: Array, b: Array, a_normals: Array, b_normals: Array, a_edges: Array, b_edges: Array
 ) -> tuple[bool, Array]:  # pragma: no cover - compiled
@@ -216,7 +216,7 @@ def _separating(
     return best > 1e-9, axis
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _facets(a: Array, b: Array, axis: Array) -> Array:  # pragma: no cover - compiled
     """Return inward normals of the cone over `b - a`, all of which lies ahead along the axis; shape (facets, 3).
 

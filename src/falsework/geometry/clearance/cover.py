@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.clearance.cones import Cones
+from falsework.utils.kernels import njit
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ def uncovered(
     return (Triangles(corners, cut), doubtful) if whole else None
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _place(corners: Array, facets: Array, offset: Array) -> int:  # pragma: no cover - compiled
     """1 if a triangle lies in a cone, -1 if outside of it, else 0."""
     inside = True
@@ -107,7 +107,7 @@ def _place(corners: Array, facets: Array, offset: Array) -> int:  # pragma: no c
     return 1 if inside else 0
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _explained(mask: np.uint64, ways: NDArray[np.uint64]) -> bool:  # pragma: no cover - compiled
     found = False
     for way in ways:
@@ -115,7 +115,7 @@ def _explained(mask: np.uint64, ways: NDArray[np.uint64]) -> bool:  # pragma: no
     return found
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _uncovered(
     roots: Array,
     cut: NDArray[np.int64],

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
 from falsework.geometry.clearance.cones import Cones, Pieces, cones_between
 from falsework.geometry.clearance.directions import sphere_directions
@@ -264,6 +262,9 @@ class _Edges:
         self.ends = np.stack([tail[up], head[up]], axis=1)[up_order]
         self.one = owner[up][up_order]
         self.two = owner[down][down_order]
+        from scipy.sparse import csr_matrix
+        from scipy.sparse.csgraph import connected_components
+
         graph = csr_matrix((np.ones(len(self.one)), (self.one, self.two)), shape=(len(faces), len(faces)))
         _, surface = connected_components(graph, directed=False)
         _, sample = np.unique(surface[self.one], return_index=True)

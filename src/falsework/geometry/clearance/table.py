@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +15,7 @@ from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.utils.bits import pack
+from falsework.utils.kernels import njit
 
 Array = NDArray[np.float64]
 
@@ -54,11 +54,11 @@ class ClearanceTable:
         Raises:
             InputError: states of another number of parts.
         """
-        return _ways_out(self._pack(states), self.blockers, self.start) >= 0
+        return self._ways_out(states) >= 0
 
     def exit_direction(self, state: NDArray[np.uint8], part: int) -> Array | None:
         """Return a unit vector along which the part leaves in a straight line, or None. `state` has shape (parts,)."""
-        way = _ways_out(self._pack(np.asarray(state)[None]), self.blockers, self.start)[0, part]
+        way = self._ways_out(np.asarray(state)[None])[0, part]
         return None if way < 0 else self.directions[way].copy()
 
     def doubt(self, parts: NDArray[np.bool_]) -> str:
@@ -71,11 +71,13 @@ class ClearanceTable:
             "and none was found that other parts do not block; another direction may be free"
         )
 
-    def _pack(self, states: NDArray[np.uint8]) -> NDArray[np.uint64]:
+    def _ways_out(self, states: NDArray[np.uint8]) -> NDArray[np.int32]:
         parts = len(self.start) - 1
         if states.ndim != 2 or states.shape[1] != parts:
             raise InputError(f"states have shape {states.shape}; expected (batch, {parts}), one value a part")
-        return pack(states > 0)
+        found = np.empty(states.shape, dtype=np.int32)
+        _ways_out(pack(states > 0), self.blockers, self.start, found)
+        return found
 
 
 def clearance_table(
@@ -115,16 +117,16 @@ def clearance_table(
     return ClearanceTable(*arrays, sampled=directions)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _ways_out(
-    present: NDArray[np.uint64], blockers: NDArray[np.uint64], start: NDArray[np.int32]
-) -> NDArray[np.int32]:  # pragma: no cover - compiled
-    """Return the first way of each part that no present part blocks, or -1; shape (batch, parts)."""
+    present: NDArray[np.uint64], blockers: NDArray[np.uint64], start: NDArray[np.int32], found: NDArray[np.int32]
+) -> None:  # pragma: no cover - compiled
+    """Write the first way of each part that no present part blocks, or -1, to `found`, shape (batch, parts)."""
     batch, words = present.shape
     parts = len(start) - 1
-    found = np.full((batch, parts), -1, dtype=np.int32)
     for row in range(batch):
         for part in range(parts):
+            found[row, part] = -1
             for way in range(start[part], start[part + 1]):
                 free = True
                 for word in range(words):
@@ -134,4 +136,3 @@ def _ways_out(
                 if free:
                     found[row, part] = way
                     break
-    return found

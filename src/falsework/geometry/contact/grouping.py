@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from falsework.geometry.contact.patches import Patches
 
@@ -117,6 +116,8 @@ def _neighbours(
 ) -> dict[int, list[int]]:
     """Return planes of one pair of parts that have a corner within `reach` of each other."""
     of_pair = np.flatnonzero(pair[owner] == one)
+    from scipy.spatial import KDTree
+
     near = KDTree(points[of_pair]).query_pairs(reach, output_type="ndarray")
     edges = np.unique(np.sort(owner[of_pair][near], axis=1), axis=0)
     beside: dict[int, list[int]] = {}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.grouping import planes
-from falsework.geometry.contact.overlap import Overlaps, vertex_depth
+from falsework.geometry.contact.overlap import Overlaps, depth, vertex_depth
 from falsework.geometry.contact.patches import Faces, Patches, intersect_faces, opposed_faces
 from falsework.geometry.mesh.collision import inside, interpenetrate
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -167,6 +167,40 @@ def _extents(vertices: Array, normals: Array) -> Array:
     return extent
 
 
+def depths_beyond(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Array) -> Array:
+    """Return how deep parts pass through each other where that is more than a joint may, else zero.
+
+    Args:
+        meshes: the parts.
+        overlaps: pairs that overlap beyond the tolerance.
+        bound: as of `check_joints`.
+
+    Returns:
+        Shape (pairs,), metres.
+    """
+    allowed = np.where(bound > 0, bound, _limits(meshes, overlaps))
+    found = np.zeros(len(allowed))
+    for row, (a, b) in enumerate(overlaps.parts.tolist()):
+        measure = vertex_depth if bound[row] else depth
+        deep = measure(meshes[a], meshes[b])
+        if deep > allowed[row] or _lies_inside(meshes[a], meshes[b]) or _lies_inside(meshes[b], meshes[a]):
+            found[row] = deep
+    return found
+
+
+def _limits(meshes: Sequence[TriangleMesh], overlaps: Overlaps) -> Array:
+    """Return the depth that is allowed to pairs without a joint, shape (pairs,), metres."""
+    # Parts that meet along an edge overlap in a strip with parallel sides if one is shifted, and have no joint.
+    thickness = np.array([mesh.thickness for mesh in meshes])[overlaps.parts].min(axis=1)
+    return np.where(overlaps.layer, np.maximum(overlaps.limit, OVERLAP * thickness), overlaps.limit)
+
+
+def _lies_inside(one: TriangleMesh, other: TriangleMesh) -> bool:
+    (low, high), (least, most) = one.bounds, other.bounds
+    enclosed = (low >= least).all() and (high <= most).all()
+    return bool(enclosed and inside(one.vertices, other.triangles).all())
+
+
 def check_joints(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Array) -> None:
     """Raise for parts that overlap by more than a joint may.
 
@@ -178,9 +212,7 @@ def check_joints(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Arra
     Raises:
         AssemblyError: a part inside another, or an overlap beyond the bound, or beyond the tolerance without a joint.
     """
-    # Parts that meet along an edge overlap in a strip with parallel sides if one is shifted, and have no joint.
-    thickness = np.array([mesh.thickness for mesh in meshes])[overlaps.parts].min(axis=1)
-    limit = np.where(overlaps.layer, np.maximum(overlaps.limit, OVERLAP * thickness), overlaps.limit)
+    limit = _limits(meshes, overlaps)
     doubtful = [
         row
         for row in np.flatnonzero(bound == 0).tolist()
@@ -192,9 +224,7 @@ def check_joints(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Arra
             continue
         names = f"parts {meshes[a].name} and {meshes[b].name}"
         for one, other in ((a, b), (b, a)):
-            (low, high), (least, most) = meshes[one].bounds, meshes[other].bounds
-            enclosed = (low >= least).all() and (high <= most).all()
-            if enclosed and inside(meshes[one].vertices, meshes[other].triangles).all():
+            if _lies_inside(meshes[one], meshes[other]):
                 raise AssemblyError(f"{names} pass through each other: {meshes[one].name} lies inside; move them apart")
         deep = vertex_depth(meshes[a], meshes[b])
         if deep > allowed:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,8 +13,7 @@ from numpy.typing import NDArray
 from falsework.errors import InputError, MeshError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.obj import read_obj
-from falsework.geometry.mesh.repair import RepairWarning, check_mesh
-from falsework.geometry.mesh.sheets import is_sheet, thickened
+from falsework.geometry.mesh.repair import check_mesh, thicken_supports
 
 SUFFIXES = (".obj", ".stl", ".ply", ".glb")
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -53,8 +51,7 @@ def load_meshes(path: str | Path, unit: str = "m", *, supports: Collection[int |
     Args:
         path: folder or file.
         unit: unit of the coordinates.
-        supports: ids or names of fixed parts. One that is an open, nearly flat surface is given a thickness on the side
-            away from its neighbours, with a `RepairWarning`; nothing depends on its mass.
+        supports: ids or names of fixed parts; open surfaces among them are given a thickness, see `thicken_supports`.
 
     Raises:
         InputError: no such path, nothing to read in it, ids missing or doubled, or an unknown unit.
@@ -77,21 +74,8 @@ def load_meshes(path: str | Path, unit: str = "m", *, supports: Collection[int |
         raise InputError(f"cannot read {source}; meshes are {', '.join(SUFFIXES)}")
     solids = [replace(solid, vertices=solid.vertices * scale) for solid in solids]
     named = [part for part, solid in enumerate(solids) if part in supports or solid.name in supports]
-    sheets = [part for part in named if len(solids[part].faces) and is_sheet(solids[part].vertices, solids[part].faces)]
-    others = [solid.vertices for part, solid in enumerate(solids) if part not in sheets and len(solid.vertices)]
-    given = {part: thickened(solids[part].vertices, solids[part].faces, others) for part in sheets}
-    if given:
-        most = max(thickness for _, _, thickness in given.values())
-        warnings.warn(
-            f"supports modelled as open surfaces ({len(given)}, the first is part {solids[sheets[0]].name}) "
-            f"were given a thickness of up to {1000 * most:.3g} mm behind them",
-            RepairWarning,
-            stacklevel=2,
-        )
-    return tuple(
-        check_mesh(solid.name, *(given[part][:2] if part in given else (solid.vertices, solid.faces)))
-        for part, solid in enumerate(solids)
-    )
+    parts = [(solid.name, solid.vertices, solid.faces) for solid in solids]
+    return tuple(check_mesh(*part) for part in thicken_supports(parts, named))
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:

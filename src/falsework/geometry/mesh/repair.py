@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components
-from scipy.spatial import KDTree
 
 from falsework.errors import MeshError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
-from falsework.geometry.mesh.sheets import is_sheet, plane_normal
+from falsework.geometry.mesh.sheets import is_sheet, plane_normal, thickened
 from falsework.geometry.mesh.shells import Shells, directed_edges, edge_mates, is_closed
 
 Array = NDArray[np.float64]
@@ -30,6 +28,43 @@ _FLAT = 0.02
 
 class RepairWarning(UserWarning):
     """Repair of a mesh before use."""
+
+
+def thicken_supports(
+    solids: Sequence[tuple[str, Array, Faces]], supports: Collection[int]
+) -> list[tuple[str, Array, Faces]]:
+    """Give supports that are open, nearly flat surfaces a thickness, on the side away from their neighbours.
+
+    Warns with a `RepairWarning` of what was done. Nothing depends on the mass of a support.
+
+    Args:
+        solids: name, vertices in metres, shape (vertices, 3), and faces, shape (faces, 3), of each part.
+        supports: fixed parts.
+
+    Returns:
+        As `solids`.
+    """
+    sheets = [
+        part
+        for part, (_, vertices, faces) in enumerate(solids)
+        if part in supports and len(faces) and is_sheet(vertices, faces)
+    ]
+    if not sheets:
+        return list(solids)
+    others = [vertices for part, (_, vertices, _) in enumerate(solids) if part not in sheets and len(vertices)]
+    whole, most = list(solids), 0.0
+    for part in sheets:
+        name, *surface = solids[part]
+        vertices, faces, thickness = thickened(*surface, others)
+        whole[part] = name, vertices, faces
+        most = max(most, thickness)
+    warnings.warn(
+        f"supports modelled as open surfaces ({len(sheets)}, the first is part {solids[sheets[0]][0]}) "
+        f"were given a thickness of up to {1000 * most:.3g} mm behind them",
+        RepairWarning,
+        stacklevel=3,
+    )
+    return whole
 
 
 def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
@@ -139,6 +174,10 @@ def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Ar
 def _weld(points: Array, corners: Faces) -> NDArray[np.int64]:
     """Return for every vertex the representative of all vertices within the welding distance."""
     reach = _WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
     pairs = KDTree(points).query_pairs(reach, output_type="ndarray")
     graph = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     _, label = connected_components(graph, directed=False)
@@ -159,6 +198,9 @@ def _wind(corners: Faces) -> Faces | None:
     count = len(corners)
     # Weight 2 for neighbours that disagree, 1 for those that agree: zero would be no edge.
     weight = np.where(disagree, 2, 1)
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import breadth_first_order, connected_components
+
     graph = csr_matrix((weight, (one // 3, two // 3)), shape=(count, count))
     graph = graph.maximum(graph.T).tocsr()
     shells, label = connected_components(graph, directed=False)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from falsework.geometry.mesh.shells import directed_edges
 
@@ -55,6 +54,8 @@ def thickened(points: Array, faces: Faces, others: Sequence[Array]) -> tuple[Arr
     centre, normal = front.mean(axis=0), plane_normal(front)
     thickness = _THICKNESS * float(np.linalg.norm(np.ptp(front, axis=0)))
     if others:
+        from scipy.spatial import KDTree
+
         near = min(others, key=lambda vertices: KDTree(vertices).query(front)[0].sum())
         normal = normal * (1.0 if (near.mean(axis=0) - centre) @ normal > 0 else -1.0)
     corners = front[faces]

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
 from falsework.errors import MeshError
 from falsework.geometry.mesh.collision import Body, inside, interpenetrate, shrink
@@ -153,6 +151,9 @@ def _surfaces(corners: Faces) -> NDArray[np.int32]:
     _, which, uses = np.unique(edge, return_inverse=True, return_counts=True)
     for keep in (uses[which[one]] == 2, np.ones(len(one), dtype=bool)):
         links = (one[keep] // 3, two[keep] // 3)
+        from scipy.sparse import csr_matrix
+        from scipy.sparse.csgraph import connected_components
+
         graph = csr_matrix((np.ones(len(links[0])), links), shape=(len(corners), len(corners)))
         count, surface = connected_components(graph, directed=False)
         if all(is_closed(corners[surface == shell]) for shell in range(count)):

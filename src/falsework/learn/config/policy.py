@@ -19,7 +19,7 @@ _DEFAULTS: dict[str, dict[str, int]] = {
 EXPANSION = 2
 """Hidden channels of a feed-forward layer of `resmlp` and `transformer`, as a multiple of the channels."""
 _FEW = 20
-"""Number of parts up to which a policy can memorise all pairs of states."""
+"""Number of parts up to which a policy can memorise the states of many searches, and all pairs of them."""
 
 
 @dataclass(frozen=True)
@@ -70,16 +70,17 @@ class PolicySettings:
 def recommended(parts: int, *, goal_conditioned: bool = False, kind: Kind | None = None) -> PolicySettings:
     """Return the settings of the network with the highest success after a given training time.
 
-    Without goals that is the fastest network, since the number of rollouts decides. Start-goal pairs of more than a few
-    parts are too many to memorise: a network that describes parts by their contacts then generalises to unseen pairs.
-    It is a small one, since rollouts still count.
+    For few parts that is the fastest network, since the number of rollouts decides. States of more parts are too many
+    to memorise: a network that describes parts by their contacts then generalises to unseen ones. It is a small one,
+    since rollouts still count.
 
     Args:
         parts: number of parts.
         goal_conditioned: whether the policy is conditioned on a goal.
         kind: kind of the network, if it is chosen already.
     """
-    usual: Kind = kind or ("transformer" if goal_conditioned and parts > _FEW else "resmlp")
-    if usual == "transformer" and goal_conditioned:
-        return PolicySettings(usual, goal_conditioned=True, layers=3, channels=64, heads=4)
+    large = parts > _FEW
+    usual: Kind = kind or ("transformer" if large else "resmlp")
+    if usual == "transformer" and (goal_conditioned or large):
+        return PolicySettings(usual, goal_conditioned=goal_conditioned, layers=3, channels=64, heads=4)
     return PolicySettings(usual, goal_conditioned=goal_conditioned)

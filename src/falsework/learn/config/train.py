@@ -129,9 +129,12 @@ def default_minutes(parts: int, device: str) -> float:
 
 
 def default_widths(parts: int, device: str) -> tuple[int, ...]:
-    """Widths of the searches that make data beyond the paper's: one wide one, and narrow ones that stray further."""
+    """Widths of the searches that make data beyond the paper's.
+
+    Many narrow ones take many paths through the bottlenecks of a structure, which a wide one passes on a few.
+    """
     if device == "cuda":
-        return (*[128] * (4 if parts <= 20 else 8 if parts <= 50 else 16), 1024 if parts <= 20 else 4096)
+        return (*[128] * 16, 1024) if parts <= 20 else (128,) * 64
     return (128, 128, 256) if parts <= 20 else (128, 256)
 
 

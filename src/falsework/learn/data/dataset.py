@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,8 @@ from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.beam import DeviceBeam
-from falsework.search.device.oracle import TensorOracle, tensor_oracle
+from falsework.search.device.oracle import TensorOracle, tensor_oracle, without_fallback
+from falsework.search.device.parallel_beams import parallel_beam_search
 from falsework.search.problem.hashing import StateIndex
 from falsework.search.problem.state_graph import criterion_of, read_criterion
 from falsework.search.problem.task import Direction, Task
@@ -50,7 +52,8 @@ class DataSettings:
     test_width: int = 128
     """Width of the search whose states, those of the first search left out, are the test set."""
     widths: tuple[int, ...] = ()
-    """Widths of further searches to learn from; what is in the test or the validation set is left out."""
+    """Widths of further searches to learn from; what is in the test or the validation set is left out. Equal ones that
+    follow each other run side by side, see `search_several`."""
     seed: int = 0
     """Of the first search; each further one adds one: those of test and validation set, then those of `widths`."""
 
@@ -80,7 +83,7 @@ class Dataset:
     """Name of the structure."""
     settings: DataSettings = DataSettings()
     complete: bool = True
-    """Whether every search reached the complete structure."""
+    """Whether every search reached the complete structure; of those that ran side by side, one of them."""
     seconds: dict[str, float] = field(default_factory=dict)
     """What each search took."""
 
@@ -209,6 +212,52 @@ def search_states(
     return search.states(), result.found
 
 
+def search_several(
+    task: Task,
+    oracle: TensorOracle,
+    count: int,
+    width: int,
+    direction: Direction,
+    seed: int,
+    *,
+    device: torch.device,
+    shards: ProcessGroup = ProcessGroup(),
+    keep: int | None = None,
+) -> tuple[States, float]:
+    """States of some narrow searches side by side, each process doing its share of them, and how many came through.
+
+    Args:
+        task: the task.
+        oracle: verdicts on tensors.
+        count: searches.
+        width: states that each keeps a level.
+        direction: end to begin at.
+        seed: of the searches.
+        device: where to search.
+        shards: processes that share the searches.
+        keep: states to hand back of each, with those that lead to them; None for all.
+
+    Returns:
+        Shape (count, parts), and a number of searches.
+    """
+    import torch
+
+    from falsework.utils.collectives import gather_rows, summed
+
+    mine = len(range(shards.rank, count, shards.size))
+    states, through = np.empty((0, task.part_count), dtype=np.uint8), 0.0
+    if mine:
+        own = seed * shards.size + shards.rank
+        searched = parallel_beam_search(
+            task, oracle, mine, width, direction=direction, seed=own, keep=keep, device=device
+        )
+        states, through = searched.states, float(searched.found.sum())
+    if shards.size > 1:
+        states = gather_rows(torch.from_numpy(states).to(device), shards).cpu().numpy()
+        through = summed([through], shards, device)[0]
+    return states, through
+
+
 def build_dataset(
     assembly: Assembly,
     task: Task,
@@ -242,15 +291,25 @@ def build_dataset(
     seconds: dict[str, float] = {}
     found: list[States] = []
     complete = True
-    widths = (settings.train_width, settings.test_width, settings.test_width, *settings.widths)
-    for number, width in enumerate(widths):
+    # States to test on are judged to the last one; of those to learn from a few may be missing.
+    searches = [(width, 1) for width in (settings.train_width, settings.test_width, settings.test_width)]
+    searches += [(width, len(list(equal))) for width, equal in groupby(settings.widths)]
+    seed = settings.seed
+    for width, count in searches:
         begin = time.perf_counter()
-        states, reached = search_states(
-            task, asked, width, settings.seed + number, device=where, shards=shards, report=report
-        )
+        if count == 1:
+            states, reached = search_states(task, asked, width, seed, device=where, shards=shards, report=report)
+        else:
+            if report is not None:
+                report(f"{count} searches of width {width}")
+            judge, way = without_fallback(asked), Direction.ASSEMBLY
+            states, through = search_several(task, judge, count, width, way, seed, device=where, shards=shards)
+            reached = through > 0
         complete &= reached
         found.append(states)
-        seconds[f"width {width}, seed {settings.seed + number}"] = round(time.perf_counter() - begin, 3)
+        several = f"{count} of " if count > 1 else ""
+        seconds[f"{several}width {width}, seed {seed}"] = round(time.perf_counter() - begin, 3)
+        seed += count
     train = found[0]
     test = found[1][_absent(found[1], train)]
     validation = found[2][_absent(found[2], np.concatenate([train, test]))]

@@ -13,10 +13,9 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.learn.data.dataset import Report, check_states, search_states
+from falsework.learn.data.dataset import Report, check_states, search_several, search_states
 from falsework.learn.data.goal_pairs import Pairs, PairSource, joined_pairs, unsolved_at_random
 from falsework.search.device.oracle import TensorOracle, tensor_oracle, without_fallback
-from falsework.search.device.parallel_beams import parallel_beam_search
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.state_graph import StateGraph, criterion_of, read_criterion
 from falsework.search.problem.task import Direction, Task
@@ -148,7 +147,11 @@ class SearchStates:
             count = sum(1 for _ in takewhile(width.__eq__, settings.widths[done : done + together * shards.size]))
             if report is not None:
                 report(f"searches {done + 3} to {done + count + 2} of {2 + len(settings.widths)}, width {width}")
-            states, through = _several(task, judge, count, width, way, settings.seed + 2 + done, device, shards)
+            keep = _KEPT * width if device.type == "cuda" else None
+            seed = settings.seed + 2 + done
+            states, through = search_several(
+                task, judge, count, width, way, seed, device=device, shards=shards, keep=keep
+            )
             more.append(states)
             done += count
             # What lies behind the point where most searches die out is seen from the other end.
@@ -176,36 +179,6 @@ class SearchStates:
             raise InputError(f"{path} has states of another structure; remove it")
         check_states(path, arrays, task.part_count, "remove it")
         return cls(**arrays)
-
-
-def _several(
-    task: Task,
-    oracle: TensorOracle,
-    count: int,
-    width: int,
-    direction: Direction,
-    seed: int,
-    device: torch.device,
-    shards: ProcessGroup,
-) -> tuple[States, float]:
-    """States of some searches, each process doing its share of them, and how many came through."""
-    import torch
-
-    from falsework.utils.collectives import gather_rows, summed
-
-    mine = len(range(shards.rank, count, shards.size))
-    states, through = np.empty((0, task.part_count), dtype=np.uint8), 0.0
-    if mine:
-        keep = _KEPT * width if device.type == "cuda" else None
-        own = seed * shards.size + shards.rank
-        searched = parallel_beam_search(
-            task, oracle, mine, width, direction=direction, seed=own, keep=keep, device=device
-        )
-        states, through = searched.states, float(searched.found.sum())
-    if shards.size > 1:
-        states = gather_rows(torch.from_numpy(states).to(device), shards).cpu().numpy()
-        through = summed([through], shards, device)[0]
-    return states, through
 
 
 def build_goal_dataset(

@@ -32,6 +32,26 @@ def symmetric_images(states: States, images: NDArray[np.intp]) -> States:
     return np.unique(whole.reshape(-1, states.shape[1]), axis=0)
 
 
+def turned_states(states: torch.Tensor, images: NDArray[np.intp], most: int) -> torch.Tensor:
+    """States, and after them their images under as many symmetries of the structure as give at most so many states.
+
+    Args:
+        states: shape (count, parts).
+        images: as of `falsework.assembly.symmetry.symmetries`, the first of which changes nothing, shape
+            (symmetries, parts).
+        most: number of states.
+
+    Returns:
+        Shape (images, parts), on the device of the states.
+    """
+    whole = [states]
+    for image in put(np.asarray(images[1 : most // max(len(states), 1)], dtype=np.int64), states.device):
+        turned = torch.empty_like(states)
+        turned[:, image] = states
+        whole.append(turned)
+    return torch.cat(whole)
+
+
 class SymmetryAugmentation:
     """Tasks of another source under symmetries drawn at random; a `GoalSampler`."""
 

@@ -1,4 +1,4 @@
-"""Attention between the parts of a structure: the network of goal-conditioned policies and of transfer.
+"""Attention between the parts of a structure: the network of policies above 20 parts and of transfer.
 
 Each part is a token: what it is in the state (removed, installed, held, boundary; by its value in the target), how much
 of its contacts is with neighbours in each of these, and its own geometry. Parts attend to each other with a bias for

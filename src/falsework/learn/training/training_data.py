@@ -17,12 +17,15 @@ from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, l
 from falsework.learn.data.goal_dataset import GoalDataset, GoalDataSettings, SearchStates, build_goal_dataset
 from falsework.learn.data.goal_pairs import Pairs
 from falsework.learn.data.random_walks import GoalSampler, RandomWalkGoals
-from falsework.learn.data.symmetry_augmentation import SymmetryAugmentation, symmetric_images
+from falsework.learn.data.symmetry_augmentation import SymmetryAugmentation, symmetric_images, turned_states
 from falsework.learn.training.checkpoint import DATA, SEARCHED
 from falsework.learn.training.evaluate import Sets, sample
 from falsework.learn.training.run_context import RunContext
 from falsework.search.problem.hashing import StateIndex
 from falsework.utils.tensors import put
+
+_MOST_STATES = 16_000_000
+"""States to start from, images included, of which each takes a byte a part and some 40 more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,8 +124,11 @@ def collect_training_data(
     held_out = symmetric_images(np.concatenate([data.test, data.validation]), images)
     held = StateIndex(held_out)
     train, more = (states[held.find(states) < 0] for states in (data.train, data.more))
+    starts = put(np.concatenate([train, more]), device)
+    if settings.data == "wide" and not settings.policy.transfers:  # others know parts by geometry, which images share
+        starts = turned_states(starts, images, _MOST_STATES)
     return TrainingData(
-        put(np.concatenate([train, more]), device),
+        starts,
         None,
         None,
         put(held_out, device),

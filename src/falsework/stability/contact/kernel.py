@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 
 from falsework.assembly.model import Assembly
@@ -15,11 +14,13 @@ from falsework.stability.contact.newton import (
     RESTS,
     ContactArrays,
     find_rest,
+    make_contact_scratch,
 )
-from falsework.stability.cpu.layout import restrict, set_gravity
-from falsework.stability.cpu.termination import MARGIN
+from falsework.stability.cpu.layout import make_scratch, restrict, set_gravity
+from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED
 from falsework.stability.problem import Problem
 from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
+from falsework.utils.kernels import njit
 
 
 class ContactOptions(NamedTuple):
@@ -60,7 +61,7 @@ def build_contact_structure(
     )
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def place_contacts(structure, contact_structure, work, contact, pairs):
     """Bring stiffness and gravity into the compact order of a state, without history."""
     normal, tangential = contact_structure.normal, contact_structure.tangential
@@ -74,7 +75,7 @@ def place_contacts(structure, contact_structure, work, contact, pairs):
     set_gravity(structure, work, contact.load)
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def read_displacement(structure, contact_structure, work, displacement, out):
     """Whiten a displacement in m and rad of shape (parts, 6); zero for parts that cannot move."""
     order, factor = structure.elimination.order, structure.momentum
@@ -89,7 +90,7 @@ def read_displacement(structure, contact_structure, work, displacement, out):
                 out[j, r] /= contact_structure.scale
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def write_displacement(structure, contact_structure, work, whitened, out):
     """Displacement in m and rad of shape (parts, 6) from a whitened one; zero for parts that cannot move."""
     order, turn = structure.elimination.order, structure.acceleration
@@ -103,7 +104,7 @@ def write_displacement(structure, contact_structure, work, whitened, out):
                 out[part, r] *= contact_structure.scale
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def write_forces(structure, work, contact, pairs, out):
     """Contact forces in N, shape (points, 3), from the spring forces of a state."""
     out[:] = 0.0
@@ -116,7 +117,7 @@ def write_forces(structure, work, contact, pairs, out):
             out[j + shift, 0], out[j + shift, 1], out[j + shift, 2] = f0 * scale, f1 * scale, f2 * scale
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def lacks_contact(work, pairs):
     """Return whether a part that can move touches nothing that is present."""
     touched = np.zeros(len(work.free), dtype=np.bool_)
@@ -128,7 +129,7 @@ def lacks_contact(work, pairs):
     return np.any(work.free & ~touched)
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def solve_contact_state(structure, contact_structure, state, options, work, contact, displacement, forces, warm):
     """Look for a displacement at which a state, loaded from rest, is in equilibrium.
 
@@ -169,3 +170,34 @@ def solve_contact_state(structure, contact_structure, state, options, work, cont
     if len(forces):
         write_forces(structure, work, contact, pairs, forces)
     return result, residual, spent
+
+
+@njit(nogil=True, cache=True)
+def rest_range(
+    structure, contact_structure, states, options, displacement, forces, warm, verdict, residual, steps, found
+):
+    """Look for rest of the states whose `verdict` is `UNDECIDED`; arrays as in `solve_contact_state`, batched.
+
+    States at rest become `STABLE`. `forces` may be empty; `found` is `RESTS`, `MOVES_AWAY` or `OPEN`, and steps are
+    added to those there.
+
+    Returns:
+        How many states are left undecided.
+    """
+    nothing = np.zeros((0, 3))
+    work, contact = make_scratch(structure), make_contact_scratch(structure)
+    count = 0
+    for i in range(len(states)):
+        if verdict[i] != UNDECIDED:
+            continue
+        force = forces[i] if len(forces) else nothing
+        result, left, taken = solve_contact_state(
+            structure, contact_structure, states[i], options, work, contact, displacement[i], force, warm[i]
+        )
+        found[i] = result
+        steps[i] += taken
+        if result == RESTS:
+            verdict[i], residual[i] = STABLE, left
+        else:
+            count += 1
+    return count

@@ -13,16 +13,15 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
-
 from falsework.stability.cpu.cones import QUADRATIC
+from falsework.utils.kernels import njit
 
 _C = math.cos(math.pi / 8)
 _S = math.sin(math.pi / 8)
 _FACET = math.tan(math.pi / 8)
 
 
-@nb.njit(inline="always", fastmath=True)
+@njit(inline="always", fastmath=True)
 def gauge(cone, x, y):
     """Return the size of a tangential force: at most `mu f_n` inside the cone."""
     if cone == QUADRATIC:
@@ -31,7 +30,7 @@ def gauge(cone, x, y):
     return u + v * _FACET
 
 
-@nb.njit(inline="always", fastmath=True)
+@njit(inline="always", fastmath=True)
 def gauge_gradient(cone, x, y):
     """Return the gradient of `gauge` where it is not zero."""
     if cone == QUADRATIC:
@@ -41,7 +40,7 @@ def gauge_gradient(cone, x, y):
     return math.copysign(u, x), math.copysign(v, y)
 
 
-@nb.njit(inline="always", fastmath=True)
+@njit(inline="always", fastmath=True)
 def contact_force(cone, mu, n, x, y):
     """Return the force of a contact point whose springs alone would give `(n, x, y)`."""
     if n <= 0.0:

@@ -6,14 +6,14 @@ diagonal are kept too, transposed, in the places of their mirror images.
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
 from falsework.stability.cpu.elimination import apply_block, eliminate_below, substitute_back
 from falsework.stability.cpu.layout import FAST
+from falsework.utils.kernels import njit
 
 
-@nb.njit(fastmath=True)
+@njit(fastmath=True)
 def _invert(block, b, work, inverse):
     """Return the inverse of a 6 x 6 block by elimination with row pivots; False if it is singular."""
     for i in range(6):
@@ -48,7 +48,7 @@ def _invert(block, b, work, inverse):
 # written as inner products of rows they take half as long again.
 
 
-@nb.njit(inline="always", fastmath=True)
+@njit(inline="always", fastmath=True)
 def _transpose(block, e, out):
     """`out[0] = block[e]^T`."""
     for r in range(6):
@@ -56,7 +56,7 @@ def _transpose(block, e, out):
             out[0, c, r] = block[e, r, c]
 
 
-@nb.njit(inline="always", fastmath=True)
+@njit(inline="always", fastmath=True)
 def _multiply(left, e, right, q, out, t):
     """`out[t] = left[e] right[q]`."""
     for r in range(6):
@@ -73,7 +73,7 @@ def _multiply(left, e, right, q, out, t):
             )
 
 
-@nb.njit(inline="always", fastmath=True)
+@njit(inline="always", fastmath=True)
 def _multiply_add(sign, left, e, right, q, out, t):
     """`out[t] += sign left[e] right[q]`."""
     for r in range(6):
@@ -90,7 +90,7 @@ def _multiply_add(sign, left, e, right, q, out, t):
             )
 
 
-@nb.njit(fastmath=True, cache=True)
+@njit(fastmath=True, cache=True)
 def factor_lu(elimination, free, diagonal, lower, upper, filled):
     """Replace a matrix by its block factor: `diagonal` by the inverse pivots, `lower` by `L`, `upper` by `U^T`.
 
@@ -138,7 +138,7 @@ def factor_lu(elimination, free, diagonal, lower, upper, filled):
     return True
 
 
-@nb.njit(fastmath=True, cache=True)
+@njit(fastmath=True, cache=True)
 def solve_lu(elimination, free, diagonal, lower, upper, filled, x):
     """Solve with the factor made by `factor_lu`, in place; `x` has shape (n, 6)."""
     column, row = elimination.column, elimination.row
@@ -152,7 +152,7 @@ def solve_lu(elimination, free, diagonal, lower, upper, filled, x):
             apply_block(diagonal, x, j)
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def add_pair(ta, tb, turned_a, turned_b, q, a, b, e, local, symmetric, diagonal, lower, upper, scratch):
     """Add the stiffness about the middle of a pair to the matrix.
 

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.stability.contact.law import contact_force, gauge, gauge_gradient
 from falsework.stability.contact.lu import add_pair, factor_lu, solve_lu
 from falsework.stability.cpu.layout import FAST, add_pair_wrench, clear_matrix, pair_velocity, point_velocity
+from falsework.utils.kernels import njit
 
 RESTS, MOVES_AWAY, OPEN = 1, -1, 0
 
@@ -74,7 +74,7 @@ class ContactScratch(NamedTuple):
     step: NDArray[np.float64]
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def make_contact_scratch(structure):
     """Return scratch large enough for every state of a structure."""
     n, blocks = len(structure.elimination.order), len(structure.elimination.row)
@@ -95,7 +95,7 @@ def make_contact_scratch(structure):
     )
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def evaluate(structure, work, contact, pairs, displacement, trial, out):
     """Write the residual `load + G f(displacement)`, and the spring forces; return the residual's norm."""
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
@@ -129,7 +129,7 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
     return np.sqrt(total)
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
     """Write the tangent stiffness at the spring forces `contact.trial`, plus `shift` times the identity.
 
@@ -177,7 +177,7 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
             add_pair(ta, tb, turned_a, turned_b, q, a, b, e, local, not slides, diagonal, lower, upper, scratch)
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def largest_residual(structure, work, wrench):
     """Return the residual of whitened wrenches: the largest acceleration that they cause, times `measure`."""
     free, order = work.free, structure.elimination.order
@@ -194,7 +194,7 @@ def largest_residual(structure, work, wrench):
     return worst
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def largest_movement(structure, contact_structure, work, displacement):
     """Return the largest movement of a part, m.
 
@@ -213,14 +213,14 @@ def largest_movement(structure, contact_structure, work, displacement):
     return worst * contact_structure.scale
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def _at_rest(structure, contact_structure, work, displacement):
     """`RESTS`, or `MOVES_AWAY` where parts came to rest only beyond the limit on movement."""
     moved = largest_movement(structure, contact_structure, work, displacement)
     return MOVES_AWAY if moved > contact_structure.limit else RESTS
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def find_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step):
     """Iterate from `contact.displacement` until the parts rest, move away, or the steps are used up.
 

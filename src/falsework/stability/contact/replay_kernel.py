@@ -7,15 +7,14 @@ contacts in equal increments; after each, points that slid keep the friction tha
 
 from __future__ import annotations
 
-import numba as nb
-
 from falsework.stability.contact.kernel import lacks_contact
 from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.newton import MOVES_AWAY, RESTS, evaluate, find_rest, make_contact_scratch
 from falsework.stability.cpu.layout import make_scratch, restrict, set_gravity
+from falsework.utils.kernels import njit
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def _load_history(structure, contact_structure, work, contact, pairs, springs):
     """Bring stiffness, spring forces and gravity into the compact order of a state."""
     for p in range(pairs):
@@ -28,7 +27,7 @@ def _load_history(structure, contact_structure, work, contact, pairs, springs):
     set_gravity(structure, work, contact.load)
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs):
     """Add the increment to the displacement, and remember the spring forces with friction cut back to the law."""
     order, turn = structure.elimination.order, structure.acceleration
@@ -50,7 +49,7 @@ def _keep_history(structure, contact_structure, work, contact, pairs, displaceme
     contact.displacement[:] = 0.0
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def _movement(contact_structure, displacement, part):
     """Return the movement of a part in m, as `largest_movement`."""
     worst = 0.0
@@ -59,7 +58,7 @@ def _movement(contact_structure, displacement, part):
     return worst
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def place_new(structure, before, state, noise, displacement, springs):
     """Reset what a step brings in: parts where they were planned, contact points without force.
 
@@ -80,7 +79,7 @@ def place_new(structure, before, state, noise, displacement, springs):
                 springs[j, 0], springs[j, 1], springs[j, 2] = 0.0, noise[j, 0], noise[j, 1]
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def settle_step(structure, contact_structure, state, options, increments, work, contact, displacement, springs):
     """Let a structure with history come to rest in a state.
 
@@ -137,7 +136,7 @@ def settle_step(structure, contact_structure, state, options, increments, work, 
     return result, residual, spent, part, movement
 
 
-@nb.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def replay_range(
     structure,
     contact_structure,
@@ -168,7 +167,13 @@ def replay_range(
     for i in range(len(states)):
         settles = fresh
         if i > 0:
-            displacement[i], springs[i] = displacement[i - 1], springs[i - 1]
+            # Entry by entry: assigning rows to rows would compile the text of its errors, for seconds.
+            for p in range(states.shape[1]):
+                for r in range(6):
+                    displacement[i, p, r] = displacement[i - 1, p, r]
+            for j in range(springs.shape[1]):
+                for k in range(3):
+                    springs[i, j, k] = springs[i - 1, j, k]
             place_new(structure, states[i - 1], states[i], noise, displacement[i], springs[i])
             settles = False
             for p in range(states.shape[1]):

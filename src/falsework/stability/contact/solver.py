@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, States
-from falsework.stability.contact.kernel import ContactOptions, build_contact_structure, solve_contact_state
-from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, RESTS, make_contact_scratch
-from falsework.stability.cpu.kernel import solve_state
-from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure, make_scratch
-from falsework.stability.cpu.neighbourhood import RINGS, fall_near
+from falsework.stability.contact.kernel import ContactOptions, build_contact_structure, rest_range
+from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, OPEN, RESTS
+from falsework.stability.cpu.kernel import solve_range
+from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
+from falsework.stability.cpu.neighbourhood import RINGS, fall_range
 from falsework.stability.cpu.solver import Workers, kernel_options
 from falsework.stability.cpu.termination import STABLE, UNDECIDED, UNSTABLE
 from falsework.stability.problem import Problem
@@ -84,91 +83,46 @@ class ContactSolver:
         if guess is not None and parents is not None:
             known = np.isfinite(guess).all(axis=(1, 2))
             warm = known & ~((states == INSTALLED) & (parents != INSTALLED)).any(axis=1)
-        origins = states[:0] if parents is None else parents
         steps = np.zeros(batch, np.int32)
+        found = np.full(batch, RESTS, np.int8)
+        cold = False  # forces hold no guess
 
         def work(rows: slice) -> None:
-            _judge_range(
+            verdict, residual, taken = verdicts.verdict[rows], verdicts.residual[rows], steps[rows]
+            tail = verdict, residual, verdicts.iterations[rows], taken
+            motion, force = velocity[rows], forces[rows]
+            if parents is not None and not fall_range(
+                self.structure, states[rows], parents[rows], RINGS, self._options, motion, *tail
+            ):
+                return
+            if rest_range(
                 self.structure,
                 self.contact_structure,
                 states[rows],
-                origins[rows],
-                RINGS,
-                self._options,
                 self.contact_options,
                 displacement[rows],
-                forces[rows],
-                velocity[rows],
+                force,
                 warm[rows],
-                guess is None,
-                verdicts.verdict[rows],
-                verdicts.residual[rows],
-                verdicts.iterations[rows],
-                steps[rows],
-            )
+                verdict,
+                residual,
+                taken,
+                found[rows],
+            ):
+                solve_range(self.structure, states[rows], self._options, force, motion, cold, *tail)
 
         self._workers.run(work, batch)
+        verdict, moves = verdicts.verdict, found == MOVES_AWAY
+        if not (found == RESTS).all():
+            verdict[(found == OPEN) & (verdict != UNSTABLE)] = UNDECIDED
+            verdict[moves & (verdict == STABLE)] = _SLIDES
+            verdicts.residual[moves & (verdict == UNDECIDED)] = np.inf
+        lost = verdict != STABLE
+        if guess is None:  # what slides must not become a guess
+            lost &= verdict != _SLIDES
+        displacement[lost] = np.nan
         if verdicts.displacement is not None and displacement is not verdicts.displacement:
             verdicts.displacement[:] = displacement
         verdicts.iterations[:] += steps
         verdicts.proof[:] = proof_of(verdicts.verdict, "contact")
         verdicts.decided_by[:] = np.where(verdicts.verdict != Verdict.UNDECIDED, Solver.CPU, Solver.NONE)
         return verdicts
-
-
-@nb.njit(nogil=True, cache=True)
-def _judge_range(
-    structure,
-    contact_structure,
-    states,
-    parents,
-    rings,
-    options,
-    contact_options,
-    displacement,
-    forces,
-    velocity,
-    warm,
-    keep_sliding,
-    verdict,
-    residual,
-    iterations,
-    steps,
-):
-    """Judge states one after another; arrays as in `ContactSolver.check`, certificates empty where not wanted.
-
-    With `keep_sliding` the displacement of a state that slides is left as it is; it must not become a guess.
-    """
-    work, contact = make_scratch(structure), make_contact_scratch(structure)
-    no_forces, no_velocity = np.zeros((0, 3)), np.zeros((0, 6))
-    cold = len(no_forces) > 0  # not a literal, for which numba would compile the solver anew
-    for i in range(len(states)):
-        force = forces[i] if len(forces) else no_forces
-        motion = velocity[i] if len(velocity) else no_velocity
-        iterations[i], steps[i] = 0, 0
-        if len(parents):
-            v, r, k, s = fall_near(structure, states[i], parents[i], rings, options, work, no_forces, motion)
-            iterations[i], steps[i] = k, s
-            if v == UNSTABLE:
-                verdict[i], residual[i] = v, r
-                displacement[i] = np.nan
-                continue
-        found, left, taken = solve_contact_state(
-            structure, contact_structure, states[i], contact_options, work, contact, displacement[i], force, warm[i]
-        )
-        steps[i] += taken
-        if found == RESTS:
-            verdict[i], residual[i] = STABLE, left
-            continue
-        v, r, k, s = solve_state(structure, states[i], options, work, force, motion, cold)
-        iterations[i] += k
-        steps[i] += s
-        if found != MOVES_AWAY:
-            v = UNSTABLE if v == UNSTABLE else UNDECIDED
-        elif v == STABLE:
-            v = _SLIDES
-        elif v == UNDECIDED:
-            r = np.inf
-        if v != _SLIDES or not keep_sliding:
-            displacement[i] = np.nan
-        verdict[i], residual[i] = v, r

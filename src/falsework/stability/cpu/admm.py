@@ -6,7 +6,6 @@ With `z = proj_K(u)`, an iteration solves `S w = G (2 z - u) + g` and adds `rela
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
 from falsework.stability.cpu.cones import project
@@ -21,9 +20,10 @@ from falsework.stability.cpu.layout import (
     set_gravity,
 )
 from falsework.stability.cpu.termination import UNDECIDED, judge
+from falsework.utils.kernels import njit
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def factor_admm(structure, work, pairs, rho):
     """Factor `S = rho I + G G^T` of the state."""
     clear_matrix(work, rho)
@@ -45,7 +45,7 @@ def factor_admm(structure, work, pairs, rho):
     return factor(structure.elimination, work.free, diagonal, lower, filled)
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def run_admm(structure, work, pairs, options):
     """Run ADMM from `work.u`; return verdict, residual and iterations. The velocity is in `work.velocity`."""
     alpha, mu, cone = options.relaxation, structure.friction, structure.cone

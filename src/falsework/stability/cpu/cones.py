@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
+from falsework.utils.kernels import njit
 
 OCTAGON, QUADRATIC = 0, 1
 CONES = {"octagon": OCTAGON, "quadratic": QUADRATIC}
@@ -20,7 +20,7 @@ _S = math.sin(math.pi / 8)
 _DIAGONAL = math.sqrt(0.5)
 
 
-@nb.njit(inline="always", fastmath=True)
+@njit(inline="always", fastmath=True)
 def project(cone, n, x, y, mu):
     """Return the nearest point of the cone to `(n, x, y)`."""
     if cone == QUADRATIC:
@@ -55,7 +55,7 @@ def project(cone, n, x, y, mu):
     return t, math.copysign(u, x), math.copysign(v, y)
 
 
-@nb.njit(inline="always", fastmath=True)
+@njit(inline="always", fastmath=True)
 def support(cone, n, x, y, mu):
     """Return the largest value of `n f_n + x f_x + y f_y` over forces of the cone with `f_n = 1`."""
     if cone == QUADRATIC:

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.stability.problem import Problem
+from falsework.utils.kernels import njit
 
 
 class Elimination(NamedTuple):
@@ -87,7 +87,7 @@ def _minimum_degree(neighbours: dict[int, set[int]]) -> tuple[list[int], dict[in
     return order, below
 
 
-@nb.njit(inline="always", fastmath=True)
+@njit(inline="always", fastmath=True)
 def _invert(block, b, inverse):
     """Inverse of the symmetric positive definite block `block[b]` by its Cholesky factor; False if it is not."""
     for i in range(6):
@@ -121,7 +121,7 @@ def _invert(block, b, inverse):
     return True
 
 
-@nb.njit(inline="always", fastmath=True)
+@njit(inline="always", fastmath=True)
 def _subtract_product(left, e, right, out, t):
     """`out[t] -= left[e] right^T`."""
     for r in range(6):
@@ -132,7 +132,7 @@ def _subtract_product(left, e, right, out, t):
             out[t, r, c] -= total
 
 
-@nb.njit(fastmath=True, cache=True)
+@njit(fastmath=True, cache=True)
 def factor(elimination, free, diagonal, lower, filled):
     """Replace `S` by its factor: `diagonal` becomes `D^-1`, `lower` becomes `L`.
 
@@ -178,7 +178,7 @@ def factor(elimination, free, diagonal, lower, filled):
     return True
 
 
-@nb.njit(inline="always", fastmath=True)
+@njit(inline="always", fastmath=True)
 def eliminate_below(column, row, lower, filled, x, j):
     """Forward substitution of column `j`: subtract `L_ij x_j` from every later row."""
     x0, x1, x2, x3, x4, x5 = x[j, 0], x[j, 1], x[j, 2], x[j, 3], x[j, 4], x[j, 5]
@@ -196,7 +196,7 @@ def eliminate_below(column, row, lower, filled, x, j):
                 )
 
 
-@nb.njit(inline="always", fastmath=True)
+@njit(inline="always", fastmath=True)
 def substitute_back(column, row, upper, filled, x, j):
     """Backward substitution of row `j`: subtract `U_ji x_i`; `upper` holds the blocks `U_ji^T`."""
     for e in range(column[j], column[j + 1]):
@@ -214,7 +214,7 @@ def substitute_back(column, row, upper, filled, x, j):
                 )
 
 
-@nb.njit(inline="always", fastmath=True)
+@njit(inline="always", fastmath=True)
 def apply_block(diagonal, x, j):
     """`x[j] = diagonal[j] x[j]`."""
     x0, x1, x2, x3, x4, x5 = x[j, 0], x[j, 1], x[j, 2], x[j, 3], x[j, 4], x[j, 5]
@@ -229,7 +229,7 @@ def apply_block(diagonal, x, j):
         )
 
 
-@nb.njit(fastmath=True, cache=True)
+@njit(fastmath=True, cache=True)
 def solve(elimination, free, diagonal, lower, filled, x):
     """Solve `S x = b` in place with the factor made by `factor`; `x` has shape (n, 6)."""
     column, row = elimination.column, elimination.row

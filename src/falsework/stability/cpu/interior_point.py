@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
 from falsework.stability.cpu.cones import OCTAGON
@@ -31,13 +30,14 @@ from falsework.stability.cpu.layout import (
     set_gravity,
 )
 from falsework.stability.cpu.termination import UNDECIDED, judge
+from falsework.utils.kernels import njit
 
 _RAY_X = np.array([math.cos(k * math.pi / 4) for k in range(8)])
 _RAY_Y = np.array([math.sin(k * math.pi / 4) for k in range(8)])
 _BACK_OFF = 0.99
 
 
-@nb.njit(inline="always", fastmath=FAST)
+@njit(inline="always", fastmath=FAST)
 def _system(octagon, mu, x, s, j, target, second, w, b):
     """Write weight and target force of one contact point.
 
@@ -84,7 +84,7 @@ def _system(octagon, mu, x, s, j, target, second, w, b):
     b[2] = x[j, 2] - t * s[j, 2]
 
 
-@nb.njit(inline="always", fastmath=FAST)
+@njit(inline="always", fastmath=FAST)
 def _step(octagon, mu, x, s, j, target, second, y0, y1, y2, dx, ds):
     """Write the steps of one contact point towards `y = G^T (r + dr)`; return how far both may go."""
     reach = 1e30
@@ -115,7 +115,7 @@ def _step(octagon, mu, x, s, j, target, second, y0, y1, y2, dx, ds):
     return min(_to_boundary(x, dx, j), _to_boundary(s, ds, j))
 
 
-@nb.njit(inline="always", fastmath=FAST)
+@njit(inline="always", fastmath=FAST)
 def _to_boundary(x, dx, j):
     """Return the largest step along `dx` that stays in the cone `x0 >= |(x1, x2)|`."""
     a = dx[j, 0] * dx[j, 0] - dx[j, 1] * dx[j, 1] - dx[j, 2] * dx[j, 2]
@@ -134,7 +134,7 @@ def _to_boundary(x, dx, j):
     return reach
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def _start(structure, work, pairs, octagon, mu, r):
     """Interior multipliers and slacks near what ADMM left in `work.z` and `r`."""
     z, v, weights, slacks = work.z, work.v, work.weights, work.slacks
@@ -160,7 +160,7 @@ def _start(structure, work, pairs, octagon, mu, r):
             slacks[j, 0], slacks[j, 1], slacks[j, 2] = slack / mu, 0.0, 0.0
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def _strains(structure, work, pairs, velocity):
     """`work.v = G^T velocity`."""
     basis, start, pair, slot_a, slot_b, v = work.basis, work.start, work.pair, work.slot_a, work.slot_b, work.v
@@ -171,7 +171,7 @@ def _strains(structure, work, pairs, velocity):
             v[j, 0], v[j, 1], v[j, 2] = point_velocity(basis, j, s0, s1, s2, s3, s4, s5)
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
     """Write the right-hand side, and the matrix if asked for."""
     size = 8 if octagon else 3
@@ -235,7 +235,7 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
                 _add_product(left, ta, q, lower, block[q])
 
 
-@nb.njit(inline="always", fastmath=FAST)
+@njit(inline="always", fastmath=FAST)
 def _multiply(left, q, right, out):
     """`out = left[q] right`."""
     for i in range(6):
@@ -246,7 +246,7 @@ def _multiply(left, q, right, out):
             out[i, j] = total
 
 
-@nb.njit(inline="always", fastmath=FAST)
+@njit(inline="always", fastmath=FAST)
 def _add_product(left, right, q, out, e):
     """`out[e] += left right[q]^T`."""
     for i in range(6):
@@ -257,7 +257,7 @@ def _add_product(left, right, q, out, e):
             out[e, i, j] += total
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def _steps(structure, work, pairs, octagon, mu, r, step, target, corrector):
     """Write all steps of multipliers and slacks; return how far they may go."""
     size = 8 if octagon else 3
@@ -279,7 +279,7 @@ def _steps(structure, work, pairs, octagon, mu, r, step, target, corrector):
     return reach
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def _complementarity(work, points, size, length):
     """Mean product of multipliers and slacks after a step of this length."""
     weights, slacks, dx, ds = work.weights, work.slacks, work.weight_steps, work.slack_steps
@@ -290,7 +290,7 @@ def _complementarity(work, points, size, length):
     return total / points
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def _advance(work, points, octagon, mu, length):
     """Step multipliers and slacks, and write the forces they stand for to `work.z`."""
     z, weights, slacks, dx, ds = work.z, work.weights, work.slacks, work.weight_steps, work.slack_steps
@@ -309,7 +309,7 @@ def _advance(work, points, octagon, mu, length):
             z[j, 0], z[j, 1], z[j, 2] = weights[j, 0] / mu, weights[j, 1], weights[j, 2]
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def run_interior(structure, work, pairs, options):
     """Run from the iterate of ADMM; return verdict, residual and steps. The velocity is in `work.velocity`."""
     mu = structure.friction

@@ -5,16 +5,16 @@ ADMM settles most states within fifty cheap iterations; the interior point metho
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
 from falsework.stability.cpu.admm import factor_admm, run_admm
 from falsework.stability.cpu.interior_point import run_interior
 from falsework.stability.cpu.layout import make_scratch, restrict
 from falsework.stability.cpu.termination import STABLE, UNDECIDED
+from falsework.utils.kernels import njit
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def solve_state(structure, state, options, work, forces, velocity, warm):
     """Judge one state.
 
@@ -59,20 +59,23 @@ def solve_state(structure, state, options, work, forces, velocity, warm):
     return verdict, residual, iterations, steps
 
 
-@nb.njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True)
 def solve_range(structure, states, options, forces, velocity, warm, verdict, residual, iterations, steps):
-    """Judge states one after another without the interpreter's lock; arrays as in `solve_state`, batched.
+    """Judge the states whose `verdict` is `UNDECIDED`, one by one; arrays as in `solve_state`, batched.
 
-    `forces` and `velocity` may be empty where no certificates are wanted.
+    `forces` and `velocity` may be empty where no certificates are wanted. Iterations and steps are added to what there
+    is.
     """
     nothing_f = np.zeros((0, 3))
     nothing_v = np.zeros((0, 6))
     work = make_scratch(structure)
     for i in range(len(states)):
+        if verdict[i] != UNDECIDED:
+            continue
         force = forces[i] if len(forces) else nothing_f
         motion = velocity[i] if len(velocity) else nothing_v
         v, r, k, s = solve_state(structure, states[i], options, work, force, motion, warm)
         verdict[i] = v
         residual[i] = r
-        iterations[i] = k
-        steps[i] = s
+        iterations[i] += k
+        steps[i] += s

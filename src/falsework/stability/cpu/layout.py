@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.stability.cpu.cones import CONES
 from falsework.stability.cpu.elimination import Elimination, eliminate
 from falsework.stability.problem import Problem
+from falsework.utils.kernels import njit
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 """Freedoms given to the compiler: all of fast mathematics, but NaN and infinity keep their meaning."""
@@ -113,7 +113,7 @@ class Scratch(NamedTuple):
     filled: NDArray[np.bool_]
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def make_scratch(structure):
     """Return scratch large enough for every state of a structure."""
     n = len(structure.elimination.order)
@@ -144,7 +144,7 @@ def make_scratch(structure):
     )
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def restrict(structure, state, work):
     """Copy what acts in a state to the front of the scratch; return the number of pairs and of free parts."""
     position, order = structure.elimination.position, structure.elimination.order
@@ -180,7 +180,7 @@ def restrict(structure, state, work):
 # view costs two atomic reference counts each time, which made an iteration six times slower.
 
 
-@nb.njit(inline="always", fastmath=FAST)
+@njit(inline="always", fastmath=FAST)
 def pair_velocity(transfer_a, transfer_b, q, a, b, velocity):
     """Compute the relative velocity and rotation at the middle of pair `q`, six numbers.
 
@@ -208,7 +208,7 @@ def pair_velocity(transfer_a, transfer_b, q, a, b, velocity):
     return s0, s1, s2, s3, s4, s5
 
 
-@nb.njit(inline="always", fastmath=FAST)
+@njit(inline="always", fastmath=FAST)
 def add_pair_wrench(transfer_a, transfer_b, q, a, b, f0, f1, f2, f3, f4, f5, out):
     """Add the six numbers of a force and moment at the middle of pair `q` to its parts that can move."""
     if a >= 0:
@@ -233,7 +233,7 @@ def add_pair_wrench(transfer_a, transfer_b, q, a, b, f0, f1, f2, f3, f4, f5, out
             )
 
 
-@nb.njit(inline="always", fastmath=FAST)
+@njit(inline="always", fastmath=FAST)
 def point_velocity(basis, j, s0, s1, s2, s3, s4, s5):
     """Return relative velocity of contact point `j` in its frame, given what its pair feels."""
     return (
@@ -246,7 +246,7 @@ def point_velocity(basis, j, s0, s1, s2, s3, s4, s5):
     )  # fmt: skip
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def set_gravity(structure, work, out):
     """`out =` whitened gravity of the parts that can move."""
     free, gravity, order = work.free, structure.gravity, structure.elimination.order
@@ -256,7 +256,7 @@ def set_gravity(structure, work, out):
                 out[j, r] = gravity[order[j], r]
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def add_wrenches(structure, work, pairs, forces, out):
     """`out += G forces`."""
     basis, start = work.basis, work.start
@@ -275,7 +275,7 @@ def add_wrenches(structure, work, pairs, forces, out):
         add_pair_wrench(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], a0, a1, a2, a3, a4, a5, out)
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def clear_matrix(work, shift):
     """Set `S` to `shift` times the identity."""
     free, diagonal = work.free, work.diagonal
@@ -288,7 +288,7 @@ def clear_matrix(work, shift):
                     diagonal[j, r, c] = shift if r == c else 0.0
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def dot(work, left, right):
     """Return the inner product over the parts that can move."""
     free = work.free

@@ -9,18 +9,18 @@ the ones on which the whole takes longest.
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
 from falsework.stability.cpu.kernel import solve_state
 from falsework.stability.cpu.layout import make_scratch
 from falsework.stability.cpu.termination import UNDECIDED, UNSTABLE
+from falsework.utils.kernels import njit
 
 RINGS = (1, 3)
 """Contacts away from a changed part, tried in turn. Three rings or more alone gain only half as much."""
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def hold_far_parts(structure, state, parent, rings, near):
     """Copy `state` to `near` with free parts held that are over `rings` contacts from where it differs from `parent`.
 
@@ -56,14 +56,13 @@ def hold_far_parts(structure, state, parent, rings, near):
     return kept, free
 
 
-@nb.njit(cache=True)
-def fall_near(structure, state, parent, rings, options, work, no_forces, velocity):
+@njit(cache=True)
+def fall_near(structure, state, parent, rings, options, work, near, no_forces, velocity):
     """Look for parts that fall near where a state differs from its parent.
 
     Returns:
         `UNSTABLE` with its proof in `velocity`, else `UNDECIDED`; residual, ADMM iterations, interior-point steps.
     """
-    near = np.empty_like(state)
     cold = len(no_forces) > 0  # not a literal, for which numba would compile the solver anew
     spent, taken = 0, 0
     for ring in rings:
@@ -80,31 +79,24 @@ def fall_near(structure, state, parent, rings, options, work, no_forces, velocit
     return UNDECIDED, np.nan, spent, taken
 
 
-@nb.njit(cache=True)
-def solve_near(structure, state, parent, rings, options, work, forces, velocity, warm):
-    """Judge a state, first near where it differs from `parent`; the rest as in `solve_state`."""
-    verdict, residual, spent, taken = fall_near(
-        structure, state, parent, rings, options, work, np.zeros((0, 3)), velocity
-    )
-    if verdict == UNSTABLE:
-        return verdict, residual, spent, taken
-    verdict, residual, iterations, steps = solve_state(structure, state, options, work, forces, velocity, warm)
-    return verdict, residual, spent + iterations, taken + steps
+@njit(nogil=True, cache=True)
+def fall_range(structure, states, parents, rings, options, velocity, verdict, residual, iterations, steps):
+    """Look for parts that fall near where states differ from their parents; arrays as in `solve_range`.
 
-
-@nb.njit(nogil=True, cache=True)
-def solve_range_near(
-    structure, states, parents, rings, options, forces, velocity, warm, verdict, residual, iterations, steps
-):
-    """Judge states one after another, each near its parent first; arrays as in `solve_range`."""
+    Returns:
+        How many states are left undecided.
+    """
     nothing_f = np.zeros((0, 3))
     nothing_v = np.zeros((0, 6))
+    near = np.empty(states.shape[1], np.uint8)
     work = make_scratch(structure)
+    left = 0
     for i in range(len(states)):
-        force = forces[i] if len(forces) else nothing_f
         motion = velocity[i] if len(velocity) else nothing_v
-        v, r, k, s = solve_near(structure, states[i], parents[i], rings, options, work, force, motion, warm)
+        v, r, k, s = fall_near(structure, states[i], parents[i], rings, options, work, near, nothing_f, motion)
         verdict[i] = v
         residual[i] = r
-        iterations[i] = k
-        steps[i] = s
+        iterations[i] += k
+        steps[i] += s
+        left += v == UNDECIDED
+    return left

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
-from falsework.stability.cpu.neighbourhood import RINGS, solve_range_near
+from falsework.stability.cpu.neighbourhood import RINGS, fall_range
 from falsework.stability.cpu.termination import Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
@@ -104,20 +104,12 @@ class CpuSolver:
         steps = np.zeros(batch, np.int32)
 
         def work(rows: slice) -> None:
-            rest = (
-                self._options,
-                forces[rows],
-                velocity[rows],
-                guess is not None,
-                verdicts.verdict[rows],
-                verdicts.residual[rows],
-                verdicts.iterations[rows],
-                steps[rows],
-            )
-            if parents is None:
-                solve_range(self.structure, states[rows], *rest)
-            else:
-                solve_range_near(self.structure, states[rows], parents[rows], RINGS, *rest)
+            found = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
+            motion, warm = velocity[rows], guess is not None
+            if parents is None or fall_range(
+                self.structure, states[rows], parents[rows], RINGS, self._options, motion, *found
+            ):
+                solve_range(self.structure, states[rows], self._options, forces[rows], motion, warm, *found)
 
         self._workers.run(work, batch)
         if verdicts.forces is not None and forces is not verdicts.forces:

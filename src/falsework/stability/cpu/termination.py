@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 
 from falsework.stability.cpu.cones import support
 from falsework.stability.cpu.layout import FAST, add_wrenches, pair_velocity, point_velocity, set_gravity
+from falsework.utils.kernels import njit
 
 STABLE, UNSTABLE, UNDECIDED = 1, -1, 0
 MARGIN = 1e-3
@@ -30,7 +30,7 @@ class Options(NamedTuple):
     force_bound: float
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def check_primal(structure, work, pairs, forces, options, residual):
     """Return the residual that forces of the cone leave, or infinity if they exceed the force bound.
 
@@ -58,7 +58,7 @@ def check_primal(structure, work, pairs, forces, options, residual):
     return worst
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def check_dual(structure, work, pairs, velocity, options):
     """Return the residual that every force of the cone below the bound leaves at least, as proven by a velocity.
 
@@ -97,7 +97,7 @@ def check_dual(structure, work, pairs, velocity, options):
     return (power - worst * bound) / momentum
 
 
-@nb.njit(fastmath=FAST, cache=True)
+@njit(fastmath=FAST, cache=True)
 def judge(structure, work, pairs, velocity, options):
     """Return the verdict on the current forces `work.z` and a velocity, with the residual that it rests on."""
     worst = check_primal(structure, work, pairs, work.z, options, work.residual)

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import os
 from collections.abc import Sequence
-from contextlib import suppress
 from functools import lru_cache
 from importlib import import_module, resources
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from falsework.errors import DependencyError, InputError, SolverError
+from falsework.utils.cache_folder import read_cache, write_cache
 
 SOURCES = (
     "common.cuh",
@@ -191,9 +189,10 @@ def compile_kernel(major: int, minor: int, defines: tuple[tuple[str, int], ...])
     options = [f"--gpu-architecture=sm_{major}{minor}", "--std=c++17", "--fmad=true"]
     options += [f"-D{name}={value}" for name, value in defines]
     encoded = [option.encode() for option in options]
-    kept = _cache_folder() / f"{_identity(options, nvrtc)}.cubin"
-    if kept.is_file():
-        return kept.read_bytes()
+    name = f"{_identity(options, nvrtc)}.cubin"
+    kept = read_cache(name)
+    if kept is not None:
+        return kept
     program = _ask(nvrtc.nvrtcCreateProgram(kernel_source().encode(), b"falsework", 0, [], []))
     (status,) = nvrtc.nvrtcCompileProgram(program, len(encoded), encoded)
     if status != nvrtc.nvrtcResult.NVRTC_SUCCESS:
@@ -203,20 +202,8 @@ def compile_kernel(major: int, minor: int, defines: tuple[tuple[str, int], ...])
     code = b" " * _ask(nvrtc.nvrtcGetCUBINSize(program))
     _ask(nvrtc.nvrtcGetCUBIN(program, code))
     _ask(nvrtc.nvrtcDestroyProgram(program))
-    with suppress(OSError):  # a folder that cannot be written costs seconds at the next start, nothing else
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        fresh = kept.with_suffix(f".{os.getpid()}.tmp")
-        fresh.write_bytes(code)
-        fresh.replace(kept)
+    write_cache(name, code)
     return code
-
-
-def _cache_folder() -> Path:
-    """Return the folder of compiled kernels: `FALSEWORK_CACHE`, else the user's cache folder."""
-    named = os.environ.get("FALSEWORK_CACHE")
-    if named:
-        return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "falsework"
 
 
 def _identity(options: list[str], nvrtc: Any) -> str:

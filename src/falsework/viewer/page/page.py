@@ -86,6 +86,7 @@ class Page:
         self.server.scene.on_click()(self._clicked)
         self._player = threading.Thread(target=self._play, name="falsework-player", daemon=True)
         self._player.start()
+        self._set_slider()
         self.refresh()
 
     @property

@@ -1,0 +1,159 @@
+"""Portable code of the kernels: made of the present source, compiled once, and left to numba where it does not fit."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import warnings
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from llvmlite import binding as llvm
+
+from falsework.utils import bits, cache_folder, kernel_code
+from falsework.utils.kernels import Kernel, njit
+
+ONE = np.array([[1, 0], [4, 2], [0, 0]], np.uint64)
+TWO = np.array([[3, 0], [0, 6]], np.uint64)
+MEET = [[True, False], [False, True], [False, False]]
+
+
+@pytest.fixture
+def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Kernel:
+    """Return a kernel that has not been loaded, with an empty cache folder."""
+    monkeypatch.setenv("FALSEWORK_CACHE", str(tmp_path / "cache"))
+    kernel_code._library.cache_clear()
+    cache_folder.warn_of_no_cache.cache_clear()
+    return Kernel(bits._intersect.py_func, {})
+
+
+def meets(kernel: Kernel, one: np.ndarray = ONE) -> list[list[bool]]:
+    """Return which of the sets meet, as a kernel finds them."""
+    found = np.zeros((len(one), len(TWO)), np.bool_)
+    kernel(one, TWO, found)
+    return found.tolist()
+
+
+def without_numba(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: Kernel) -> None:
+        pytest.fail("numba is asked")
+
+    monkeypatch.setattr(Kernel, "dispatcher", property(refuse))
+
+
+def test_portable_code_is_made_of_the_present_sources() -> None:
+    stale = [
+        group
+        for group, content in kernel_code._index().items()
+        if kernel_code.digest(content["sources"]) != content["digest"]
+    ]
+    assert sorted(kernel_code._index()) == ["contact", "equilibrium", "sets"]
+    assert not stale, "run `make kernels`"
+
+
+def test_code_is_compiled_once_and_kept(fresh: Kernel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    without_numba(fresh, monkeypatch)
+    assert meets(fresh) == MEET
+    (kept,) = (tmp_path / "cache").iterdir()
+    kernel_code._library.cache_clear()
+    monkeypatch.setattr(kernel_code, "compile_code", lambda *_: pytest.fail("compiled again"))
+    assert meets(Kernel(bits._intersect.py_func, {})) == MEET
+    assert kept.name.startswith("sets-")
+
+
+def test_a_folder_that_cannot_be_written_costs_one_warning(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FALSEWORK_CACHE", str(Path(__file__) / "cache"))
+    with pytest.warns(cache_folder.CacheWarning, match="FALSEWORK_CACHE"):
+        assert meets(fresh) == MEET
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        cache_folder.write_cache("again", b"")
+
+
+@pytest.mark.slow
+def test_the_command_says_so_in_one_line(tmp_path: Path) -> None:
+    bad = str(Path(__file__) / "cache")
+    done = subprocess.run(
+        [sys.executable, "-m", "falsework", "stability", "arch:blocks=3"],
+        env=os.environ | {"FALSEWORK_CACHE": bad, "NUMBA_CACHE_DIR": bad},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0
+    assert "stable" in done.stdout
+    assert done.stderr.startswith("falsework: warning: compiled code cannot be kept in ")
+    assert done.stderr.count("\n") == 1
+
+
+def test_changed_sources_go_to_numba(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernel_code, "digest", lambda sources: "changed")
+    assert meets(fresh) == MEET
+    assert fresh.dispatcher.signatures
+
+
+def test_code_of_a_later_llvm_goes_to_numba(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> bytes:
+        raise RuntimeError("LLVM bitcode parsing error")
+
+    monkeypatch.setattr(kernel_code, "compile_code", refuse)
+    assert meets(fresh) == MEET
+    assert fresh.dispatcher.signatures
+
+
+@pytest.mark.parametrize(
+    "one",
+    [ONE.astype(np.int64), np.asfortranarray(ONE), np.repeat(ONE, 2, axis=1)[:, ::2]],
+    ids=["another type", "another order", "strided"],
+)
+def test_other_arguments_go_to_numba(fresh: Kernel, one: np.ndarray) -> None:
+    assert meets(fresh, one) == MEET
+    assert fresh.dispatcher.signatures
+
+
+def test_without_an_archive_numba_compiles(fresh: Kernel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kernel_code._index.cache_clear()
+    monkeypatch.setattr(kernel_code, "ARCHIVE", tmp_path / "none.zip")
+    try:
+        assert meets(fresh) == MEET
+        assert fresh.dispatcher.signatures
+    finally:
+        kernel_code._index.cache_clear()
+
+
+def test_numba_without_a_folder_compiles_with_a_warning(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    import numba
+
+    real = numba.njit
+
+    def without_folder(**options: Any) -> Any:
+        if options.get("cache"):
+            raise RuntimeError("cannot cache function: no locator available")
+        return real(**options)
+
+    monkeypatch.setattr(numba, "njit", without_folder)
+    twice = njit(cache=True)(lambda value: 2 * value)
+    with pytest.warns(cache_folder.CacheWarning):
+        assert twice(3) == 6
+
+
+def test_failure_in_portable_code_is_an_error(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernel_code.ctypes, "CFUNCTYPE", lambda *_: lambda _: lambda words, result: -1)
+    with pytest.raises(RuntimeError, match="_intersect failed"):
+        meets(fresh)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("triple", ["aarch64-unknown-linux-gnu", "arm64-apple-macosx14.0.0", "x86_64-pc-windows-msvc"])
+def test_code_compiles_for_other_machines(triple: str) -> None:
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    machine = llvm.Target.from_triple(triple).create_target_machine(opt=3)
+    with zipfile.ZipFile(kernel_code.ARCHIVE) as archive:
+        for group in kernel_code._index():
+            assert kernel_code.compile_code(llvm, machine, archive.read(f"{group}.bc"))
