@@ -98,6 +98,40 @@ TABLES = {
         benchmark="stability cold",
         where=quiet,
     ),
+    "margins-cost": Table(
+        "margins",
+        (*STRUCTURE, ("criterion", "{criterion}")),
+        (
+            ("states", "{states}"),
+            ("friction, ms of processors", "{processor_ms.friction}"),
+            ("tilt, ms of processors", "{processor_ms.tilt}"),
+            ("weight of a part, ms of processors", "{processor_ms.load_factor}"),
+            ("push, ms of processors", "{processor_ms.push}"),
+        ),
+        benchmark="margins cost",
+    ),
+    "margins-truth": Table(
+        "margins",
+        (("cases", "{cases}"),),
+        (
+            ("replay: wrong side", "{wrong.replay} of {asked.replay}"),
+            ("discrete elements: wrong side", "{wrong.discrete elements} of {asked.discrete elements}"),
+        ),
+        benchmark="margins truth",
+    ),
+    "margins-plans": Table(
+        "margins",
+        STRUCTURE_AND_ROBOTS,
+        (
+            ("friction of the structure", "{friction}"),
+            ("least friction of the first plan", "{first}"),
+            ("of the plan made for it", "{maximised}"),
+            ("of any plan, at least", "{bound}"),
+            ("first plan, s", "{first_s}"),
+            ("plan made for it, s", "{maximise_s}"),
+        ),
+        benchmark="margins plans",
+    ),
     "first-minute": Table(
         "first_minute",
         (("command", "{what}"), ("compiled code", "{cache}")),

@@ -28,13 +28,14 @@ from numba.core import codegen
 from falsework.assembly import load_structure
 from falsework.assembly.state import complete_state
 from falsework.geometry.clearance import table
-from falsework.stability import StabilitySettings
+from falsework.stability import Stability, StabilitySettings
 from falsework.stability.contact.kernel import rest_range
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.neighbourhood import fall_range
+from falsework.stability.margins.kernel import rest_under
 from falsework.stability.problem import build_problem
 from falsework.utils import bits
 from falsework.utils.kernel_code import ARCHIVE, PACKAGE, digest
@@ -43,6 +44,7 @@ from falsework.utils.kernels import Kernel, flatten
 GROUPS = {
     "contact": (rest_range, replay_range),
     "equilibrium": (fall_range, solve_range),
+    "margins": (rest_under,),
     "sets": (bits._intersect, table._ways_out),
 }
 
@@ -95,6 +97,8 @@ def record() -> dict[str, tuple[Any, ...]]:
         problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
         ContactSolver(assembly, problem, settings).check(states, parents=states)
         Replayer(assembly).replay(states)
+        prober = Stability(assembly).prober
+        prober.ask(states[0], prober.own())
         words = bits.pack(states > 0)
         bits.intersect(words, words)
         ways = np.arange(states.shape[1] + 1, dtype=np.int32)

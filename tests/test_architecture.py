@@ -38,8 +38,8 @@ CORE = ("errors", "utils", "geometry", "assembly", "stability", "search", "repla
 SUBPACKAGES = {
     "geometry": ("mesh", "contact", "clearance"),
     "assembly": ("library",),
-    "stability": ("cpu", "contact", "gpu", "reference", "judges"),
-    "search": ("problem", "beam", "plans", "device"),
+    "stability": ("cpu", "contact", "gpu", "reference", "margins", "judges"),
+    "search": ("problem", "beam", "margins", "plans", "device"),
     "learn": ("config", "env", "networks", "data", "algorithms", "training"),
     "robots": ("model", "kernels", "kinematics", "motion", "cells", "grasping", "plans", "planning"),
     "viewer": ("pictures", "page"),

@@ -90,6 +90,7 @@ def test_examples_in_help_texts_run(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         "check",
         "sheet",
         "stability",
+        "margins",
         "graph",
         "dataset",
         "train",

@@ -17,6 +17,9 @@ _READERS: list[tuple[str, str, str]] = []
 """Probe, reader and reader of unchecked parts of each format, as `package.module:function`; imported at the first file
 that they may know."""
 
+LOAD_OPTIONS = ("loads", "earthquake")
+"""Options that load a structure and that its reader need not know."""
+
 
 def register_reader(probe: str, reader: str, parts: str = "") -> None:
     """Let `load_structure` read files of another format.
@@ -53,9 +56,10 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
 
     Args:
         structure: name of a built-in structure with its parameters, or a folder or file.
-        options: unit, density (kg/m3), friction, boundary, ground and contact_settings as for `load_assembly`, and
-            interfaces (`found`, `stored` or `compare`) as for `load_compas`; None is as good as left out. A built-in
-            structure takes neither unit nor contact_settings, and only COMPAS data store interfaces.
+        options: unit, density (kg/m3), friction, boundary, ground, contact_settings, loads and earthquake as for
+            `load_assembly`, and interfaces (`found`, `stored` or `compare`) as for `load_compas`; None is as good as
+            left out. A built-in structure takes neither unit nor contact_settings, and only COMPAS data store
+            interfaces.
 
     Raises:
         InputError: neither a path nor a built-in structure, or an option that it does not take.
@@ -72,7 +76,9 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
             raise InputError(f"there is no folder, file or built-in structure {text!r}; built in are {names}")
         for probe, reader, _ in _READERS if path.is_file() else ():
             if _resolve(probe)(path):
-                return _resolve(reader)(path, **{**described_options(path), **given})
+                options = {**described_options(path), **given}
+                acting = {name: options.pop(name, None) for name in LOAD_OPTIONS}
+                return _loaded(_resolve(reader)(path, **options), acting)
         if given.pop("interfaces", "found") != "found":
             raise InputError(f"{text} is made of meshes and stores no interfaces; leave out --interfaces")
         return load_assembly(path, **given)
@@ -81,11 +87,19 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     for option in ("unit", "contact_settings"):
         if option in given:
             raise InputError(f"{text} is a built-in structure and has its own {option}; leave it out")
-    ground = given.pop("ground", False)
+    ground, acting = given.pop("ground", False), {name: given.pop(name, None) for name in LOAD_OPTIONS}
     assembly = library.build(text, density=given.pop("density", None), friction=given.pop("friction", None))
     if given:
         assembly = assembly.replace(**given)
-    return assembly.with_ground() if ground else assembly
+    return _loaded(assembly.with_ground() if ground else assembly, acting)
+
+
+def _loaded(assembly: Assembly, acting: dict[str, Any]) -> Assembly:
+    """Return the assembly under the loads of `LOAD_OPTIONS` that are given."""
+    from falsework.assembly.loads import Loads
+
+    loads = Loads.read(acting["loads"], acting["earthquake"], assembly.names, assembly.mass.center)
+    return assembly if loads is None else assembly.replace(loads=loads)
 
 
 def described_options(path: Path) -> dict[str, Any]:
@@ -100,7 +114,7 @@ def described_options(path: Path) -> dict[str, Any]:
         return {}
     described = read_description(path)
     described["contact_settings"] = described.pop("contact")
-    options = ("unit", "density", "friction", "boundary", "contact_settings")
+    options = ("unit", "density", "friction", "boundary", "contact_settings", *LOAD_OPTIONS)
     return {name: described[name] for name in options if name in described}
 
 

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from falsework.assembly.loads import Loads
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
@@ -51,6 +52,8 @@ class Assembly:
     """Tolerances with which the contacts were found."""
     contacts_given: bool = False
     """Whether the contacts were given, such as interfaces that a file stores, and not found from the meshes."""
+    loads: Loads | None = None
+    """Loads beside the weight of the parts."""
 
     @staticmethod
     def from_meshes(
@@ -174,7 +177,19 @@ class Assembly:
         if self.contacts_given:
             for array in (self.contacts.parts, self.contacts.frames, self.contacts.points, self.contacts.start):
                 digest.update((array + 0.0).astype("<f8").tobytes())
+        if self.loads is not None:
+            for array in (self.loads.wrench, self.loads.acceleration):
+                digest.update(b"loads" + (array + 0.0).astype("<f8").tobytes())
         return digest.hexdigest()
+
+    def applied_wrench(self, gravity: float = 9.81) -> NDArray[np.float64]:
+        """Return weight and loads on the parts, N and Nm about the centres of mass, shape (parts, 6).
+
+        Args:
+            gravity: m/s2 along -z.
+        """
+        loads = self.loads or Loads.of(self.part_count)
+        return loads.applied(self.mass.mass, gravity)
 
     @cached_property
     def clearance(self) -> ClearanceTable:
@@ -189,8 +204,9 @@ class Assembly:
         boundary: ArrayLike | None = None,
         density: ArrayLike | None = None,
         friction: float | None = None,
+        loads: Loads | None = None,
     ) -> Assembly:
-        """Return the same parts with another name, boundary, density or friction; contacts are kept.
+        """Return the same parts with another name, boundary, density, friction or loads; contacts are kept.
 
         Raises:
             AssemblyError: as `from_meshes`.
@@ -207,6 +223,7 @@ class Assembly:
             density=densities,
             friction=self.friction if friction is None else _friction(friction),
             mass=self.mass if density is None else mass_properties(self.meshes, densities),
+            loads=self.loads if loads is None else loads,
         )
         for array in (fixed, densities):
             array.setflags(write=False)
@@ -216,7 +233,7 @@ class Assembly:
 
     def with_ground(self) -> Assembly:
         """Return the same parts on a fixed slab under the lowest point, which becomes the last part."""
-        return Assembly.from_meshes(
+        grounded = Assembly.from_meshes(
             self.meshes,
             boundary=self.boundary,
             density=self.density,
@@ -225,6 +242,12 @@ class Assembly:
             contact_settings=self.contact_settings,
             ground=True,
             contacts=self.contacts if self.contacts_given else None,
+        )
+        if self.loads is None:
+            return grounded
+        wrench = np.concatenate([self.loads.wrench, np.zeros((1, 6))])
+        return grounded.replace(
+            loads=Loads.of(len(wrench), wrench=wrench, acceleration=self.loads.acceleration),
         )
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from falsework.assembly.loads import Loads
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import ContactSettings
@@ -33,12 +34,15 @@ def load_assembly(
     boundary: ArrayLike | None = None,
     ground: bool = False,
     contact_settings: ContactSettings | None = None,
+    loads: list[dict[str, Any]] | None = None,
+    earthquake: float | list[float] | None = None,
 ) -> Assembly:
     """Read an assembly: a folder of meshes, or one file with one object per part.
 
     `assembly.json` in the folder, or beside the file, gives `name`, `unit`, `density` (one number or one a
-    part, kg/m3), `friction`, `boundary` (ids or names of parts), `names` and `contact` (fields of
-    `ContactSettings`); all of them may be missing. Arguments come before what the file says.
+    part, kg/m3), `friction`, `boundary` (ids or names of parts), `names`, `contact` (fields of
+    `ContactSettings`), `loads` and `earthquake` (see `Loads.read`); all of them may be missing. Arguments
+    come before what the file says.
 
     Args:
         path: folder or mesh file.
@@ -48,6 +52,8 @@ def load_assembly(
         boundary: ids of the parts that are fixed for ever, or a mask of shape (parts,).
         ground: add a fixed slab under the lowest point, as the last part.
         contact_settings: tolerances.
+        loads: objects with `part`, `force` (N) and perhaps `at` (m) and `moment` (Nm).
+        earthquake: pseudo-static horizontal acceleration in shares of gravity, along x, or along x and y.
 
     Raises:
         InputError: no such path or nothing in it.
@@ -73,7 +79,7 @@ def load_assembly(
         meshes = tuple(replace(mesh, name=name) for mesh, name in zip(meshes, names, strict=True))
     if boundary is None:
         boundary = part_ids(described.get("boundary", []), [mesh.name for mesh in meshes])
-    return Assembly.from_meshes(
+    assembly = Assembly.from_meshes(
         meshes,
         boundary=boundary,
         density=described.get("density", DENSITY) if density is None else density,
@@ -82,6 +88,13 @@ def load_assembly(
         contact_settings=described["contact"] if contact_settings is None else contact_settings,
         ground=ground,
     )
+    acting = Loads.read(
+        described.get("loads") if loads is None else loads,
+        described.get("earthquake") if earthquake is None else earthquake,
+        assembly.names,
+        assembly.mass.center,
+    )
+    return assembly if acting is None else assembly.replace(loads=acting)
 
 
 def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
@@ -111,6 +124,8 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
     }
     if assembly.names != tuple(str(part) for part in range(assembly.part_count)):
         description["names"] = list(assembly.names)
+    if assembly.loads is not None:
+        description |= assembly.loads.describe()
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{target.name}-", dir=target.parent) as scratch:
@@ -157,6 +172,8 @@ def read_description(source: Path) -> dict[str, Any]:
             ("parts", (int,)),
             ("names", (list,)),
             ("contact", (dict,)),
+            ("loads", (list,)),
+            ("earthquake", (int, float, list)),
         ):
             if key in described and (not isinstance(described[key], kinds) or isinstance(described[key], bool)):
                 raise AssemblyError(

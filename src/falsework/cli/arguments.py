@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -41,6 +42,36 @@ def parse_parts(text: str, option: str, names: Sequence[str] = ()) -> tuple[int,
         else:
             raise InputError(f"{option} {text}: {item!r} is no part; give numbers such as 3,4 or 0-16, or names")
     return tuple(parts)
+
+
+def parse_numbers(text: str, option: str, count: Sequence[int] = (1, 2)) -> list[float]:
+    """Read numbers separated by commas.
+
+    Raises:
+        InputError: no numbers, or not as many as `count` allows.
+    """
+    try:
+        numbers = [float(item) for item in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in count or not all(math.isfinite(number) for number in numbers):
+        raise InputError(f"{option} {text}: give {' or '.join(map(str, count))} numbers without units, such as 0.1")
+    return numbers
+
+
+def parse_load(text: str) -> dict[str, Any]:
+    """Read a load such as `keystone=0,0,-1000` or `7=0,0,-1000@0.2,0,1` as an entry of `loads` in `assembly.json`.
+
+    Raises:
+        InputError: it is written otherwise.
+    """
+    part, equals, rest = text.rpartition("=")
+    force, at, place = rest.partition("@")
+    if not (part and equals):
+        raise InputError(f"--load {text}: give a part and its force in N, such as keystone=0,0,-1000")
+    option = f"--load {part}="
+    load: dict[str, Any] = {"part": part, "force": parse_numbers(force, option, (3,))}
+    return load | {"at": parse_numbers(place, f"{option}{force}@", (3,))} if at else load
 
 
 def read_states(path: Path) -> Any:

@@ -53,6 +53,8 @@ class CheckPlan(JudgingCommand):
     """m/s2."""
     force_bound: float = 1e3
     """Bound on the sum of all normal forces, in weights of the structure."""
+    margin: Annotated[str | None, arg(metavar="MARGINS", help_behavior_hint="(default: those of the plan)")] = None
+    """Margins that every state must keep, such as friction=1.25,tilt=2deg,push=20N; see `falsework plan --help`."""
     replay: bool = False
     """Also replay the plan in the order of assembly with contact history, and print one line per step. A plan that
     fails with another stiffness ratio, release increment or initial friction is reported as marginal."""
@@ -63,6 +65,7 @@ class CheckPlan(JudgingCommand):
 
     def run(self, output: Output) -> Exit:
         """Load, compare, verify, replay."""
+        from falsework.search.margins.demands import Demands
         from falsework.search.plans.plan_check import validate_plan
         from falsework.search.plans.plan_file import load_plan
         from falsework.search.plans.plan_source import structure_of_plan
@@ -79,11 +82,16 @@ class CheckPlan(JudgingCommand):
             gravity=self.gravity,
             force_bound=self.force_bound,
         )
+        demands = None if self.margin is None else Demands.parse(self.margin)
         plan = load_plan(self.plan)
         assembly = structure_of_plan(plan, self.plan, self.structure, **self.reading.given())
         with output.bar("checking") as show:
             found = validate_plan(
-                plan, assembly, settings, progress=lambda done, total: show(done, total, f"state {done} of {total}")
+                plan,
+                assembly,
+                settings,
+                demands=demands,
+                progress=lambda done, total: show(done, total, f"state {done} of {total}"),
             )
         self._report(plan, assembly, found, output)
         if not found.good:
@@ -127,6 +135,9 @@ class CheckPlan(JudgingCommand):
                 f"cone, tolerance {claim.tolerance:g}, gravity {claim.gravity:g} m/s2, force bound "
                 f"{claim.force_bound:g}); residual at most {found.residual:.1e} of gravity"
             )
+            demanded = self.margin or (plan.margins and str(plan.margins.demands))
+            if demanded:
+                output.say(f"every state keeps {demanded}")
         else:
             output.note(
                 f"falsework: {self.plan}: {found.reason}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}"

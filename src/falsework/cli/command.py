@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
-from falsework.cli.arguments import parse_parts
+from falsework.cli.arguments import parse_load, parse_numbers, parse_parts
 from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
@@ -67,17 +67,26 @@ class LoadOptions:
         None
     )
     """Contacts: found from the meshes, those that a COMPAS file stores, or found and compared with the stored ones."""
+    loads: Annotated[
+        UseAppendAction[tuple[str, ...]], arg(name="load", metavar="PART=FX,FY,FZ", help_behavior_hint=UNSET)
+    ] = ()
+    """Force on a part in N, such as keystone=0,0,-1000, at its centre of mass or at a point: 7=0,0,-1000@0.2,0,1.
+    May be repeated."""
+    earthquake: Annotated[str | None, arg(metavar="SHARE", help_behavior_hint=UNSET)] = None
+    """Pseudo-static horizontal acceleration as a share of gravity, such as 0.1 along x, or 0.1,0.05 along x and y."""
 
     def given(self) -> dict[str, Any]:
         """Return those that were given, as `load_structure` takes them.
 
         Raises:
-            InputError: boundary is no list of parts.
+            InputError: boundary is no list of parts, or a load or earthquake that cannot be read.
         """
         options: dict[str, Any] = {"unit": self.unit, "density": self.density, "friction": self.friction}
         options["boundary"] = None if self.boundary is None else list(parse_parts(self.boundary, "--boundary"))
         options["ground"] = self.ground or None
         options["interfaces"] = self.interfaces
+        options["loads"] = [parse_load(text) for text in self.loads] or None
+        options["earthquake"] = None if self.earthquake is None else parse_numbers(self.earthquake, "--earthquake")
         return {name: value for name, value in options.items() if value is not None}
 
 

@@ -32,6 +32,7 @@ COMMANDS = {
     "doctor": "Doctor",
     "export": "Export",
     "stability": "CheckStability",
+    "margins": "FindMargins",
     "plan": "MakePlan",
     "check": "CheckPlan",
     "graph": "MakeGraph",

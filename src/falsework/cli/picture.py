@@ -31,6 +31,7 @@ class MakePicture(JudgingCommand):
         "falsework picture plan.json --out sheet.png",
         "falsework picture plan.json --step 4 --out step.png",
         "falsework picture arch:blocks=9 --svg --forces --out arch.svg",
+        "falsework picture plan.json --step 4 --limits --out limits.png",
     )
 
     subject: ViewableOptions
@@ -44,6 +45,8 @@ class MakePicture(JudgingCommand):
     """Draw the certificate of a single state."""
     verdicts: bool = False
     """Evaluate the stability of the states drawn, and mark unstable parts."""
+    limits: bool = False
+    """Colour the parts of a single state by how near they are to slipping or tipping."""
     policy: Annotated[str | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Run whose policy colours the parts of a single state, or whose states are marked in a state graph."""
     frames: int = 12
@@ -75,6 +78,7 @@ class MakePicture(JudgingCommand):
             step=self.step,
             forces=self.forces,
             verdicts=self.verdicts,
+            limits=self.limits,
             criterion=self.criterion,
             frames=self.frames,
             columns=self.columns,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, Command, Exit, StructureOptions
+from falsework.cli.command import CONE_HINT, UNSET, Command, Exit, StructureOptions
 from falsework.cli.planning import TaskOptions, refuse_unstable, writable
 from falsework.errors import InputError
 
@@ -33,6 +33,8 @@ class MakePlan(Command):
     examples: ClassVar[tuple[str, ...]] = (
         "falsework plan vault --robots 2 --out plan.json",
         "falsework plan my-folder --missing 3,4 --alternatives 5 --out plan.json",
+        "falsework plan arch --margin friction=1.25,tilt=1deg --out safe.json",
+        "falsework plan arch --maximise friction --out strong.json",
     )
 
     structure: StructureOptions
@@ -54,6 +56,11 @@ class MakePlan(Command):
     """Friction cone: round, or eight-sided as in the paper."""
     solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
     """Solver; `auto` takes a GPU where there is one and it is faster."""
+    margin: Annotated[str | None, arg(metavar="MARGINS", help_behavior_hint=UNSET)] = None
+    """Margins that every state must keep: friction=1.25 (factor of safety), tilt=2deg, horizontal=0.05g, push=20N (on
+    any free face), load=1kN (on any installed part), placement=1mm; several are separated by commas."""
+    maximise: Annotated[Literal["friction", "tilt", "push"] | None, arg(help_behavior_hint=UNSET)] = None
+    """Look for the plan whose weakest step is strongest in this margin, and say how much stronger one can be."""
     assembly_order: bool = False
     """Write the plan in the order of assembly: insert and release instead of hold and remove."""
     proofs: bool = False
@@ -63,28 +70,55 @@ class MakePlan(Command):
 
     def run(self, output: Output) -> Exit:
         """Search, prove, save."""
+        from falsework.cli.demands import explain_shortfall, refuse_weak_end
         from falsework.search.find import find_plans
+        from falsework.search.margins.demands import DemandingStability, Demands
+        from falsework.search.maximise import maximise_margin
         from falsework.stability import Stability, StabilitySettings
+
+        if self.maximise and (self.alternatives > 1 or self.resume):
+            raise InputError("--maximise looks for one plan, from the beginning; leave out --alternatives and --resume")
+        demands = Demands() if self.margin is None else Demands.parse(self.margin)
 
         writable(self.out)
         settings, checkpoint = self._settings(), self._checkpoint()
         assembly = self.structure.load()
         task = self.task.task(assembly)
-        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver))
+        stability = StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver)
+        oracle = DemandingStability(assembly, stability, demands) if demands else Stability(assembly, stability)
         if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
+        if demands:  # a search that was saved under other margins is another search
+            task = replace(task, identity=f"{task.identity} {demands}")
+        demanding = oracle if isinstance(oracle, DemandingStability) else None
+        if demanding is not None and refuse_weak_end(demanding, task, output):
+            return Exit.NO
         with output.search_progress() as report:
-            planning = find_plans(
-                assembly,
-                task,
-                oracle=oracle,
-                settings=settings,
-                progress=report,
-                checkpoint=checkpoint,
-                forces=self.proofs,
-            )
+            if self.maximise is not None:
+                planning = maximise_margin(
+                    assembly,
+                    task,
+                    self.maximise,
+                    stability,
+                    demands=demands,
+                    settings=settings,
+                    progress=report,
+                    forces=self.proofs,
+                )
+            else:
+                planning = find_plans(
+                    assembly,
+                    task,
+                    oracle=oracle,
+                    settings=settings,
+                    progress=report,
+                    checkpoint=checkpoint,
+                    forces=self.proofs,
+                )
         result = planning.result
-        if result.interrupted:
+        if result.interrupted and self.maximise is not None:
+            output.note("interrupted before there was a plan; the same command begins anew")
+        elif result.interrupted:
             output.note(
                 f"interrupted; the search is saved in {checkpoint}, the same command with --resume continues it"
             )
@@ -94,8 +128,9 @@ class MakePlan(Command):
             from falsework.cli.failure import explain
 
             failure = explain(assembly, oracle, result)
-            output.record(failure.to_dict(assembly))
-            output.note(f"falsework: {failure.text}")
+            lacks, words = ({}, "") if demanding is None else explain_shortfall(demanding, result)
+            output.record(failure.to_dict(assembly) | ({"shortfall": lacks} if demanding is not None else {}))
+            output.note(f"falsework: {failure.text}{words}")
             if planning.fallen is not None:
                 self._show_fallen(planning.fallen, output)
             return Exit.NO
@@ -141,12 +176,16 @@ class MakePlan(Command):
         output.note(f"falsework: the best plan is in {path}: its replay fails at step {step} of assembly ({action})")
 
     def _report(self, plans: list[tuple[Path, Plan]], planning: Planning, output: Output) -> None:
+        from falsework.cli.demands import margin_lines
+
         seconds, asked, found = planning.result.seconds, planning.result.counters.asked, planning.alternatives
         for number, (path, plan) in enumerate(plans):
             record: dict[str, Any] = {"plan": str(path), "steps": len(plan), "robots": plan.robots}
             record["needs"] = [asdict(need) for need in plan.needs]
             record["criterion"] = plan.claim.criterion
             record["replay"] = None if plan.replay is None else asdict(plan.replay)
+            if plan.margins is not None:
+                record["margins"] = plan.margins.to_dict()
             if self.alternatives > 1:
                 record["distances"] = [round(float(distance), 4) for distance in found.distance[number]]
             output.record({**record, "verdicts": asked, "seconds": seconds})
@@ -157,6 +196,8 @@ class MakePlan(Command):
         )
         if first.replay is not None:
             output.say(f"the replay succeeds; parts move by at most {first.replay.moved * 1e3:.3g} mm")
+        for line in margin_lines(first):
+            output.say(line)
         for need in first.needs:
             output.say(f"{first.part_names[need.part]} is needed after {need.after_parts} other parts are placed")
         if len(plans) > 1:

@@ -42,6 +42,7 @@ COLUMNS = (
     "center_z",
     "placed",
     "needed",
+    "margins",
 )
 """Of the table in CSV: metres and kilograms; `hold` names all parts that must be held when the step is done."""
 _LEANS = 0.35
@@ -69,6 +70,8 @@ class AssemblyInstruction:
     """Parts that are there when the step is done, boundary not counted."""
     needed: bool
     """Whether the part was said to be missing when the plan was made."""
+    margins: str = ""
+    """Margins of the state after the step, as far as the plan records them."""
 
     @property
     def verb(self) -> str:
@@ -133,6 +136,7 @@ def assembly_instructions(plan: Plan, assembly: Assembly) -> AssemblyInstruction
                 way=-timeline.ways[part] if place else None,
                 placed=int(((timeline.states[after] != REMOVED) & ~assembly.boundary).sum()),
                 needed=place and part in missing,
+                margins="" if build.margins is None else build.margins.words(number),
             )
         )
     return AssemblyInstructions(timeline, tuple(steps), int(timeline.holders.max(initial=NO_ROBOT)) + 1)
@@ -183,6 +187,7 @@ def _rows(sheet: AssemblyInstructions) -> Iterator[dict[str, Any]]:
             **{f"center_{axis}": f"{assembly.mass.center[step.part][i]:.6g}" for i, axis in enumerate("xyz")},
             "placed": step.placed,
             "needed": "yes" if step.needed else "",
+            "margins": step.margins,
         }
 
 

@@ -9,6 +9,10 @@ from falsework.search.find import Planning as Planning
 from falsework.search.find import find_plans as find_plans
 from falsework.search.find import plan_of as plan_of
 from falsework.search.find import task_of as task_of
+from falsework.search.margins.demands import DemandingStability as DemandingStability
+from falsework.search.margins.demands import Demands as Demands
+from falsework.search.margins.plan_margins import PlanMargins as PlanMargins
+from falsework.search.maximise import maximise_margin as maximise_margin
 from falsework.search.planner import Planner as Planner
 from falsework.search.plans.alternatives import Alternatives as Alternatives
 from falsework.search.plans.alternatives import choose_alternatives as choose_alternatives

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
+from falsework.search.margins.demands import DemandingStability
+from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
@@ -183,6 +185,8 @@ def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, 
         beside = route.states[max(row - 1, 0) : row + 2]
         verdicts.put(np.array([row]), oracle.check_beside(route.states[row], beside))
     plan = Plan.of(route, assembly, task, verdicts, oracle.settings.claim)
+    if isinstance(oracle, DemandingStability):
+        plan = replace(plan, margins=PlanMargins.of(oracle, plan.states, oracle.demands))
     if oracle.replayer is None:
         return plan
     return replace(plan, replay=PlanReplay.of(oracle.replayer.replay(plan.assembly_states)))

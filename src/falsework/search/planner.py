@@ -72,6 +72,7 @@ class Planner:
         """Route whose replay gets farthest before it fails, and the step of assembly at which it fails."""
         self._oracle = oracle
         self._replayer = getattr(oracle, "replayer", None)
+        self._keeps = getattr(oracle, "keeps", None)
         self._forbidden, self._falls = self.states[:0], 0
         self._guide = guide
         self._stage = "plan"
@@ -235,7 +236,15 @@ class Planner:
         return False
 
     def _stands(self, route: Route) -> bool:
-        """Return whether the replay of a route comes to rest in every state; note the first state that falls."""
+        """Return whether the replay of a route comes to rest in every state; note the first state that falls.
+
+        An oracle that asks for margins is asked about the whole of every state before.
+        """
+        if self._keeps is not None:
+            weak = np.flatnonzero(~self._keeps(route.states[1:-1])) + 1
+            if len(weak):
+                self._forbidden = np.concatenate([self._forbidden, route.states[weak]])
+                return False
         if self._replayer is None:
             return True
         replay = self._replayer.replay(route.states[::-1])

@@ -4,6 +4,9 @@ from falsework.stability.certificate import verify_certificates as verify_certif
 from falsework.stability.contact.replay import Replay as Replay
 from falsework.stability.contact.replay import Replayer as Replayer
 from falsework.stability.contact.replay import ReplaySettings as ReplaySettings
+from falsework.stability.margins.state_margins import Bound as Bound
+from falsework.stability.margins.state_margins import HeldLoad as HeldLoad
+from falsework.stability.margins.state_margins import StateMargins as StateMargins
 from falsework.stability.motion import motion_of as motion_of
 from falsework.stability.oracle import Counters as Counters
 from falsework.stability.oracle import Stability as Stability

@@ -177,7 +177,7 @@ def residual_of_forces(
         rows = (np.arange(batch)[:, None] * parts + part).ravel()
         for axis in range(6):
             net[:, :, axis] += np.bincount(rows, wrench[:, :, axis].ravel(), batch * parts).reshape(batch, parts)
-    net[:, :, 2] -= claim.gravity * mass.mass
+    net += assembly.applied_wrench(claim.gravity)
     linear = net[:, :, :3] / mass.mass[None, :, None]
     angular = np.linalg.solve(mass.inertia[None], net[:, :, 3:, None])[..., 0]
     largest = np.maximum(np.abs(linear).max(axis=2), np.abs(angular).max(axis=2) * mass.gyration) / claim.gravity
@@ -191,8 +191,8 @@ def residual_bound_of_velocity(
     """Return the residual that every admissible set of contact forces leaves at least, as a velocity proves it.
 
     For forces with sum of normals at most `B`, the power of all forces on velocity `w` is at least
-    `w . gravity - B max_c s_c`, where `s_c` is the most power that contact point `c` can take out per newton of
-    normal force. The power is also the acceleration times the momentum of `w`, at most the residual times
+    `w . loads - B max_c s_c`, weight among the loads, where `s_c` is the most power that contact point `c` can take out
+    per newton of normal force. The power is also the acceleration times the momentum of `w`, at most the residual times
     gravity times the 1-norm of the momentum, angular momenta divided by the radii of gyration (the lemma of
     Farkas with both bounds in numbers).
 
@@ -206,22 +206,30 @@ def residual_bound_of_velocity(
     Returns:
         Shares of gravity, shape (batch,); zero or less where nothing is proven.
     """
+    velocity = np.where((states == 1)[:, :, None], velocity, 0.0)
+    taken, momentum = resistance_to_velocity(assembly, states, velocity, claim)
+    proven = np.einsum("bpi,pi->b", velocity, assembly.applied_wrench(claim.gravity)) - taken
+    bound = np.divide(proven, momentum, out=np.zeros_like(proven), where=momentum > 0)
+    return np.where(np.isfinite(bound), bound, 0.0)
+
+
+def resistance_to_velocity(
+    assembly: Assembly, states: States, velocity: Array, claim: StabilityCriterion
+) -> tuple[Array, Array]:
+    """Return the most power in W that admissible forces take out of a velocity, and its momentum.
+
+    The momentum is in N m/s, such that the power of the loads less the first, divided by it, bounds the residual from
+    below; neither depends on the loads. Arguments as for `residual_bound_of_velocity`, shapes (batch,).
+    """
     contacts, mass = assembly.contacts, assembly.mass
     owner = contacts.contact_of_point
     a, b = contacts.parts[owner, 0], contacts.parts[owner, 1]
-    velocity = np.where((states == 1)[:, :, None], velocity, 0.0)
-    linear, angular = velocity[:, :, :3], velocity[:, :, 3:]
     taken = _most_power_taken(_relative(assembly, velocity), assembly.friction, claim.cone)
     taken = np.where(_acts(states, a, b), taken, 0.0).max(axis=1, initial=0.0)
-
-    power = -claim.gravity * (mass.mass * linear[:, :, 2]).sum(axis=1)
     weight = claim.gravity * mass.mass[~assembly.boundary].sum()
-    momentum = np.abs(mass.mass[None, :, None] * linear).sum(axis=(1, 2))
-    turning = np.abs(np.einsum("pij,bpj->bpi", mass.inertia, angular)).sum(axis=2)
-    momentum = claim.gravity * (momentum + (turning / mass.gyration).sum(axis=1))
-    proven = power - claim.force_bound * weight * taken
-    bound = np.divide(proven, momentum, out=np.zeros_like(proven), where=momentum > 0)
-    return np.where(np.isfinite(bound), bound, 0.0)
+    momentum = np.abs(mass.mass[None, :, None] * velocity[:, :, :3]).sum(axis=(1, 2))
+    turning = np.abs(np.einsum("pij,bpj->bpi", mass.inertia, velocity[:, :, 3:])).sum(axis=2)
+    return claim.force_bound * weight * taken, claim.gravity * (momentum + (turning / mass.gyration).sum(axis=1))
 
 
 def _relative(assembly: Assembly, motion: Array) -> Array:

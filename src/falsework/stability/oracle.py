@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -19,6 +20,9 @@ from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
+from falsework.stability.margins.conditions import Prober
+from falsework.stability.margins.margins import QUICK, MarginFinder
+from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
@@ -203,6 +207,31 @@ class Stability:
             verdicts.put(rest, solved[back])
         verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
         return verdicts
+
+    def margins(self, states: ArrayLike, kinds: Sequence[str] | None = None) -> list[StateMargins]:
+        """Return how far friction, tilt, loads and pushes are from where states stop standing.
+
+        Args:
+            states: one state `(parts,)` or a batch `(batch, parts)`.
+            kinds: margins to find; by default all but the polygon of tilts and the settlement of supports.
+
+        Returns:
+            One object a state, each number with a certificate on both sides of its bound.
+
+        Raises:
+            InputError: a margin that does not exist under the criterion.
+            StateError: states of the wrong length or with other values.
+        """
+        return self._margins.of(states, QUICK if kinds is None else kinds)
+
+    @cached_property
+    def prober(self) -> Prober:
+        """Answers for single states under another friction and other loads."""
+        return Prober(self.assembly, self.problem, self.settings, self._cpu)
+
+    @cached_property
+    def _margins(self) -> MarginFinder:
+        return MarginFinder(self.prober)
 
     def stable(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> NDArray[np.bool_]:
         """Return whether states are proven stable; arguments as for `judge`. Shape (batch,)."""

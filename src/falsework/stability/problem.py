@@ -56,7 +56,7 @@ class Problem:
     wrench_b: Array
     """Wrench on part `b` of a unit force, shape (points, 6, 3)."""
     gravity_wrench: Array
-    """Shape (parts, 6), N and Nm."""
+    """Weight and loads, shape (parts, 6), N and Nm."""
     pair_parts: NDArray[np.int32]
     """Parts `a < b` of every pair in contact, shape (pairs, 2)."""
     pair_start: NDArray[np.int32]
@@ -68,7 +68,7 @@ class Problem:
     transfer_b: Array
     """Whitened wrench on part `b` of the pair's 6-vector, shape (pairs, 6, 6)."""
     scaled_gravity: Array
-    """Whitened gravity wrench, shape (parts, 6)."""
+    """Whitened weight and loads, shape (parts, 6)."""
     whitening: Array
     """`L^-1`, shape (parts, 6, 6)."""
     momentum: Array
@@ -147,8 +147,7 @@ def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float 
     basis = basis / norms[:, None, None]
     top = _largest_singular_value(basis, pair_of_point, pair_parts, transfer_a, transfer_b, assembly.part_count)
 
-    gravity_wrench = np.zeros((assembly.part_count, 6))
-    gravity_wrench[:, 2] = -gravity * mass.mass
+    gravity_wrench = assembly.applied_wrench(gravity)
     arrays: dict[str, NDArray] = {
         "boundary": np.array(assembly.boundary, dtype=bool),
         "part_a": part_a.astype(np.int32),

@@ -76,8 +76,7 @@ def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[s
     pushes = sign * pressing[:, None] * contacts.normals
     rubs = sign * (tangent[:, :1] * contacts.frames[:, 1] + tangent[:, 1:] * contacts.frames[:, 2])
     free = state == INSTALLED
-    weights = np.zeros((int(free.sum()), 3))
-    weights[:, 2] = -9.81 * assembly.mass.mass[free]
+    weights = assembly.applied_wrench()[free, :3]
     largest = max(
         float(np.linalg.norm(vectors, axis=1).max(initial=0.0)) for vectors in (pushes[acts], rubs[acts], weights)
     )

@@ -8,9 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, check_robots
 from falsework.errors import InputError
+from falsework.stability.margins.nearness import nearness_to_limit
+from falsework.stability.oracle import Stability
+from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.pictures.contact_sheet import caption, check_places, contact_sheet, legend, one_state, write_png
@@ -120,6 +126,7 @@ def picture(
     step: int | None = None,
     forces: bool = False,
     verdicts: bool = False,
+    limits: bool = False,
     criterion: Criterion = "contact",
     policy: Policy | Path | str | None = None,
     frames: int = 12,
@@ -139,6 +146,7 @@ def picture(
         step: draw the state after this step alone; 0 is the beginning.
         forces: draw the proof of a single state.
         verdicts: decide the stability of the states that are drawn, and mark those that are not stable.
+        limits: colour the parts of a single state by how near they are to slipping or tipping.
         criterion: what stable means.
         policy: colours the parts of a single state, or marks its states in a state graph; a policy or the folder of a
             run.
@@ -171,6 +179,11 @@ def picture(
     kinds = list(proofs[single].arrows.items()) if single is not None and forces else []
     arrows = [some for _, some in kinds if len(some)]
     key = [(some.color, kind) for kind, some in kinds if len(some)] if forces else None
+    shares = None if shown.policy is None or single is None else _model(shown, single).action_probabilities()
+    if limits:
+        if single is None or path.suffix.lower() == ".svg":
+            raise InputError("limits colour the parts of one state in a PNG; name the state with --step")
+        shares = _nearness(shown, single, criterion)
 
     def camera(across: int, share: float) -> Camera:
         return Camera(azimuth, elevation, width or across, round((width or across) * share), 0.96)
@@ -190,7 +203,7 @@ def picture(
             words=title or caption(timeline, single, proof),
             marks=None if proof is None else proof.marks,
             arms=shown.arms,
-            action_probabilities=None if shown.policy is None else _model(shown, single).action_probabilities(),
+            action_probabilities=shares,
         )
         write_png(path, image)
     else:
@@ -203,6 +216,16 @@ def picture(
     fallen = _unstable(proofs)
     note = proofs[single].words if single is not None else f"{len(fallen)} of them are not stable"
     return PictureReport(f"{shows}; {note}", tuple(places), fallen)
+
+
+def _nearness(shown: Viewable, place: int, criterion: Criterion) -> NDArray[np.float64]:
+    """Return how near the free parts of a state that stands are to their limits, NaN elsewhere, shape (parts,)."""
+    state = shown.timeline.states[shown.timeline.row(place)]
+    verdicts = Stability(shown.assembly, StabilitySettings(criterion=criterion)).check(state)
+    if not verdicts.stable[0]:
+        raise InputError("the state does not stand, so its parts are beyond their limits; draw it with --verdicts")
+    assert verdicts.forces is not None
+    return nearness_to_limit(shown.assembly, state, verdicts.forces[0])
 
 
 def check_picture(width: int, frames: int, columns: int) -> None:

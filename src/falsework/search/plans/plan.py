@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.errors import PlanError
+from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
@@ -104,6 +105,8 @@ class Plan:
     """Proof of each state under `contact`: displacements of the parts in m and rad, shape (steps + 1, parts, 6)."""
     replay: PlanReplay | None = None
     """How the plan went when it was replayed in the order of assembly; None if it was not."""
+    margins: PlanMargins | None = None
+    """Margins that its states keep; None if none were asked for."""
 
     @classmethod
     def of(
@@ -180,6 +183,7 @@ class Plan:
             residuals=self.residuals[::-1].copy(),
             forces=None if self.forces is None else self.forces[::-1].copy(),
             displacement=None if self.displacement is None else self.displacement[::-1].copy(),
+            margins=None if self.margins is None else self.margins.reverse(),
             direction=other,
         )
 

@@ -12,6 +12,7 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, States, action_mask, apply_actions, held_count, undo_mask
 from falsework.errors import PlanError
+from falsework.search.margins.demands import DemandingStability, Demands
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
 from falsework.stability.certificate import (
@@ -128,6 +129,7 @@ def validate_plan(
     assembly: Assembly,
     settings: StabilitySettings = StabilitySettings(),
     *,
+    demands: Demands | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> PlanReport:
     """Check the rules and the stability of a plan by a solver, state by state up to the first bad one.
@@ -142,6 +144,7 @@ def validate_plan(
         plan: what to check.
         assembly: the structure.
         settings: what stable means.
+        demands: margins that every state must keep; those that the plan was made to keep if not given.
         progress: called with the number of states checked and of all states.
 
     Raises:
@@ -165,7 +168,28 @@ def validate_plan(
         largest = max(largest, float(verdict.residual[0]))
         if progress is not None:
             progress(row + 1, count)
+    weak = _weak(plan, assembly, settings, demands) if broken is None else None
+    if weak is not None:
+        reason = f"{weak[1]} {_place(plan, weak[0])}"
+        return PlanReport(count, weak[0], reason, largest, claim, None, time.perf_counter() - begun)
     return _end(plan, broken, largest, claim, time.perf_counter() - begun)
+
+
+def _weak(
+    plan: Plan, assembly: Assembly, settings: StabilitySettings, demands: Demands | None
+) -> tuple[int, str] | None:
+    """First state that does not keep the margins that are demanded or recorded, and what is wrong."""
+    if demands is None and plan.margins is not None:
+        demands = plan.margins.demands
+    if plan.margins is None and not demands:
+        return None
+    oracle = DemandingStability(assembly, settings, demands or Demands())
+    lost = np.flatnonzero(~oracle.keeps(plan.states)) if demands else []
+    if len(lost):
+        row = int(lost[0])
+        return row, f"the structure does not keep {oracle.broken(plan.states[row])}"
+    found = None if plan.margins is None else plan.margins.overstated(oracle, plan.states)
+    return None if found is None else (found[0], f"the structure {found[1]}")
 
 
 def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> PlanReport:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
-from falsework.errors import PlanError, StateError
+from falsework.errors import InputError, PlanError, StateError
+from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan import Plan, needs_of
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.task import Direction
@@ -112,6 +113,8 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
     }
     if plan.replay is not None:
         data["replay"] = asdict(plan.replay)
+    if plan.margins is not None:
+        data["margins"] = plan.margins.to_dict()
     arrays = plan.proof_arrays()
     if proofs and arrays is not None:
         name, count = _PROOF_ARRAYS[plan.claim.criterion]
@@ -167,7 +170,7 @@ class _Reader(Reader):
     def fields(self, data: Any) -> dict[str, Any]:
         if isinstance(data, dict) and data.get("format") == OLD_FORMAT:
             data = _from_version_1(data)
-        self._header(data, _KEYS, optional=frozenset({"forces", "displacements", "replay"}))
+        self._header(data, _KEYS, optional=frozenset({"forces", "displacements", "replay", "margins"}))
         structure, rules, stability = data["structure"], data["rules"], data["stability"]
         self._keys(structure, {"name", "identity", "friction", "boundary", "parts"}, "structure", frozenset({"source"}))
         self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules")
@@ -230,6 +233,11 @@ class _Reader(Reader):
             fields["source"] = self._source_of(structure["source"])
         if "replay" in data:
             fields["replay"] = self._replay(data["replay"], parts, len(states))
+        if "margins" in data:
+            try:
+                fields["margins"] = PlanMargins.read(data["margins"], len(states))
+            except InputError as error:
+                self._fail(str(error))
         entry, counted = _PROOF_ARRAYS[claim.criterion]
         for name in ("forces", "displacements"):
             if name in data and name != entry:
@@ -245,7 +253,7 @@ class _Reader(Reader):
         """Where the structure came from; whether it is there is for others to find out."""
         kinds = {
             "built_in": str, "path": str, "unit": str, "density": (int, float), "friction": (int, float),
-            "boundary": list, "ground": bool, "interfaces": str,
+            "boundary": list, "ground": bool, "interfaces": str, "loads": list, "earthquake": list,
         }  # fmt: skip
         self._keys(value, set(), "structure.source", optional=frozenset(kinds))
         for key, entry in value.items():

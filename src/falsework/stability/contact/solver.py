@@ -41,7 +41,7 @@ class ContactSolver:
         self.structure = build_structure(problem)
         self.contact_structure = build_contact_structure(assembly, problem, settings.gravity, settings.stiffness_ratio)
         self._options = kernel_options(settings)
-        self._contact_options = ContactOptions(
+        self.contact_options = ContactOptions(
             settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS, FIRST_STEP, WARM_FIRST_STEP
         )
         self._workers = Workers(settings.cpu.threads)
@@ -95,7 +95,7 @@ class ContactSolver:
         cold = False  # forces hold no guess
 
         def rest(chosen: States, origin: States, start: NDArray[np.float64], *arrays: NDArray[Any]) -> int:
-            kernel = self.structure, self.contact_structure, chosen, origin, self._contact_options
+            kernel = self.structure, self.contact_structure, chosen, origin, self.contact_options
             return rest_range(*kernel, start, *arrays)
 
         def load_from_rest(rows: NDArray[np.intp]) -> None:

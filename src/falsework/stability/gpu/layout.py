@@ -377,7 +377,7 @@ def _mechanics(
         "mass": mass / heavy,
         "inertia": inertia.reshape(-1, 9).T,
         "flexibility": flexibility.reshape(-1, 9).T,
-        "gravity": problem.gravity_wrench[order].T / (heavy * gravity),
+        "gravity": (problem.gravity_wrench[order] / np.repeat([1.0, length], 3)).T / (heavy * gravity),
         "gyration": gyration / length,
     }
     return {name: np.ascontiguousarray(array) for name, array in arrays.items()}, length

@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 _SINK = 2e-5
 """How far a typical part sinks under its weight on eight typical contact points, in sizes of it."""
+_GRAVITY = 9.81
+"""m/s2; weights are measured in that of a typical part, loads alone need it."""
 _POINTS = 8
 """Contact points that carry a typical part."""
 _LEAST_AREA = 1e-3
@@ -180,7 +182,8 @@ def _model(assembly: Assembly) -> tuple[float, Model]:
     boxes = np.array([np.ptp(mesh.bounds, axis=0) for mesh in assembly.meshes])
     size = float(np.median(boxes.max(axis=1)))
     loose = ~assembly.boundary
-    weight = mass.mass / (mass.mass[loose].mean() if loose.any() else mass.mass.mean())
+    typical = mass.mass[loose].mean() if loose.any() else mass.mass.mean()
+    weight = mass.mass / typical
     count = np.diff(contacts.start)
     owner = contacts.contact_of_point
     middle = np.zeros((len(contacts), 3))
@@ -197,6 +200,7 @@ def _model(assembly: Assembly) -> tuple[float, Model]:
         local=np.einsum("pij,pj->pi", contacts.frames[owner], contacts.points - middle[owner]) / size,
         stiffness=np.maximum(area / mean, _LEAST_AREA) / (_POINTS * _SINK),
         weight=np.ascontiguousarray(weight),
+        applied=assembly.applied_wrench(_GRAVITY) / (typical * _GRAVITY * np.repeat([1.0, size], 3)),
         radius=np.linalg.norm(boxes, axis=1) / (2 * size),
         friction=float(assembly.friction),
     )

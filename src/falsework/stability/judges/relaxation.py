@@ -41,6 +41,8 @@ class Model(NamedTuple):
     """Of the normal springs, shape (points,)."""
     weight: Array
     """Shape (parts,)."""
+    applied: Array
+    """Weight and other loads, shape (parts, 6)."""
     radius: Array
     """Shape (parts,)."""
     friction: float
@@ -84,14 +86,14 @@ def relax(model, state, gap, friction, tangential, damping, ramp, steps):
     for body in range(bodies):
         if inertia[body, 0] == 0.0:
             return FALLS, np.inf, free[body]
-    weight, radius = model.weight[free], model.radius[free]
+    weight, applied, radius = model.weight[free], model.applied[free], model.radius[free]
     motion, moved = np.zeros((bodies + 1, 6)), np.zeros((bodies + 1, 6))
     load, missing = np.zeros((bodies + 1, 6)), np.zeros((bodies, 6))
     answer, largest, part = OPEN, 0.0, free[0]
     resting = 0
     for step in range(steps + 1):
-        load[:] = 0.0
-        load[:bodies, 2] = -weight
+        load[:bodies] = applied
+        load[bodies] = 0.0
         for k in range(len(active)):
             _contact(
                 motion[side_a[k]], motion[side_b[k]], load[side_a[k]], load[side_b[k]], frames[k], arm_a[k], arm_b[k],

@@ -69,7 +69,8 @@ def least_squares(problem: Problem, free: Mask, active: Mask, claim: StabilityCr
     # the same whatever the size of the structure.
     rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
     units = _force_units(problem, columns // 3)
-    whiten = block_diagonal(problem.whitening[free] / np.abs(problem.scaled_gravity[free, 2]).min())
+    lightest = (problem.momentum[free, 2, 2] / problem.measure[free, 0]).min()
+    whiten = block_diagonal(problem.whitening[free] / lightest)
     wrenches = whiten @ wrench_matrix(problem, free, active) @ sp.diags(units)
     gravity = whiten @ problem.gravity_wrench[free].ravel()
     cone = _cone_rows(problem, columns // 3, claim.cone)

@@ -17,6 +17,7 @@ from falsework.search.problem.task import Direction
 from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import bounds_with_arms
 from falsework.viewer.arrows import KINDS
+from falsework.viewer.margin_strip import margin_strip
 from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.origin_guard import LOCAL, WILDCARDS, OriginGuard, start_server
 from falsework.viewer.page.page_text import about_text, legend_text, marked_text, where_text
@@ -159,6 +160,7 @@ class Page:
         steps = len(model.timeline)
         self._slider = gui.add_slider("Step", min=0, max=max(steps, 1), step=1, initial_value=0, disabled=steps == 0)
         self._slider.on_update(lambda event: self._guard(event, self._moved))
+        self._margins = gui.add_html("")
         with gui.add_folder("Play"):
             self._play_button = gui.add_button("Play", disabled=steps == 0)
             self._play_button.on_click(lambda event: self._guard(event, self._toggle_play))
@@ -367,6 +369,7 @@ class Page:
         model, shown = self.model, self._shown()
         self._where.content = where_text(model, ask=bool(shown))
         self._marked.content = marked_text(model)
+        self._margins.content = margin_strip(model.plan, model.direction, round(model.position))
         self._about.content = about_text(model)
         self._legend.content = legend_text(model, shown)
 

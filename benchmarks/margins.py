@@ -1,0 +1,186 @@
+"""Margins of states: what they cost, whether replays agree with them, and what plans gain by them.
+
+    python benchmarks/margins.py cost --structures vault-62 --states 5
+    python benchmarks/margins.py truth --cases 500
+    python benchmarks/margins.py plans --structures arch,dome-37 --seconds 600
+
+`cost` times margins of states of a plan. `truth` replays states just inside and just outside of their bounds, under the
+contact law with history and by discrete elements, which share no code with the solver. `plans` compares the weakest
+friction of the first plan found with that of the plan made for it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from record import report, spread, write_to
+from states import find
+
+from falsework.assembly import Assembly, load_structure
+from falsework.assembly.state import INSTALLED
+from falsework.search import PlanMargins, find_plans, maximise_margin
+from falsework.search.find import task_of
+from falsework.search.margins.demands import Demands
+from falsework.stability import Bound, Criterion, Replayer, Stability, StabilitySettings
+from falsework.stability.judges.discrete_elements import settle
+from falsework.stability.margins.conditions import Condition
+
+KINDS = ("friction", "tilt", "load_factor", "push", "held")
+BESIDE = 0.02
+"""How far inside and outside of a bound a state is replayed, as a share of the bound."""
+RESOLVED = 100.0
+"""Bounds below so many times the tolerance of a verdict are left out: what lies beside them is within the tolerance."""
+TRUTH = ("arch:blocks=7", "stack", "wall", "corbel", "catenary:blocks=9", "house")
+
+
+def cost(names: list[str], count: int, criterion: Criterion) -> None:
+    """Time the margins of states spread over a plan, in seconds of processors, whatever else the machine does."""
+    for name in names:
+        assembly = load_structure(find(name))
+        found = find_plans(assembly, robots=2)
+        states = found.plans[0].states if found.found else np.array([], np.uint8)
+        chosen = states[np.linspace(0, len(states) - 1, count).astype(int)]
+        chosen = chosen[(chosen == INSTALLED).any(axis=1)]
+        oracle = Stability(assembly, StabilitySettings(criterion=criterion))
+        oracle.margins(chosen[-1])
+        seconds: dict[str, list[float]] = {kind: [] for kind in KINDS}
+        for state in chosen:
+            for kind in KINDS:
+                begun = time.process_time()
+                oracle.margins(state, (kind,))
+                seconds[kind].append(time.process_time() - begun)
+        report(
+            "margins cost",
+            structure=name,
+            criterion=criterion,
+            parts=assembly.part_count,
+            states=len(chosen),
+            processor_ms={kind: spread([1e3 * value for value in values]) for kind, values in seconds.items()},
+            all_processor_ms=spread([1e3 * sum(values) for values in zip(*seconds.values(), strict=True)]),
+        )
+
+
+def truth(cases: int, seed: int) -> None:
+    """Replay random states of small structures beside their bounds."""
+    random = np.random.default_rng(seed)
+    asked = {"replay": 0, "discrete elements": 0}
+    wrong = {"replay": 0, "discrete elements": 0}
+    examples = []
+    while asked["replay"] < 2 * cases:
+        name = TRUTH[random.integers(len(TRUTH))]
+        assembly = load_structure(name).replace(friction=float(random.uniform(0.3, 0.8)))
+        state = random_state(assembly, random)
+        kind = ("friction", "horizontal", "push")[random.integers(3)]
+        oracle = Stability(assembly)
+        (found,) = oracle.margins(state, (kind,))
+        bound: Bound | None = getattr(found, kind)
+        if not found.stands or bound is None or bound.outside is None or not bound.proven or not bound.monotone:
+            continue
+        if smallest(assembly, bound, kind) < RESOLVED * oracle.settings.tolerance:
+            continue
+        for inside in (True, False):
+            changed = beside(assembly, bound, kind, inside)
+            for judge in asked:
+                stands = stands_by(judge, changed, state)
+                asked[judge] += 1
+                if stands is not None and stands != inside:
+                    wrong[judge] += 1
+                    examples.append([judge, name, kind, inside, bound.value])
+    report("margins truth", seeds=[seed], cases=cases, asked=asked, wrong=wrong, beside=BESIDE, examples=examples[:12])
+
+
+def random_state(assembly: Assembly, random: np.random.Generator) -> np.ndarray:
+    """Return a state with some parts missing and some held."""
+    state = random.choice(3, assembly.part_count, p=(0.2, 0.65, 0.15)).astype(np.uint8)
+    state[assembly.boundary] = 2
+    return state
+
+
+def beside(assembly: Assembly, bound: Bound, kind: str, inside: bool) -> Assembly:
+    """Return the structure under a condition just inside or outside of a bound."""
+    at = bound.inside_condition if inside else bound.outside_condition
+    assert at is not None
+    if kind == "friction":
+        share = 1 + BESIDE if inside else 1 - BESIDE
+        return replace(at, friction=share * at.friction).of(assembly)
+    share = 1 - BESIDE if inside else 1 + BESIDE
+    return Condition(at.friction, share * at.extra).of(assembly)
+
+
+def smallest(assembly: Assembly, bound: Bound, kind: str) -> float:
+    """Return a bound as a share of what the tolerance is a share of: friction, gravity, or the weight of the part."""
+    assert bound.value is not None
+    if kind != "push":
+        return bound.value
+    assert bound.part is not None
+    return bound.value / (9.81 * float(assembly.mass.mass[bound.part]))
+
+
+def stands_by(judge: str, assembly: Assembly, state: np.ndarray) -> bool | None:
+    """Return whether a state comes to rest; None where the judge leaves it open."""
+    if judge == "replay":
+        answer = int(Replayer(assembly).replay(state[None]).stands[0])
+    else:
+        answer = int(settle(assembly, state).stands[0])
+    return None if answer == 0 else answer == 1
+
+
+def plans(names: list[str], robots: int) -> None:
+    """Compare the weakest friction of first plans with that of plans made for it."""
+    for name in names:
+        assembly = load_structure(find(name))
+        begun = time.perf_counter()
+        first = find_plans(assembly, robots=robots)
+        first_s = time.perf_counter() - begun
+        if not first.found:
+            continue
+        oracle, states = Stability(assembly), first.plans[0].states
+        before = PlanMargins.of(oracle, states, Demands(), also="friction").weakest("friction")
+        begun = time.perf_counter()
+        best = maximise_margin(assembly, task_of(assembly, robots), "friction")
+        seconds = time.perf_counter() - begun
+        after = best.plans[0].margins
+        assert after is not None
+        weakest = after.weakest("friction")
+        report(
+            "margins plans",
+            structure=name,
+            robots=robots,
+            steps=len(first.plans[0]),
+            friction=assembly.friction,
+            first=None if before is None else before[1],
+            maximised=None if weakest is None else weakest[1],
+            **({} if after.bound is None else {"bound": after.bound}),
+            first_s=first_s,
+            maximise_s=seconds,
+        )
+
+
+def main() -> None:
+    """Run one of the benchmarks."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("cost", "truth", "plans"))
+    parser.add_argument("--structures", default="arch:blocks=15")
+    parser.add_argument("--states", type=int, default=5)
+    parser.add_argument("--criterion", default="contact")
+    parser.add_argument("--cases", type=int, default=500)
+    parser.add_argument("--robots", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    write_to(options.out)
+    names = options.structures.split(",") if options.structures else []
+    if options.what == "cost":
+        cost(names, options.states, options.criterion)
+    elif options.what == "truth":
+        truth(options.cases, options.seed)
+    else:
+        plans(names, options.robots)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""Loads on a structure beside its weight: forces on parts, and a pseudo-static earthquake."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.errors import AssemblyError
+
+Array = NDArray[np.float64]
+
+_ENTRIES = {"part", "force", "moment", "at"}
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """Static loads of a structure; one on a part acts in the states in which the part is installed."""
+
+    wrench: Array
+    """Force and moment about the centre of mass of each part, N and Nm, shape (parts, 6), read-only."""
+    acceleration: Array
+    """Acceleration that acts on every part beside gravity, in shares of gravity, shape (3,), read-only."""
+
+    @staticmethod
+    def of(parts: int, *, wrench: ArrayLike | None = None, acceleration: ArrayLike = (0.0, 0.0, 0.0)) -> Loads:
+        """Check arrays and make loads of them.
+
+        Args:
+            parts: number of parts.
+            wrench: N and Nm about the centres of mass, shape (parts, 6).
+            acceleration: in shares of gravity, shape (3,).
+
+        Raises:
+            AssemblyError: wrong shapes, or numbers that are not finite.
+        """
+        arrays = []
+        given = np.zeros((parts, 6)) if wrench is None else wrench
+        for name, value, shape in (("loads", given, (parts, 6)), ("the acceleration", acceleration, (3,))):
+            array = np.array(value, dtype=np.float64)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise AssemblyError(f"{name} must be finite numbers of shape {shape}, but have shape {array.shape}")
+            array.setflags(write=False)
+            arrays.append(array)
+        return Loads(*arrays)
+
+    @staticmethod
+    def read(entries: Any, earthquake: Any, names: Sequence[str], center: Array) -> Loads | None:
+        """Read loads as `assembly.json` and the command line give them.
+
+        Args:
+            entries: objects with `part` (id or name), `force` (N), and perhaps `at` (m) and `moment` (Nm); or None.
+            earthquake: horizontal acceleration in shares of gravity: along x, or along x and y; or None.
+            names: of the parts.
+            center: centres of mass, shape (parts, 3), m.
+
+        Returns:
+            Loads, or None where nothing acts.
+
+        Raises:
+            AssemblyError: a load on a part that does not exist, or numbers that cannot be used.
+        """
+        wrench = np.zeros((len(names), 6))
+        if not isinstance(entries or [], list):
+            raise AssemblyError(f"loads are {entries!r}; give a list of objects with part and force")
+        for entry in entries or []:
+            if not isinstance(entry, Mapping) or "part" not in entry or not set(entry) <= _ENTRIES:
+                raise AssemblyError(f"load {entry!r} is no object with part, force and perhaps at and moment")
+            part = _part(entry["part"], names)
+            force = _numbers(entry.get("force", [0, 0, 0]), f"the force on part {names[part]}", (3,), "N")
+            moment = _numbers(entry.get("moment", [0, 0, 0]), f"the moment on part {names[part]}", (3,), "Nm")
+            if "at" in entry:
+                at = _numbers(entry["at"], f"the place of the load on part {names[part]}", (3,), "m")
+                moment = moment + np.cross(at - center[part], force)
+            wrench[part] += np.concatenate([force, moment])
+        acceleration = np.zeros(3)
+        if earthquake is not None:
+            values = _numbers(np.atleast_1d(earthquake).tolist(), "the earthquake", (1, 2), "shares of gravity")
+            acceleration[: len(values)] = values
+        if not (wrench.any() or acceleration.any()):
+            return None
+        return Loads.of(len(names), wrench=wrench, acceleration=acceleration)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the entries of `assembly.json` that `read` makes these loads of.
+
+        Raises:
+            AssemblyError: a vertical acceleration, which `assembly.json` cannot say.
+        """
+        if self.acceleration[2]:
+            raise AssemblyError("a vertical acceleration cannot be written to assembly.json; use horizontal ones")
+        loads = [
+            {"part": part, "force": self.wrench[part, :3].tolist(), "moment": self.wrench[part, 3:].tolist()}
+            for part in np.flatnonzero(self.wrench.any(axis=1)).tolist()
+        ]
+        return {"loads": loads, "earthquake": self.acceleration[:2].tolist()}
+
+    def applied(self, mass: Array, gravity: float) -> Array:
+        """Return all wrenches on the parts, weight included, N and Nm about the centres of mass, shape (parts, 6).
+
+        Args:
+            mass: shape (parts,), kg.
+            gravity: m/s2.
+        """
+        wrench = self.wrench.copy()
+        wrench[:, :3] += gravity * mass[:, None] * (self.acceleration - [0.0, 0.0, 1.0])
+        return wrench
+
+
+def _part(given: Any, names: Sequence[str]) -> int:
+    """Return the id of a part that is given by id or by name."""
+    if isinstance(given, str) and given in names:
+        return list(names).index(given)
+    if isinstance(given, str) and given.isdecimal():
+        given = int(given)
+    if isinstance(given, int) and not isinstance(given, bool) and 0 <= given < len(names):
+        return given
+    raise AssemblyError(
+        f"a load acts on part {given!r}, which is not there; give an id from 0 to {len(names) - 1} or a name"
+    )
+
+
+def _numbers(value: Any, what: str, counts: Sequence[int], unit: str) -> Array:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.ndim != 1 or len(array) not in counts or not np.isfinite(array).all():
+        raise AssemblyError(f"{what} is {value!r}; give {' or '.join(map(str, counts))} finite numbers in {unit}")
+    return array

@@ -1,0 +1,104 @@
+"""Margins that are demanded of plans: what they lack, and what a plan has."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from falsework.assembly.state import States
+    from falsework.cli.output import Output
+    from falsework.search.margins.demands import DemandingStability
+    from falsework.search.plans.plan import Plan
+    from falsework.search.problem.result import SearchResult
+    from falsework.search.problem.task import Task
+
+LOOKED_AT = 8
+"""States where a search broke off whose margins are measured, at most."""
+
+
+def refuse_weak_end(oracle: DemandingStability, task: Task, output: Output) -> bool:
+    """Report a start or target state that does not keep the margins demanded, since then there is no plan."""
+    for name, state in (("start", task.start), ("target", task.target)):
+        broken = oracle.broken(state)
+        if broken:
+            lacks = shortfall(oracle, state[None])
+            text = f"no plan was found: the {name} state does not keep {broken}"
+            output.record({"plan": None, "outcome": text, "shortfall": lacks})
+            output.note(f"falsework: {text}{_words(lacks)}")
+            return True
+    return False
+
+
+def explain_shortfall(oracle: DemandingStability, result: SearchResult) -> tuple[dict[str, Any], str]:
+    """Return by how much the states where a search broke off miss the margins demanded, as a record and in words."""
+    import numpy as np
+
+    from falsework.stability.oracle import Stability
+
+    states = result.rejected[: 4 * LOOKED_AT]
+    if len(states):
+        plain = Stability.judge(Stability(oracle.assembly, oracle.settings), states)
+        states = states[np.flatnonzero(plain.stable)][:LOOKED_AT]
+    lacks = shortfall(oracle, states)
+    return lacks, _words(lacks)
+
+
+def shortfall(oracle: DemandingStability, states: States) -> dict[str, dict[str, float]]:
+    """Return the demands that no state keeps, with the best margin among the states; SI units.
+
+    Args:
+        oracle: with the demands.
+        states: shape (batch, parts); those that stand as they are.
+    """
+    from falsework.search.margins.plan_margins import MEASURED
+
+    kinds = [kind for kind in MEASURED if getattr(oracle.demands, kind) is not None]
+    if not kinds or not len(states):
+        return {}
+    found = oracle.margins(states, tuple(kinds))
+    lacks = {}
+    for kind in kinds:
+        values = [bound.value for bound in (getattr(margins, kind) for margins in found) if bound is not None]
+        if kind == "friction":
+            values = [None if not value else oracle.assembly.friction / value for value in values]
+        wanted = getattr(oracle.demands, kind)
+        if values and all(value is not None and value < wanted * 1.1 for value in values):
+            lacks[kind] = {"best": max(value for value in values if value is not None), "demanded": wanted}
+    return lacks
+
+
+def _words(lacks: dict[str, dict[str, float]]) -> str:
+    from falsework.search.margins.demands import Demands
+
+    return "".join(
+        f"; the best of the states there has {Demands(**{kind: entry['best']})}, "
+        f"{Demands(**{kind: entry['demanded']})} is demanded"
+        for kind, entry in lacks.items()
+    )
+
+
+def margin_lines(plan: Plan) -> list[str]:
+    """Return what a plan says of its margins, one line each."""
+    from falsework.search.margins.plan_margins import quantity_text
+
+    margins, lines = plan.margins, []
+    if margins is None:
+        return []
+    if margins.demands:
+        lines.append(f"every state keeps {margins.demands}")
+    for kind in margins.measured:
+        weakest = margins.weakest(kind)
+        if weakest is None:
+            lines.append(f"{kind}: no state has a bound")
+            continue
+        row, value = weakest
+        place = f"step {row}, {plan.describe(row - 1)}" if row else "the start"
+        lines.append(
+            f"weakest {kind}: {quantity_text(kind, value)}{' needed' if kind == 'friction' else ''} at {place}"
+        )
+    if margins.maximised is not None and margins.bound is not None:
+        most = "do with less friction" if margins.maximised == "friction" else f"bear more {margins.maximised}"
+        lines.append(f"no plan can {most} than {quantity_text(margins.maximised, margins.bound)}")
+    elif margins.maximised is not None:
+        lines.append(f"how much better a plan can be in {margins.maximised} is not known")
+    return lines

@@ -1,0 +1,199 @@
+"""`falsework margins`: how far friction, tilt, loads and pushes are from where states stop standing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from tyro.conf import arg
+
+from falsework.cli.command import CONE_HINT, UNSET, Command, Exit, StructureOptions
+from falsework.errors import InputError
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.assembly.state import States
+    from falsework.cli.output import Output
+    from falsework.search.plans.plan import Plan
+    from falsework.stability import StateMargins
+
+_WORDS = (
+    ("friction", "friction at least {:.3g}"),
+    ("tilt_deg", "tilt {:.3g} deg"),
+    ("horizontal_g", "horizontal {:.3g} g"),
+    ("load_factor", "weight of a part {:.3g} times"),
+    ("total_load_factor", "all weights {:.3g} times"),
+    ("push_n", "push {:.3g} N"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FindMargins(Command):
+    """Find how safe a structure, some of its states, or every state of a plan is.
+
+    STRUCTURE may be a plan, too. Margins are the least friction, the largest tilt of the ground and horizontal
+    acceleration in the worst of 36 directions, the largest factor on the weight of one part and of all, the weakest
+    push on a free face of a part, and the force and moment that a robot bears for each part that it holds. Each bound
+    has a certificate on both sides, within 1 %. A margin without a bound is null in JSON. Exit code 1 if a state does
+    not stand, or if a robot would bear more than --bears.
+    """
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework margins arch:blocks=15",
+        "falsework margins plan.json --json",
+        "falsework margins my-folder --polygon --settlement",
+        "falsework margins my-folder --placement 1mm,2mm --draws 100",
+    )
+
+    structure: StructureOptions
+    states: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
+    """JSON list of states, or a .npy array; the complete structure, or the states of the plan, if not given."""
+    criterion: Annotated[
+        Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: contact, or that of the plan)")
+    ] = None
+    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
+    in balance exist."""
+    cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
+    """Friction cone: round, or eight-sided as in the paper."""
+    bears: Annotated[str | None, arg(metavar="FORCE,MOMENT", help_behavior_hint=UNSET)] = None
+    """Largest force and moment that a robot can bear, such as 120N,8Nm."""
+    polygon: bool = False
+    """Find the largest tilt in each of 36 directions too."""
+    settlement: bool = False
+    """Find how deep each support may sink too, under the criterion contact."""
+    placement: Annotated[str | None, arg(metavar="LENGTHS", help_behavior_hint=UNSET)] = None
+    """Placement errors, such as 1mm,2mm, at which to count the draws that stand, contacts found anew. Slow."""
+    draws: int = 1000
+    """Draws for each placement error."""
+    seed: int = 0
+    """Of the draws."""
+
+    def run(self, output: Output) -> Exit:
+        """Find and print the margins."""
+        from falsework.interop.formats import read_exportable
+        from falsework.search.plans.plan import Plan
+        from falsework.stability import Stability, StabilitySettings
+        from falsework.stability.margins.margins import QUICK
+        from falsework.utils.quantity import parse_quantity
+
+        limits = self._limits()
+        errors = [parse_quantity(text, "length", "--placement") for text in (self.placement or "").split(",") if text]
+        subject, assembly = read_exportable(self.structure.spec, **self.structure.given())
+        if assembly is None:
+            raise InputError(f"{self.structure.spec} is a robot plan; give the plan or the structure")
+        plan = subject if isinstance(subject, Plan) else None
+        states = self._states(plan, assembly)
+        criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
+        settings = StabilitySettings(criterion=criterion, cone=self.cone)
+        extra = [kind for kind in ("polygon", "settlement") if getattr(self, kind)]
+        oracle, found = Stability(assembly, settings), []
+        with output.bar("margins") as show:
+            for row in range(len(states)):
+                found += oracle.margins(states[row], (*QUICK, *extra))
+                show(row + 1, len(states), f"state {row + 1} of {len(states)}")
+        shares = self._shares(assembly, states, errors, settings, output)
+        overloaded = False
+        for row, margins in enumerate(found):
+            record = {"state": row, **margins.to_dict(assembly.names)}
+            if errors:
+                record["placement"] = [{"error_m": e, "share": s} for e, s in zip(errors, shares[row], strict=True)]
+            beyond = [
+                load
+                for load in margins.held
+                if limits is not None and (load.force_n > limits[0] or load.moment_nm > limits[1])
+            ]
+            overloaded |= bool(beyond)
+            if limits is not None:
+                record["overloaded"] = [load.part for load in beyond]
+            output.record(record)
+            output.say(f"{self._subject(row, plan, assembly)}: {_text(record)}")
+            for load in beyond:
+                name = assembly.names[load.part]
+                output.note(
+                    f"falsework: state {row}: the robot that holds {name} bears {load.force_n:.4g} N and "
+                    f"{load.moment_nm:.4g} Nm, more than {self.bears}"
+                )
+        if len(found) > 1:
+            self._weakest(found, plan, assembly, output)
+        return Exit.DONE if all(margins.stands for margins in found) and not overloaded else Exit.NO
+
+    def _limits(self) -> tuple[float, float] | None:
+        from falsework.utils.quantity import parse_quantity
+
+        if self.bears is None:
+            return None
+        force, comma, moment = self.bears.partition(",")
+        if not comma:
+            raise InputError(f"--bears {self.bears}: give a force and a moment, such as 120N,8Nm")
+        return parse_quantity(force, "force", "--bears"), parse_quantity(moment, "moment", "--bears")
+
+    def _states(self, plan: Plan | None, assembly: Assembly) -> States:
+        from falsework.assembly.state import as_states, complete_state
+        from falsework.cli.arguments import read_states
+
+        if self.states is not None:
+            return as_states(read_states(self.states), assembly.boundary)
+        return complete_state(assembly.boundary)[None] if plan is None else plan.states
+
+    def _shares(
+        self, assembly: Assembly, states: States, errors: list[float], settings: Any, output: Output
+    ) -> list[list[float]]:
+        """Share of draws that stand, a list a state with one entry for each placement error."""
+        from falsework.stability import Stability
+        from falsework.stability.margins.placement import placement_curve
+
+        if not errors:
+            return []
+        with output.bar("placing") as show:
+            curve = placement_curve(
+                assembly,
+                states,
+                errors,
+                lambda moved, batch: Stability(moved, settings).stable(batch),
+                draws=self.draws,
+                seed=self.seed,
+                progress=lambda done, total: show(done, total, f"draw {done} of {total}"),
+            )
+        return curve.shares.T.tolist()
+
+    def _subject(self, row: int, plan: Plan | None, assembly: Assembly) -> str:
+        if plan is not None and self.states is None:
+            return f"{row:4d}  {plan.describe(row - 1) if row else 'start'}"
+        return assembly.name if self.states is None else f"state {row}"
+
+    def _weakest(self, found: list[StateMargins], plan: Plan | None, assembly: Assembly, output: Output) -> None:
+        """Name the state with the least margin of each kind."""
+        import numpy as np
+
+        records = [margins.to_dict(assembly.names) for margins in found]
+        for key, words in _WORDS:
+            values = np.array([np.nan if record[key] is None else record[key] for record in records])
+            if np.isfinite(values).any():
+                row = int(np.nanargmax(values) if key == "friction" else np.nanargmin(values))
+                output.record({"weakest": key, "state": row, "value": float(values[row])})
+                output.say(f"weakest: {words.format(values[row])} ({self._subject(row, plan, assembly).strip()})")
+
+
+def _text(record: dict[str, Any]) -> str:
+    """Return the margins of a state on one line."""
+    words = [] if record["stands"] else ["does not stand"]
+    words += [text.format(record[key]) for key, text in _WORDS if record[key] is not None]
+    if record["push_name"] is not None:
+        words[-1] += f" on {record['push_name']}"
+    words += [
+        f"{load['name']} held with {load['force_n']:.4g} N, {load['moment_nm']:.3g} Nm" for load in record["held"]
+    ]
+    for name, depth in record.get("settlement_m", {}).items():
+        words.append(
+            f"{name} may sink {'as far as the criterion allows' if depth is None else f'{depth * 1e3:.3g} mm'}"
+        )
+    words += [
+        f"{entry['share']:.1%} stand placed within {entry['error_m'] * 1e3:g} mm"
+        for entry in record.get("placement", [])
+    ]
+    if not record["proven"]:
+        words.append("not proven on both sides")
+    if not record["monotone"]:
+        words.append("a condition further inside fails")
+    return ", ".join(words) or "no bounds"

@@ -1,0 +1,1 @@
+"""Margins that plans must keep, and plans whose weakest step is strongest."""

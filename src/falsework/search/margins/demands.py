@@ -1,0 +1,265 @@
+"""Margins that every state of a plan must keep, and an oracle that asks for them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.assembly.loads import Loads
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import INSTALLED, States, as_states
+from falsework.errors import InputError
+from falsework.stability.margins.conditions import Answer, Condition
+from falsework.stability.margins.placement import moved_assembly
+from falsework.stability.margins.pushes import Pushes
+from falsework.stability.oracle import Stability
+from falsework.stability.settings import StabilitySettings
+from falsework.stability.verdict import Verdict, Verdicts
+from falsework.utils.quantity import parse_quantity
+
+_KINDS: dict[str, str] = {
+    "friction": "factor",
+    "tilt": "angle",
+    "horizontal": "share of gravity",
+    "push": "force",
+    "load": "force",
+    "placement": "length",
+}
+_CORNERS = 8
+"""Horizontal directions that are asked about, each so far out that their polygon goes round the circle demanded: where
+all of them stand, under `equilibrium` every direction does."""
+_DRAWS = 8
+"""Random placements in each of which every state must stand."""
+
+
+@dataclass(frozen=True)
+class Demands:
+    """Margins that every state of a plan must keep; None where nothing is demanded."""
+
+    friction: float | None = None
+    """Factor of safety: states stand at the friction of the structure divided by it."""
+    tilt: float | None = None
+    """Tilt of the ground in any direction, rad."""
+    horizontal: float | None = None
+    """Horizontal acceleration in any direction, shares of gravity."""
+    push: float | None = None
+    """Force along the inward normal of any free face of an installed part, N."""
+    load: float | None = None
+    """Force downwards on any installed part, at its centre of mass, N: a worker, a gripper."""
+    placement: float | None = None
+    """Error of placement, m: states stand in each of some random placements with contacts found anew."""
+
+    @classmethod
+    def parse(cls, text: str, option: str = "--margin") -> Demands:
+        """Read demands such as `friction=1.25,tilt=2deg,push=20N,placement=1mm`.
+
+        Raises:
+            InputError: a margin that does not exist or is given twice, or a quantity that cannot be used.
+        """
+        given: dict[str, float] = {}
+        for item in text.split(","):
+            name, equals, quantity = (piece.strip() for piece in item.partition("="))
+            if not equals or name not in _KINDS:
+                raise InputError(f"{option} {item}: give {', '.join(f'{key}=...' for key in _KINDS)}")
+            if name in given:
+                raise InputError(f"{option} {text}: {name} is given twice; give it once")
+            given[name] = parse_quantity(quantity, _KINDS[name], f"{option} {name}")
+        if given.get("friction", 1.0) < 1.0:
+            raise InputError(f"{option} friction={given['friction']:g}: a factor of safety is at least 1")
+        if given.get("tilt", 0.0) >= np.radians(80):
+            raise InputError(f"{option} tilt: {np.degrees(given['tilt']):g} degrees is no tilt of a ground; give less")
+        return cls(**given)
+
+    @classmethod
+    def read(cls, value: Any, place: str) -> Demands:
+        """Read what `to_dict` wrote.
+
+        Raises:
+            InputError: anything else.
+        """
+        names = [field.name for field in fields(cls)]
+        if not isinstance(value, dict) or not set(value) <= set(names):
+            raise InputError(f"{place} must be an object with {', '.join(names)}")
+        for key, number in value.items():
+            if isinstance(number, bool) or not isinstance(number, (int, float)) or not 0 < number < np.inf:
+                raise InputError(f"{place}.{key} is {number!r}; it must be a number above zero")
+        return cls(**{key: float(number) for key, number in value.items()})
+
+    def to_dict(self) -> dict[str, float]:
+        """Return what is demanded, in SI units."""
+        return {key: value for key, value in vars(self).items() if value is not None}
+
+    def __bool__(self) -> bool:
+        return bool(self.to_dict())
+
+    def __str__(self) -> str:
+        words = {"tilt": lambda v: f"{np.degrees(v):.4g}deg", "placement": lambda v: f"{v * 1e3:.4g}mm"}
+        units = {"horizontal": "g", "push": "N", "load": "N", "friction": ""}
+        return ", ".join(
+            f"{key}={words[key](value) if key in words else f'{value:.4g}{units[key]}'}"
+            for key, value in self.to_dict().items()
+        )
+
+    def variants(self, assembly: Assembly, seed: int = 0) -> list[tuple[str, Assembly]]:
+        """Return the structures in which states must stand too, each with what demands it.
+
+        Args:
+            assembly: the structure.
+            seed: of random placements.
+
+        Raises:
+            InputError: parts that make no assembly once they are off their places.
+        """
+        found: list[tuple[str, Assembly]] = []
+        if self.friction is not None and self.friction > 1.0:
+            found.append(("friction", assembly.replace(friction=assembly.friction / self.friction)))
+        angle = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
+        outwards = np.stack([np.cos(angle), np.sin(angle), np.zeros(_CORNERS)], axis=1)
+        if self.tilt is not None:
+            tilt = np.arctan(np.tan(self.tilt) / np.cos(np.pi / _CORNERS))
+            turned = np.sin(tilt) * outwards + [0, 0, 1 - np.cos(tilt)]
+            found += [("tilt", _accelerated(assembly, vector)) for vector in turned]
+        if self.horizontal is not None:
+            pulled = self.horizontal / np.cos(np.pi / _CORNERS) * outwards
+            found += [("horizontal", _accelerated(assembly, vector)) for vector in pulled]
+        if self.placement is not None:
+            random = np.random.default_rng(seed)
+            for _ in range(_DRAWS):
+                moved = moved_assembly(assembly, self.placement, random)
+                if moved is None:
+                    raise InputError(
+                        f"parts placed within {self.placement * 1e3:g} mm lose their contacts or run into each other; "
+                        "demand a smaller error of placement"
+                    )
+                found.append(("placement", moved))
+        return found
+
+
+class DemandingStability(Stability):
+    """Stability oracle for searches in which states must keep margins.
+
+    `judge`, which searches ask, counts a state that does not keep them as sliding, or as unstable where a velocity
+    proves it; `check` proves states as they are.
+    Pushes and loads on single parts are asked about near the parts in which a state differs from its parent, which
+    keeps the margins; `keeps` asks about all of them.
+    """
+
+    def __init__(
+        self, assembly: Assembly, settings: StabilitySettings = StabilitySettings(), demands: Demands = Demands()
+    ) -> None:
+        super().__init__(assembly, settings)
+        self.demands = demands
+        self._variants = [(name, Stability(changed, settings)) for name, changed in demands.variants(assembly)]
+        self._known: dict[bytes, int] = {}
+        self._start: tuple[bytes, Answer] | None = None
+        near = np.eye(assembly.part_count, dtype=bool)
+        first, second = assembly.contacts.parts.T
+        near[first, second] = near[second, first] = True
+        self._near = near
+
+    @cached_property
+    def _pushes(self) -> Pushes:
+        return Pushes.on(self.assembly)
+
+    def judge(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> Verdicts:
+        """Check states without certificates; those that do not keep the margins do not count as stable.
+
+        Arguments and errors as for `Stability.judge`.
+        """
+        batch = as_states(states, self.assembly.boundary)
+        origins = None if parents is None else as_states(parents, self.assembly.boundary)
+        verdicts = super().judge(batch, parents=origins)
+        if not self.demands:
+            return verdicts
+        known = [self._known.get(state.tobytes()) for state in batch]
+        stable = np.flatnonzero(verdicts.stable).tolist()
+        rows = np.array([row for row in stable if known[row] is None], int)
+        for row in stable:
+            verdicts.verdict[row] = self._known.get(batch[row].tobytes(), Verdict.STABLE)
+        if len(rows):
+            found = self._ask(batch[rows], None if origins is None else origins[rows], everywhere=False)
+            self._known |= {batch[row].tobytes(): value for row, value in zip(rows, found.tolist(), strict=True)}
+            verdicts.verdict[rows] = found
+        return verdicts
+
+    def keeps(self, states: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether states keep the margins at every part. Shape (batch,)."""
+        batch = as_states(states, self.assembly.boundary)
+        found = self._ask(batch, None, everywhere=True)
+        self._known |= {state.tobytes(): value for state, value in zip(batch, found.tolist(), strict=True)}
+        return found == Verdict.STABLE
+
+    def broken(self, state: States) -> str:
+        """Return the first demand that a state does not keep, with the load that breaks it; empty if it keeps all."""
+        for name, oracle in self._variants:
+            if not oracle.stable(state[None])[0]:
+                return str(Demands(**{name: getattr(self.demands, name)}))
+        for name, part, normal, load in self._single(state, None):
+            if not self._answer(state, load).stands:
+                where = f" on part {self.assembly.names[part]}"
+                towards = "" if name == "load" else f" towards ({', '.join(f'{x:.2g}' for x in normal)})"
+                return f"{Demands(**{name: getattr(self.demands, name)})}{where}{towards}"
+        return ""
+
+    def _ask(self, states: States, parents: States | None, *, everywhere: bool) -> NDArray[np.int8]:
+        """Return `STABLE` where all demands are kept, `UNSTABLE` where it is proven that one is not, else `SLIDES`."""
+        found = np.full(len(states), Verdict.STABLE, np.int8)
+        for name, oracle in self._variants:
+            rows = np.flatnonzero(found == Verdict.STABLE)
+            if not len(rows):
+                break
+            verdicts = oracle.judge(states[rows], parents=None if parents is None else parents[rows])
+            # Tilts and accelerations are asked about a little further out than demanded: no proof that they fail.
+            failed = np.where(verdicts.unstable & (name == "friction"), Verdict.UNSTABLE, Verdict.SLIDES)
+            found[rows] = np.where(verdicts.stable, Verdict.STABLE, failed)
+        if self.demands.push is None and self.demands.load is None:
+            return found
+        for row in np.flatnonzero(found == Verdict.STABLE):
+            looked_at = None
+            if parents is not None and not everywhere:
+                looked_at = np.asarray(self._near[states[row] != parents[row]].any(axis=0))
+            for *_, load in self._single(states[row], looked_at):
+                answer = self._answer(states[row], load)
+                if not answer.stands:
+                    found[row] = Verdict.SLIDES if answer.velocity is None else Verdict.UNSTABLE
+                    break
+        return found
+
+    def _single(
+        self, state: States, parts: NDArray[np.bool_] | None
+    ) -> list[tuple[str, int, Sequence[float], NDArray[np.float64]]]:
+        """Return the loads on single parts, of some parts or of all: name, part, direction, wrenches."""
+        found: list[tuple[str, int, Sequence[float], NDArray[np.float64]]] = []
+        chosen = (state == INSTALLED) & (True if parts is None else parts)
+        if self.demands.load is not None:
+            for part in np.flatnonzero(chosen).tolist():
+                load = np.zeros((len(state), 6))
+                load[part, 2] = -self.demands.load
+                found.append(("load", part, (0.0, 0.0, -1.0), load))
+        if self.demands.push is not None:
+            rows = self._pushes.exposed(state)
+            rows = rows[chosen[self._pushes.part[rows]]]
+            loads = self.demands.push * self._pushes.loads(rows, len(state))
+            found += [
+                ("push", int(self._pushes.part[row]), self._pushes.normal[row].tolist(), load)
+                for row, load in zip(rows, loads, strict=True)
+            ]
+        return found
+
+    def _answer(self, state: States, load: NDArray[np.float64]) -> Answer:
+        key = state.tobytes()
+        if self._start is None or self._start[0] != key:
+            self._start = key, self.prober.ask(state, self.prober.own())
+        return self.prober.ask(state, Condition(self.assembly.friction, load), self._start[1])
+
+
+def _accelerated(assembly: Assembly, vector: NDArray[np.float64]) -> Assembly:
+    own = assembly.loads or Loads.of(assembly.part_count)
+    return assembly.replace(
+        loads=Loads.of(assembly.part_count, wrench=own.wrench, acceleration=own.acceleration + vector)
+    )

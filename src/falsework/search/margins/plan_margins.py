@@ -1,0 +1,147 @@
+"""Margins of the states of a plan, as plans and plan files carry them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from falsework.assembly.state import States
+from falsework.errors import InputError
+from falsework.search.margins.demands import Demands
+from falsework.stability.margins.conditions import Condition
+from falsework.stability.oracle import Stability
+
+Measured = Literal["friction", "tilt", "horizontal", "push"]
+MEASURED: tuple[Measured, ...] = get_args(Measured)
+"""Margins that plans record as numbers."""
+_WITHIN = (1.0, 1.0025, 1.005)
+"""Times a recorded friction at which a state may stand: numbers are rounded, and mean what they say within 1 %."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlanMargins:
+    """Margins that a plan was made to keep, and those that were measured of each of its states."""
+
+    demands: Demands
+    measured: dict[str, tuple[float | None, ...]]
+    """By kind, one entry a state in the order of the plan, SI units: `friction` the least coefficient, `tilt` in rad,
+    `horizontal` in shares of gravity, `push` in N; None where there is no bound."""
+    maximised: Measured | None = None
+    """Margin whose weakest step was made as strong as could be found."""
+    bound: float | None = None
+    """No plan has a weakest step stronger than this, in the units of `measured`; None where none is known."""
+
+    @classmethod
+    def of(cls, oracle: Stability, states: States, demands: Demands, also: Measured | None = None) -> PlanMargins:
+        """Measure the margins that are demanded, and one more.
+
+        Args:
+            oracle: of the structure.
+            states: of the plan, shape (states, parts).
+            demands: what the plan was made to keep.
+            also: another margin to measure.
+        """
+        kinds = [kind for kind in MEASURED if kind == also or getattr(demands, kind) is not None]
+        found = oracle.margins(states, tuple(kinds)) if kinds else []
+        measured = {}
+        for kind in kinds:
+            bounds = [getattr(margins, kind) for margins in found]
+            measured[kind] = tuple(None if bound is None else bound.value for bound in bounds)
+        return cls(demands, measured)
+
+    def reverse(self) -> PlanMargins:
+        """Return the margins of the reversed plan."""
+        return replace(self, measured={kind: values[::-1] for kind, values in self.measured.items()})
+
+    def weakest(self, kind: str) -> tuple[int, float] | None:
+        """Return the state with the weakest margin of a kind, and the margin; None where no state has a bound."""
+        values = np.array([np.nan if value is None else value for value in self.measured.get(kind, ())], float)
+        if not np.isfinite(values).any():
+            return None
+        row = int(np.nanargmax(values) if kind == "friction" else np.nanargmin(values))
+        return row, float(values[row])
+
+    def words(self, row: int, kind: str | None = None) -> str:
+        """Describe the margins of a state, such as `friction 0.31, tilt 3.2 deg`, or one of them.
+
+        Args:
+            row: of the state, in the order of the plan.
+            kind: of the margin; all that were measured if not given.
+        """
+        texts = []
+        for name, values in self.measured.items():
+            if kind not in (None, name):
+                continue
+            value, found = values[row], self.weakest(name)
+            text = f"{name} without bound" if value is None else f"{name} {quantity_text(name, value)}"
+            texts.append(f"{text} (weakest)" if found is not None and found[0] == row else text)
+        return ", ".join(texts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry `margins` of a plan file."""
+        rounded = {
+            kind: [None if value is None else float(f"{value:.9g}") for value in values]
+            for kind, values in self.measured.items()
+        }
+        record: dict[str, Any] = {"demands": self.demands.to_dict(), "measured": rounded}
+        if self.maximised is not None:
+            record |= {"maximised": self.maximised, "bound": self.bound}
+        return record
+
+    @classmethod
+    def read(cls, value: Any, states: int) -> PlanMargins:
+        """Read what `to_dict` wrote.
+
+        Raises:
+            InputError: anything else, or not one number a state.
+        """
+        if not isinstance(value, dict) or not {"demands", "measured"} <= set(value) <= {
+            "demands",
+            "measured",
+            "maximised",
+            "bound",
+        }:
+            raise InputError("margins must be an object with demands and measured")
+        measured = value["measured"]
+        if not isinstance(measured, dict) or not set(measured) <= set(MEASURED):
+            raise InputError(f"margins.measured must be an object with some of {', '.join(MEASURED)}")
+        for kind, values in measured.items():
+            numbers = isinstance(values, list) and all(_is_bound(entry) for entry in values)
+            if not numbers or len(values) != states:
+                raise InputError(f"margins.measured.{kind} must be a list of {states} numbers or nulls, one a state")
+        maximised, bound = value.get("maximised"), value.get("bound")
+        if maximised is not None and maximised not in MEASURED:
+            raise InputError(f"margins.maximised is {maximised!r}; it must be one of {', '.join(MEASURED)}")
+        if not _is_bound(bound):
+            raise InputError(f"margins.bound is {bound!r}; it must be a number or null")
+        demands = Demands.read(value["demands"], "margins.demands")
+        return cls(demands, {kind: tuple(values) for kind, values in measured.items()}, maximised, bound)
+
+    def overstated(self, oracle: Stability, states: States) -> tuple[int, str] | None:
+        """Return the first state that does not stand at its recorded friction, and what is wrong; None if all do.
+
+        Args:
+            oracle: of the structure.
+            states: of the plan, in its order, shape (states, parts).
+        """
+        for row, friction in enumerate(self.measured.get("friction", ())):
+            if friction is None:
+                continue
+            extra = oracle.prober.own().extra
+            tried = (Condition(friction * factor, extra) for factor in _WITHIN)
+            if not any(oracle.prober.ask(states[row], condition).stands for condition in tried):
+                return row, f"does not stand at the recorded friction of {friction:.4g}"
+        return None
+
+
+def quantity_text(kind: str, value: float) -> str:
+    """Return a margin with its unit, such as `3.2 deg`."""
+    units = {"friction": "", "tilt": " deg", "horizontal": " g", "push": " N"}
+    return f"{np.degrees(value) if kind == 'tilt' else value:.3g}{units[kind]}"
+
+
+def _is_bound(value: Any) -> bool:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value < np.inf
+    return value is None or bool(number)

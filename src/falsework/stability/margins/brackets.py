@@ -1,0 +1,184 @@
+"""Search for the bound of a one-parameter family of conditions, between one that stands and one that does not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from falsework.stability.margins.conditions import Answer
+
+SHARE = 0.005
+"""Largest distance between the two ends of a bracket that is looked for, as a share of the bound."""
+OUTSIDE = 0.01
+"""The same where no proof was found at the nearer end."""
+_BESIDE = 0.4
+"""Where a proof cuts a load off, the next probe is this share of `SHARE` below."""
+_GROWTH = 4.0
+_CHECKED = (0.4, 0.75)
+"""Shares of a bound at which a family that need not be monotone is probed once more."""
+
+Probe = Callable[[float, Answer], Answer]
+"""Answer at a value of the parameter, starting from an answer nearby."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bracket:
+    """The bound of a family: the last value that stands, and the first that does not."""
+
+    inside: float
+    """A value that stands."""
+    stands: Answer
+    outside: float | None
+    """A value within `SHARE` of `inside` that does not; None where there is no bound."""
+    fails: Answer | None
+    monotone: bool = True
+    """Whether every value that was probed between the state as it is and the bound stands."""
+
+
+def largest(
+    probe: Probe,
+    start: Answer,
+    *,
+    guess: float,
+    cap: float,
+    floor: float = 0.0,
+    cut: Callable[[Answer], float] | None = None,
+    known: tuple[float, Answer] | None = None,
+) -> Bracket:
+    """Find the largest value from 0 up at which a family stands.
+
+    Args:
+        probe: the family.
+        start: the answer at 0, which stands.
+        guess: value to try first.
+        cap: value beyond which there is no bound.
+        floor: distance between the ends that is small enough whatever the bound.
+        cut: value at which the velocity of an answer still proves that the family fails.
+        known: a value that fails, and its answer, if there is one.
+    """
+    low, inside = 0.0, start
+    high, outside = known if known is not None else (None, None)
+    value, cut_last = min(guess, cap), False
+    if high is not None:
+        value = high * (1.0 - SHARE * _BESIDE)
+    while True:
+        answer = probe(value, inside)
+        shrunk = high
+        if answer.stands:
+            low, inside, cut_last = value, answer, False
+            if high is None and value >= cap:
+                return Bracket(low, inside, None, None)
+        else:
+            high, outside = value, answer
+            proven = np.inf if cut is None else cut(answer)
+            # One cut after another may come down in ever shorter steps; then the middle is tried in between.
+            slow = cut_last and shrunk is not None and shrunk - min(proven, value) < 0.5 * (shrunk - low)
+            cut_last = low < proven < value and not slow
+            if proven < value:
+                high = max(proven, low * (1.0 + 1e-9))
+        if high is None:
+            value = min(_GROWTH * value, cap)
+            continue
+        if high - low <= max(SHARE * low, floor):
+            return Bracket(low, inside, high, outside)
+        if cut_last:
+            value = high * (1.0 - SHARE * _BESIDE)
+        elif low > high / _GROWTH:
+            value = 0.5 * (low + high)
+        else:
+            value = np.sqrt(low * high) if low > 0.0 else high / _GROWTH
+
+
+def least(probe: Probe, start: Answer, *, value: float, floor: float) -> Bracket:
+    """Find the least value at which a family stands, from one at which it does.
+
+    Args:
+        probe: the family.
+        start: the answer at `value`, which stands.
+        value: value to begin at.
+        floor: value at and below which the family is asked about 0 instead.
+
+    Returns:
+        A bracket whose `outside` is below `inside`; `inside` is 0 where the family stands at 0.
+    """
+    high, inside = value, start
+    low, outside = 0.0, None
+    while outside is None:
+        trial = high / 2 if high / 2 > floor else 0.0
+        answer = probe(trial, inside)
+        if not answer.stands:
+            low, outside = trial, answer
+        elif trial == 0.0:
+            return Bracket(0.0, answer, None, None)
+        else:
+            high, inside = trial, answer
+    while high - low > max(SHARE * high, floor * SHARE):
+        trial = 0.5 * (low + high)
+        answer = probe(trial, inside)
+        if answer.stands:
+            high, inside = trial, answer
+        else:
+            low, outside = trial, answer
+    return Bracket(high, inside, low, outside)
+
+
+def checked(
+    bracket: Bracket,
+    probe: Callable[[float, Answer | None], Answer],
+    start: Answer,
+    again: Callable[[float, Answer], Bracket],
+    origin: float = 0.0,
+) -> Bracket:
+    """Probe a family further inside its bound, and where it fails there, return the bound before that.
+
+    Args:
+        bracket: the bound.
+        probe: the family; from rest where no answer nearby is given.
+        start: the answer at `origin`.
+        again: finds the bound between `origin` and a value that fails, given with its answer.
+        origin: value of the state as it is.
+    """
+    for share in _CHECKED:
+        value = origin + share * (bracket.inside - origin)
+        # That no rest is found from one side does not say that there is none.
+        answer = probe(value, None)
+        for near in (start, bracket.stands):
+            answer = answer if answer.stands else probe(value, near)
+        if not answer.stands:
+            found = again(value, answer)
+            return Bracket(found.inside, found.stands, found.outside, found.fails, monotone=False)
+    return bracket
+
+
+def weakest(
+    families: Sequence[int],
+    test: Callable[[int, float], Answer],
+    bound: Callable[[int, tuple[float, Answer] | None], Bracket],
+) -> tuple[int, Bracket] | None:
+    """Find the family with the least bound, without finding the bounds of the others.
+
+    A family that stands at the least bound so far is not weaker, as far as families are monotone; so one probe each
+    is enough for most.
+
+    Args:
+        families: those to compare, the likely weakest first.
+        test: answer of a family at a value.
+        bound: bound of a family, given a value that fails and its answer where one is known.
+
+    Returns:
+        The family and its bracket; None where no family has a bound.
+    """
+    best: tuple[int, Bracket] | None = None
+    for family in families:
+        known = None
+        if best is not None:
+            answer = test(family, best[1].inside)
+            if answer.stands:
+                continue
+            known = best[1].inside, answer
+        bracket = bound(family, known)
+        if bracket.outside is not None:
+            best = family, bracket
+    return best

@@ -1,0 +1,244 @@
+"""Verdicts of states of one structure under another friction and other loads than its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.loads import Loads
+from falsework.stability.certificate import forces_of_displacement, resistance_to_velocity, verify_certificates
+from falsework.stability.contact.newton import MOVES_AWAY, RESTS
+from falsework.stability.contact.solver import ContactSolver
+from falsework.stability.cpu.kernel import solve_range
+from falsework.stability.cpu.solver import CpuSolver, kernel_options
+from falsework.stability.cpu.termination import STABLE, UNSTABLE
+from falsework.stability.margins.kernel import rest_under
+from falsework.stability.reference.clarabel import ExactSolver
+from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.assembly.state import States
+    from falsework.stability.problem import Problem
+    from falsework.stability.settings import StabilitySettings
+
+Array = NDArray[np.float64]
+
+_WARM_STEPS = 12
+"""Newton iterations from the displacement under a load nearby before a state is loaded from rest."""
+_ABOVE = 1.002
+"""Times the tolerance that a velocity must prove where it cuts a load off."""
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """Friction, and wrenches on the parts beside the loads of the structure."""
+
+    friction: float
+    extra: Array
+    """N and Nm about the centres of mass, shape (parts, 6)."""
+
+    def of(self, assembly: Assembly) -> Assembly:
+        """Return the structure under this condition, as the certificate checker takes it."""
+        own = assembly.loads or Loads.of(assembly.part_count)
+        loads = Loads.of(assembly.part_count, wrench=own.wrench + self.extra, acceleration=own.acceleration)
+        return replace(assembly, friction=self.friction, loads=loads)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Whether a state stands under a condition, with what proves it."""
+
+    condition: Condition
+    stands: bool
+    moves_away: bool = False
+    """Under `contact`: parts were seen to move away."""
+    forces: Array | None = None
+    """Contact forces in N, shape (points, 3), under `equilibrium`."""
+    displacement: Array | None = None
+    """Shape (parts, 6), m and rad, under `contact`."""
+    velocity: Array | None = None
+    """Shape (parts, 6): a proof that the state is unstable."""
+
+
+class Prober:
+    """Solver of single states under conditions; it may be used from several threads."""
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        problem: Problem,
+        settings: StabilitySettings,
+        solver: CpuSolver | ContactSolver | None = None,
+    ) -> None:
+        """Lay the structure out, or share the layout of a solver of it.
+
+        Args:
+            assembly: the structure.
+            problem: the same, scaled.
+            settings: criterion, cone and tolerances.
+            solver: on the processor, under the same settings; under `contact` it is needed.
+        """
+        self.assembly, self.settings, self.problem = assembly, settings, problem
+        self.contact = settings.criterion == "contact"
+        solver = solver or CpuSolver(problem, settings)
+        self._structure = solver.structure
+        self._options = kernel_options(self.settings)
+        self._contact = solver.contact_structure if isinstance(solver, ContactSolver) else None
+        if isinstance(solver, ContactSolver):
+            self._contact_options = solver.contact_options._replace(warm_steps=_WARM_STEPS)
+        self._no_motion = np.zeros((0, 3))
+
+    def own(self) -> Condition:
+        """Return the condition under which the structure is as it is."""
+        return Condition(self.assembly.friction, np.zeros((self.problem.parts, 6)))
+
+    def ask(
+        self,
+        state: States,
+        condition: Condition,
+        near: Answer | None = None,
+        *,
+        moved: Array | None = None,
+    ) -> Answer:
+        """Ask whether a state stands.
+
+        Args:
+            state: shape (parts,).
+            condition: friction and loads.
+            near: the answer under a condition nearby, to start from.
+            moved: under `contact`, displacements of parts that do not move freely, shape (parts, 6), m and rad.
+        """
+        if self.contact:
+            return self._ask_contact(state, condition, near, moved)
+        answer = self.balance(state, condition, near)
+        if answer.stands or answer.velocity is not None:
+            return answer
+        exact = self._exact(state, condition)
+        forces = exact.forces[0] if exact.stable[0] and exact.forces is not None else None
+        velocity = exact.velocity[0] if exact.unstable[0] and exact.velocity is not None else None
+        return Answer(condition, forces is not None, False, forces, None, velocity)
+
+    def balance(self, state: States, condition: Condition, near: Answer | None = None) -> Answer:
+        """Ask whether a state is in equilibrium, whatever the criterion; the rest as `ask`."""
+        structure = self._structure._replace(friction=float(condition.friction), gravity=self._whitened(condition))
+        warm = near is not None and near.forces is not None
+        forces, velocity = np.zeros((1, self.problem.points, 3)), np.zeros((1, self.problem.parts, 6))
+        if warm and near is not None and near.forces is not None:
+            forces[0] = near.forces
+        verdict, residual = np.zeros(1, np.int8), np.zeros(1)
+        steps = np.zeros(1, np.int32), np.zeros(1, np.int32)
+        batch = np.array(state[None])
+        solve_range(structure, batch, self._options, forces, velocity, warm, verdict, residual, *steps)
+        stands, fails = bool(verdict[0] == STABLE), bool(verdict[0] == UNSTABLE)
+        return Answer(condition, stands, False, forces[0] if stands else None, None, velocity[0] if fails else None)
+
+    def _ask_contact(self, state: States, condition: Condition, near: Answer | None, moved: Array | None) -> Answer:
+        structure = self._structure._replace(friction=float(condition.friction))
+        displacement = np.zeros((1, self.problem.parts, 6))
+        warm = near is not None and near.displacement is not None
+        if warm and near is not None and near.displacement is not None:
+            displacement[0] = near.displacement
+        result, residual, spent = np.zeros(1, np.int8), np.zeros(1), np.zeros(1, np.int32)
+        offsets = self._no_motion if moved is None else self._offsets(moved)
+        rest_under(
+            structure,
+            self._contact,
+            np.array(state),
+            np.array(self._whitened(condition)[None]),
+            offsets,
+            self._contact_options,
+            displacement,
+            warm,
+            result,
+            residual,
+            spent,
+        )
+        stands = bool(result[0] == RESTS)
+        return Answer(condition, stands, bool(result[0] == MOVES_AWAY), None, displacement[0] if stands else None)
+
+    def cut(self, state: States, answer: Answer, direction: Array) -> float:
+        """Return how many times a load may be added at most, as the velocity of an answer proves; else infinity.
+
+        Args:
+            state: shape (parts,).
+            answer: of a condition with the same friction.
+            direction: the load, N and Nm, shape (parts, 6).
+        """
+        if answer.velocity is None:
+            return np.inf
+        velocity = np.where((state == 1)[:, None], answer.velocity, 0.0)
+        power = float((velocity * direction).sum())
+        if power <= 0.0:
+            return np.inf
+        assembly = replace(self.assembly, friction=answer.condition.friction)
+        claim = self.settings.claim
+        taken, momentum = resistance_to_velocity(assembly, state[None], velocity[None], claim)
+        present = float((velocity * self.problem.gravity_wrench).sum())
+        return (float(taken[0]) + _ABOVE * claim.tolerance * float(momentum[0]) - present) / power
+
+    def certify(self, state: States, answer: Answer) -> Verdicts:
+        """Return the verdict of an answer with the proof that the certificate checker accepts, else undecided.
+
+        Under `contact` a state that fails is unstable if a velocity proves it; else it slides if parts were seen to
+        move away, and forces in equilibrium come with it.
+        """
+        verdicts = Verdicts.blank(1, points=self.problem.points, parts=self.problem.parts, displaced=self.contact)
+        assert verdicts.forces is not None
+        assert verdicts.velocity is not None
+        changed, claim = answer.condition.of(self.assembly), self.settings.claim
+        verdicts.decided_by[:] = Solver.CPU
+        if answer.stands and answer.displacement is not None:
+            assert verdicts.displacement is not None
+            verdicts.displacement[0] = answer.displacement
+            verdicts.forces[:] = forces_of_displacement(changed, state[None], answer.displacement[None], claim)
+            verdicts.verdict[0] = Verdict.STABLE
+        elif answer.stands and answer.forces is not None:
+            verdicts.forces[0], verdicts.verdict[0] = answer.forces, Verdict.STABLE
+        else:
+            self._certify_failure(state, answer, verdicts)
+        verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
+        if not verify_certificates(changed, state[None], verdicts, claim)[0]:
+            exact = self._exact(state, answer.condition)
+            if exact.unstable[0] or not self.contact:
+                verdicts.put(np.array([0]), exact)
+            else:
+                verdicts.verdict[0] = Verdict.UNDECIDED
+        return verdicts
+
+    def _exact(self, state: States, condition: Condition) -> Verdicts:
+        settings = replace(self.settings, criterion="equilibrium", cone=self.settings.friction_cone)
+        return ExactSolver(condition.of(self.assembly), settings).check(state)
+
+    def _certify_failure(self, state: States, answer: Answer, verdicts: Verdicts) -> None:
+        """Fill in the proof of a state that does not stand, as far as there is one."""
+        assert verdicts.forces is not None
+        assert verdicts.velocity is not None
+        velocity = answer.velocity
+        if velocity is None:
+            balanced = self.balance(state, answer.condition)
+            velocity = balanced.velocity
+            if self.contact and balanced.forces is not None and answer.moves_away:
+                verdicts.forces[0], verdicts.verdict[0] = balanced.forces, Verdict.SLIDES
+        if velocity is not None:
+            verdicts.velocity[0], verdicts.verdict[0] = velocity, Verdict.UNSTABLE
+
+    def _whitened(self, condition: Condition) -> Array:
+        """Return the wrenches of a condition as the kernels take them: read-only, lest they be compiled anew."""
+        wrench = self.problem.gravity_wrench + condition.extra
+        whitened = np.ascontiguousarray((self.problem.whitening @ wrench[:, :, None])[:, :, 0])
+        whitened.setflags(write=False)
+        return whitened
+
+    def _offsets(self, moved: Array) -> Array:
+        """Return the spring forces, scaled, that parts which were moved cause at contact points, shape (points, 3)."""
+        problem, law = self.problem, self._contact
+        assert law is not None
+        relative = np.einsum("pri,pr->pi", problem.wrench_a, moved[problem.part_a])
+        relative += np.einsum("pri,pr->pi", problem.wrench_b, moved[problem.part_b])
+        stiffness = np.stack([law.normal, law.tangential, law.tangential], axis=1)
+        # Springs take displacements in units of `scale`, of variables that are forces times `force_scale`.
+        return -stiffness * relative * (problem.force_scale / law.scale)[:, None]

@@ -1,0 +1,69 @@
+"""Compiled search for rest of one state under several loads, without the GIL."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from falsework.stability.contact.kernel import lacks_contact, place_contacts, read_displacement, write_displacement
+from falsework.stability.contact.newton import MOVES_AWAY, RESTS, find_rest, make_contact_scratch
+from falsework.stability.cpu.layout import make_scratch, restrict
+from falsework.stability.cpu.termination import MARGIN
+from falsework.utils.kernels import njit
+
+
+@njit(nogil=True, cache=True)
+def rest_under(
+    structure, contact_structure, state, loads, moved, options, displacement, warm, result, residual, iterations
+):
+    """Look for the rest of a state under each load; the law is that of `solve_contact_state`.
+
+    Args:
+        structure, contact_structure, options: as in `solve_contact_state`.
+        state: shape (parts,).
+        loads: whitened wrenches on the parts, shape (loads, parts, 6).
+        moved: spring forces of the contact points at zero displacement, scaled, as fixed parts that have moved cause
+            them, shape (points, 3) or (0, 3).
+        displacement: in: guesses in m and rad where `warm`; out: displacements, shape (loads, parts, 6).
+        warm: whether `displacement` holds guesses.
+        result, residual, iterations: out, one entry a load.
+    """
+    work, contact = make_scratch(structure), make_contact_scratch(structure)
+    order = structure.elimination.order
+    pairs, count = restrict(structure, state, work)
+    adrift = count > 0 and lacks_contact(work, pairs)
+    place_contacts(structure, contact_structure, work, contact, pairs)
+    for p in range(pairs if len(moved) else 0):
+        shift = structure.pair_start[work.pair[p]] - work.start[p]
+        for j in range(work.start[p], work.start[p + 1]):
+            for r in range(3):
+                contact.offset[j, r] = moved[j + shift, r]
+    tolerance = (1.0 - MARGIN) * options.tolerance
+    for k in range(len(loads)):
+        iterations[k] = 0
+        if count == 0 or adrift:
+            result[k], residual[k] = (MOVES_AWAY, np.inf) if adrift else (RESTS, 0.0)
+            displacement[k] = 0.0
+            continue
+        for j in range(len(order)):
+            for r in range(6):
+                contact.load[j, r] = loads[k, order[j], r]
+        if warm:
+            read_displacement(structure, contact_structure, work, displacement[k], contact.displacement)
+            result[k], residual[k], iterations[k] = find_rest(
+                structure,
+                contact_structure,
+                work,
+                contact,
+                pairs,
+                options.warm_steps,
+                tolerance,
+                options.warm_first_step,
+            )
+        if not warm or result[k] != RESTS:
+            contact.displacement[:] = 0.0
+            result[k], residual[k], taken = find_rest(
+                structure, contact_structure, work, contact, pairs, options.steps, tolerance, options.first_step
+            )
+            iterations[k] += taken
+        displacement[k] = 0.0
+        write_displacement(structure, contact_structure, work, contact.displacement, displacement[k])

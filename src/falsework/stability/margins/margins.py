@@ -1,0 +1,381 @@
+"""Margins of states of a structure under the criterion of its oracle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.assembly.state import INSTALLED, REMOVED, States, as_states
+from falsework.errors import InputError
+from falsework.stability.margins.brackets import OUTSIDE, Bracket, checked, largest, least, weakest
+from falsework.stability.margins.conditions import Answer, Condition, Prober
+from falsework.stability.margins.pushes import Pushes
+from falsework.stability.margins.state_margins import Bound, StateMargins
+from falsework.stability.margins.supports import held_loads, settlements
+from falsework.stability.verdict import Verdict, Verdicts
+
+Array = NDArray[np.float64]
+
+QUICK = ("friction", "tilt", "horizontal", "load_factor", "push", "held")
+"""Margins that are found by default: one probe a part, face or direction."""
+KINDS = (*QUICK, "polygon", "settlement")
+
+DIRECTIONS = 36
+"""Horizontal directions, of which the worst counts."""
+LARGEST_SHARE = 10.0
+"""Horizontal acceleration, in shares of gravity, beyond which there is no bound: a tilt of 84 degrees."""
+LARGEST_FACTOR = 100.0
+"""Factor on a weight beyond which there is no bound."""
+LARGEST_PUSH = 10.0
+"""Push beyond which there is no bound, in weights of the structure."""
+_ROUGH = 4.0
+"""Largest coefficient of friction at which a state that does not stand is tried."""
+_SMOOTH = 1e-3
+"""Friction below which a state is asked about none at all."""
+_FLOOR = 1e-4
+"""Distance between the ends of a bracket that is small enough: shares of gravity, factors and weights of a part."""
+
+
+class MarginFinder:
+    """Finder of the margins of states of one structure; it may be used from several threads."""
+
+    def __init__(self, prober: Prober) -> None:
+        """Take the structure and its criterion from a prober."""
+        self._prober = prober
+        self._assembly = prober.assembly
+        self._parts = prober.assembly.part_count
+        self._weights = prober.settings.gravity * prober.assembly.mass.mass
+        angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        self._directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)], axis=1)
+
+    @cached_property
+    def pushes(self) -> Pushes:
+        """Faces of the parts that a gripper may touch."""
+        return Pushes.on(self._assembly)
+
+    def of(self, states: ArrayLike, kinds: Sequence[str] = QUICK) -> list[StateMargins]:
+        """Return the margins of states, the work shared by the cores.
+
+        Args:
+            states: one state `(parts,)` or a batch `(batch, parts)`.
+            kinds: margins to find.
+
+        Raises:
+            InputError: a margin that does not exist, or settlement under `equilibrium`, which has no displacements.
+            StateError: states of the wrong length or with other values.
+        """
+        for kind in kinds:
+            if kind not in KINDS:
+                raise InputError(f"there is no margin {kind!r}; choose among {', '.join(KINDS)}")
+        if "settlement" in kinds and not self._prober.contact:
+            raise InputError("the criterion equilibrium knows no settlement; ask for it under contact")
+        batch = as_states(states, self._assembly.boundary)
+        assert self.pushes is not None  # made once, before threads ask for it
+        with ThreadPoolExecutor(self._prober.settings.cpu.threads) as pool:
+            starts = list(pool.map(lambda state: self._prober.ask(state, self._prober.own()), batch))
+            work: list[tuple[int, Callable[[], StateMargins]]] = []
+            for row, (state, start) in enumerate(zip(batch, starts, strict=True)):
+                if not start.stands:
+                    work.append((row, lambda s=state: self._fallen(s, kinds)))
+                    continue
+                work += [(row, lambda s=state, a=start, k=kind: self._one(s, a, k, kinds)) for kind in kinds]
+            found = [StateMargins(start.stands) for start in starts]
+            for (row, _), part in zip(work, pool.map(lambda job: job[1](), work), strict=True):
+                given = {name: value for name, value in vars(part).items() if value is not None and np.size(value)}
+                found[row] = replace(found[row], **given)
+        return found
+
+    def _one(self, state: States, start: Answer, kind: str, kinds: Sequence[str]) -> StateMargins:
+        """Return one margin of a state that stands, and what comes with it."""
+        if kind == "friction":
+            return StateMargins(True, friction=self._friction(state, start))
+        if kind == "horizontal" or (kind == "tilt" and "horizontal" not in kinds):
+            tilt, horizontal = self._sideways(state, start)
+            return StateMargins(
+                True,
+                tilt=tilt if "tilt" in kinds else None,
+                horizontal=horizontal if kind == "horizontal" else None,
+            )
+        if kind == "load_factor":
+            return StateMargins(
+                True, load_factor=self._load_factor(state, start), total_load_factor=self._total_factor(state, start)
+            )
+        if kind == "push":
+            return StateMargins(True, push=self._push(state, start))
+        if kind == "held":
+            return StateMargins(True, held=held_loads(self._prober, state, start))
+        if kind == "polygon":
+            return StateMargins(True, polygon=self._polygon(state, start))
+        if kind == "settlement":
+            return StateMargins(True, settlement=settlements(self._prober, state, start))
+        return StateMargins(True)
+
+    def _fallen(self, state: States, kinds: Sequence[str]) -> StateMargins:
+        """Return the least friction of a state that does not stand, if more friction helps, and no other margins."""
+        if "friction" not in kinds:
+            return StateMargins(False)
+        prober, own = self._prober, self._assembly.friction
+        start = low = prober.ask(state, prober.own())
+        high = max(own, _SMOOTH)
+        while (high := 2 * high) <= max(_ROUGH, 4 * own):
+            answer = prober.ask(state, Condition(high, prober.own().extra))
+            if answer.stands:
+                break
+            low = answer
+        else:
+            return StateMargins(False)
+        stands = answer
+        while stands.condition.friction - low.condition.friction > 0.01 * stands.condition.friction:
+            middle = 0.5 * (stands.condition.friction + low.condition.friction)
+            answer = prober.ask(state, Condition(middle, stands.condition.extra), stands)
+            stands, low = (answer, low) if answer.stands else (stands, answer)
+        bracket = Bracket(stands.condition.friction, stands, low.condition.friction, low)
+        return StateMargins(False, friction=self._bound(state, bracket, self._rough(start.condition), always=True))
+
+    def _friction(self, state: States, start: Answer) -> Bound:
+        extra, own = start.condition.extra, self._assembly.friction
+
+        def probe(value: float, near: Answer) -> Answer:
+            # From rest each time under `contact`, as a check of the number does: near the bound the start matters.
+            return self._prober.ask(state, Condition(value, extra), None if self._prober.contact else near)
+
+        def anew(value: float, near: Answer | None) -> Answer:
+            return self._prober.ask(state, Condition(value, extra), near)
+
+        def again(value: float, answer: Answer) -> Bracket:
+            stands, low = start, answer
+            while stands.condition.friction - low.condition.friction > 0.01 * stands.condition.friction:
+                middle = probe(0.5 * (stands.condition.friction + low.condition.friction), stands)
+                stands, low = (middle, low) if middle.stands else (stands, middle)
+            return Bracket(stands.condition.friction, stands, low.condition.friction, low)
+
+        bracket = least(probe, start, value=own, floor=_SMOOTH * max(own, 1.0)) if own > 0 else None
+        if bracket is None:
+            bracket = Bracket(0.0, start, None, None)
+        elif self._prober.contact:
+            bracket = checked(bracket, anew, start, again, origin=own)
+        return self._bound(state, bracket, self._rough(start.condition), always=True)
+
+    def _sideways(self, state: States, start: Answer) -> tuple[Bound, Bound]:
+        """Return the largest tilt and the largest horizontal acceleration in the worst direction."""
+        order = np.argsort([row % 9 != 0 for row in range(DIRECTIONS)], kind="stable").tolist()
+        loads = self._weights[None, :, None] * np.pad(self._directions, ((0, 0), (0, 3)))[:, None, :]
+        guess = max(self._assembly.friction, 0.1)
+        found = self._weakest(state, start, loads, order, guess=lambda _: guess, cap=LARGEST_SHARE)
+        if found is None:
+            return self._unbounded(state, start), self._unbounded(state, start)
+        row, bracket = found
+        direction = tuple(self._directions[row].tolist())
+        horizontal = self._bound(state, bracket, self._times(start.condition, loads[row]), direction=direction)
+        if self._assembly.loads is None:
+            # Weight and a horizontal acceleration `a g` are the weight on a ground tilted by atan(a), times a factor;
+            # forces, displacements and velocities that prove one prove the other by that factor.
+            tilted = Bracket(
+                float(np.arctan(bracket.inside)),
+                self._tilted(bracket.stands, row, bracket.inside),
+                None if bracket.outside is None else float(np.arctan(bracket.outside)),
+                None if bracket.fails is None else self._tilted(bracket.fails, row, bracket.outside or 0.0),
+                bracket.monotone,
+            )
+            return self._bound(state, tilted, self._tilts(start.condition, row), direction=direction), horizontal
+        return self._tilt(state, start, order), horizontal
+
+    def _tilt_load(self, row: int, angle: float) -> Array:
+        """Return what a tilt adds to the weights, N, shape (parts, 6)."""
+        turned = np.sin(angle) * self._directions[row] + np.array([0.0, 0.0, 1.0 - np.cos(angle)])
+        return self._weights[:, None] * np.pad(turned, (0, 3))
+
+    def _tilted(self, answer: Answer, row: int, share: float) -> Answer:
+        angle = np.arctan(share)
+        factor = float(np.cos(angle))
+        return replace(
+            answer,
+            condition=Condition(answer.condition.friction, self._tilt_load(row, angle)),
+            forces=None if answer.forces is None else factor * answer.forces,
+            displacement=None if answer.displacement is None else factor * answer.displacement,
+        )
+
+    def _tilt(self, state: States, start: Answer, order: Sequence[int]) -> Bound:
+        """Return the largest tilt under loads that keep their direction."""
+
+        def probe(row: int, angle: float, near: Answer) -> Answer:
+            return self._prober.ask(state, self._tilts(start.condition, row)(angle), near)
+
+        def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
+            return largest(
+                lambda angle, near: probe(row, angle, near),
+                start,
+                guess=float(np.arctan(max(self._assembly.friction, 0.1))),
+                cap=float(np.arctan(LARGEST_SHARE)),
+                floor=_FLOOR,
+                known=known,
+            )
+
+        found = weakest(order, lambda row, angle: probe(row, angle, start), bound)
+        if found is None:
+            return self._unbounded(state, start)
+        row, bracket = found
+        direction = tuple(self._directions[row].tolist())
+        return self._bound(state, bracket, self._tilts(start.condition, row), direction=direction)
+
+    def _polygon(self, state: States, start: Answer) -> Array:
+        guess, limits = max(self._assembly.friction, 0.1), np.full(DIRECTIONS, np.inf)
+        for row in range(DIRECTIONS):
+            load = self._weights[:, None] * np.pad(self._directions[row], (0, 3))
+            bracket = self._along(state, start, load, guess=guess, cap=LARGEST_SHARE)
+            if bracket.outside is not None:
+                limits[row] = guess = bracket.inside
+        return np.arctan(limits)
+
+    def _load_factor(self, state: States, start: Answer) -> Bound:
+        installed = np.flatnonzero(state == INSTALLED)
+        loads = np.zeros((len(installed), self._parts, 6))
+        loads[np.arange(len(installed)), installed, 2] = -self._weights[installed]
+        order = np.argsort(-self._weights[installed], kind="stable").tolist()
+        found = self._weakest(state, start, loads, order, guess=lambda _: 1.0, cap=LARGEST_FACTOR - 1.0)
+        if found is None:
+            return self._unbounded(state, start)
+        row, bracket = found
+        times = self._times(start.condition, loads[row])
+        return self._bound(state, bracket, times, shift=1.0, part=int(installed[row]), direction=(0.0, 0.0, -1.0))
+
+    def _total_factor(self, state: States, start: Answer) -> Bound:
+        if self._assembly.loads is None:  # forces that balance the weights balance any multiple of them
+            return self._unbounded(state, start)
+        load = np.where((state != REMOVED)[:, None], self._weights[:, None] * np.array([0, 0, -1.0, 0, 0, 0]), 0.0)
+        bracket = self._along(state, start, load, guess=1.0, cap=LARGEST_FACTOR - 1.0)
+        return self._bound(state, bracket, self._times(start.condition, load), shift=1.0)
+
+    def _push(self, state: States, start: Answer) -> Bound:
+        pushes = self.pushes
+        rows = pushes.exposed(state)
+        weights = self._weights[pushes.part[rows]]
+        order = np.argsort(weights, kind="stable").tolist()
+        cap = LARGEST_PUSH * self._prober.problem.weight
+        guess = max(self._assembly.friction, 0.1)
+        loads = pushes.loads(rows, self._parts)
+        found = self._weakest(state, start, loads, order, guess=lambda row: guess * weights[row], cap=cap)
+        if found is None:
+            return self._unbounded(state, start)
+        row, times = int(rows[found[0]]), self._times(start.condition, loads[found[0]])
+        direction = tuple(pushes.normal[row].tolist())
+        return self._bound(state, found[1], times, part=int(pushes.part[row]), direction=direction)
+
+    def _along(
+        self,
+        state: States,
+        start: Answer,
+        load: Array,
+        *,
+        guess: float,
+        cap: float,
+        known: tuple[float, Answer] | None = None,
+    ) -> Bracket:
+        """Return the bound on the multiple of a load, N and Nm, shape (parts, 6)."""
+
+        def probe(value: float, near: Answer) -> Answer:
+            return self._prober.ask(state, Condition(start.condition.friction, value * load), near)
+
+        def find(given: tuple[float, Answer] | None) -> Bracket:
+            cut = None if self._prober.contact else lambda answer: self._prober.cut(state, answer, load)
+            return largest(probe, start, guess=guess, cap=cap, floor=_FLOOR * guess, cut=cut, known=given)
+
+        bracket = find(known)
+        if bracket.fails is None or bracket.outside is None:
+            return bracket
+        if not self._prober.contact:  # a velocity may prove more than where it was found
+            beyond = Condition(start.condition.friction, bracket.outside * load)
+            return replace(bracket, fails=replace(bracket.fails, condition=beyond))
+
+        def anew(value: float, near: Answer | None) -> Answer:
+            return self._prober.ask(state, Condition(start.condition.friction, value * load), near)
+
+        return checked(bracket, anew, start, lambda value, answer: find((value, answer)))
+
+    def _weakest(
+        self,
+        state: States,
+        start: Answer,
+        loads: Array,
+        order: Sequence[int],
+        *,
+        guess: Callable[[int], float],
+        cap: float,
+    ) -> tuple[int, Bracket] | None:
+        """Return the load of which the least can be added, and its bracket; loads have shape (loads, parts, 6)."""
+
+        def test(row: int, value: float) -> Answer:
+            return self._prober.ask(state, Condition(start.condition.friction, value * loads[row]), start)
+
+        def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
+            return self._along(state, start, loads[row], guess=guess(row), cap=cap, known=known)
+
+        return weakest(order, test, bound)
+
+    def _unbounded(self, state: States, start: Answer) -> Bound:
+        """Return that there is no bound, with the proof of the state as it is."""
+        return self._bound(state, Bracket(0.0, start, None, None), lambda _: start.condition)
+
+    @staticmethod
+    def _rough(condition: Condition) -> Callable[[float], Condition]:
+        return lambda friction: Condition(friction, condition.extra)
+
+    @staticmethod
+    def _times(condition: Condition, load: Array) -> Callable[[float], Condition]:
+        return lambda value: Condition(condition.friction, value * load)
+
+    def _tilts(self, condition: Condition, row: int) -> Callable[[float], Condition]:
+        return lambda angle: Condition(condition.friction, self._tilt_load(row, angle))
+
+    def _bound(
+        self,
+        state: States,
+        bracket: Bracket,
+        beyond: Callable[[float], Condition],
+        *,
+        shift: float = 0.0,
+        part: int | None = None,
+        direction: tuple[float, ...] | None = None,
+        always: bool = False,
+    ) -> Bound:
+        """Certify both ends of a bracket; a bracket without an outer end has no bound, unless `always`.
+
+        Args:
+            state: shape (parts,).
+            bracket: the bound.
+            beyond: the family, for a value outside where another proof may be found.
+            shift: of the values that are reported.
+            part, direction: of the weakest load.
+            always: the family has a bound at its inner end and fails below it, as friction does.
+        """
+        fails, outside = bracket.fails, bracket.outside
+        proof = None if fails is None else self._prober.certify(state, fails)
+        if fails is not None and proof is not None and not _fails(proof):
+            # Beside the bound neither side may be provable; try at the far end of what a bracket may span.
+            share = 1.0 - OUTSIDE if always else 1.0 + OUTSIDE
+            condition = beyond(share * bracket.inside)
+            again = self._prober.ask(state, condition)
+            second = proof if again.stands else self._prober.certify(state, again)
+            if _fails(second):
+                fails, outside, proof = again, share * bracket.inside, second
+        return Bound(
+            value=float(bracket.inside) + shift if outside is not None or always else None,
+            outside=None if outside is None else float(outside) + shift,
+            inside_proof=self._prober.certify(state, bracket.stands),
+            outside_proof=proof,
+            inside_condition=bracket.stands.condition,
+            outside_condition=None if fails is None else fails.condition,
+            monotone=bracket.monotone,
+            part=part,
+            direction=None if direction is None else (direction[0], direction[1], direction[2]),
+        )
+
+
+def _fails(verdicts: Verdicts) -> bool:
+    """Return whether a proof says that the state does not stand."""
+    return bool(verdicts.verdict[0] in (Verdict.UNSTABLE, Verdict.SLIDES))

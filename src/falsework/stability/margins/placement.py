@@ -1,0 +1,120 @@
+"""Share of states that stand when parts are placed with an error."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import as_states
+from falsework.errors import InputError
+from falsework.geometry.mesh.mesh import TriangleMesh
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PlacementCurve:
+    """Share of draws in which each state stands, by the placement error."""
+
+    tolerances: Array
+    """Largest movement of a point of a part, m, shape (tolerances,)."""
+    shares: Array
+    """Share of draws that stand, shape (tolerances, states)."""
+    refused: NDArray[np.int64]
+    """Draws in which a part lost all contacts or ran into another; they count as not standing. Shape (tolerances,)."""
+    draws: int
+
+
+def placement_curve(
+    assembly: Assembly,
+    states: ArrayLike,
+    tolerances: Sequence[float],
+    stable: Callable[[Assembly, NDArray[np.uint8]], NDArray[np.bool_]],
+    *,
+    draws: int = 1000,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> PlacementCurve:
+    """Move and turn every part at random, find contacts anew, and count the states that stand.
+
+    A part is moved by up to half of the tolerance along each axis and turned about its centre so that no corner moves
+    by more than the other half. Joints that open or overlap by as much as two neighbours can be off are closed midway
+    between the parts, as mortar, shims or dressing would.
+
+    Args:
+        assembly: the structure.
+        states: shape (batch, parts).
+        tolerances: m, each above zero.
+        stable: whether states of a structure stand, such as `Stability(moved, settings).stable`.
+        draws: how many for each tolerance.
+        seed: of the draws; the same draws, scaled, serve all tolerances.
+        progress: told how many draws are done, and of how many.
+
+    Raises:
+        InputError: no tolerance or draw, a tolerance that is not positive, or contacts that were given, not found.
+    """
+    batch = as_states(states, assembly.boundary)
+    if not len(tolerances) or not all(np.isfinite(tolerance) and tolerance > 0 for tolerance in tolerances):
+        raise InputError(f"placement errors are {list(tolerances)} m; give numbers above zero")
+    if draws < 1:
+        raise InputError(f"{draws} draws are no sample; ask for at least 1")
+    if assembly.contacts_given:
+        raise InputError("contacts of this structure were given, so they cannot be found anew for parts that moved")
+    stands, refused = np.zeros((len(tolerances), len(batch))), np.zeros(len(tolerances), np.int64)
+    for row, tolerance in enumerate(tolerances):
+        random = np.random.default_rng(seed)
+        for draw in range(draws):
+            moved = moved_assembly(assembly, tolerance, random)
+            if moved is None:
+                refused[row] += 1
+            else:
+                stands[row] += stable(moved, batch)
+            if progress is not None:
+                progress(row * draws + draw + 1, draws * len(tolerances))
+    return PlacementCurve(np.array(tolerances, float), stands / draws, refused, draws)
+
+
+def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Generator) -> Assembly | None:
+    """Return the structure with its parts off their places; None where they make no assembly."""
+    meshes = []
+    for mesh, center, fixed in zip(assembly.meshes, assembly.mass.center, assembly.boundary, strict=True):
+        shift, turn = random.uniform(-1, 1, 3), random.uniform(-1, 1, 3)
+        if fixed:
+            meshes.append(mesh)
+            continue
+        arms = mesh.vertices - center
+        reach = float(np.linalg.norm(arms, axis=1).max())
+        vertices = center + arms @ _rotation(0.5 * tolerance / reach * turn / np.sqrt(3.0)).T
+        meshes.append(TriangleMesh.from_arrays(mesh.name, vertices + 0.5 * tolerance * shift, mesh.faces))
+    own = assembly.contact_settings
+    wider = {name: max(getattr(own, name) or 0.0, 2.5 * tolerance) for name in ("gap", "overlap")}
+    settings = replace(own, **wider)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            moved = Assembly.from_meshes(
+                meshes,
+                boundary=assembly.boundary,
+                density=assembly.density,
+                friction=assembly.friction,
+                name=assembly.name,
+                contact_settings=settings,
+            )
+    except InputError:
+        return None
+    return moved if assembly.loads is None else moved.replace(loads=assembly.loads)
+
+
+def _rotation(vector: Array) -> Array:
+    """Return the rotation by a vector, rad (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross

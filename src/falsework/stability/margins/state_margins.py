@@ -1,0 +1,127 @@
+"""Margins of a state, each with a certificate on both sides of its bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.stability.margins.conditions import Condition
+from falsework.stability.verdict import Verdict, Verdicts
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """Bound of a family of conditions, proven from both sides."""
+
+    value: float | None
+    """Last value at which the state is proven to stand; None where there is no bound."""
+    outside: float | None
+    """First value at which it does not stand, within 1 %; None where there is none."""
+    inside_proof: Verdicts
+    """Verdict at `value`, a batch of one, with its certificate."""
+    outside_proof: Verdicts | None
+    """Verdict at `outside`: unstable, or sliding under `contact`; undecided where nothing could be proven."""
+    inside_condition: Condition
+    """Friction and loads at `value`."""
+    outside_condition: Condition | None
+    monotone: bool = True
+    """Whether the state stands at all values probed between its own and the bound: a theorem under `equilibrium`, not
+    under `contact`, where the bound is the one before the first value that was seen to fail."""
+    part: int | None = None
+    """Part that the weakest load of the family acts on."""
+    direction: tuple[float, float, float] | None = None
+    """Direction of the weakest load."""
+
+    @property
+    def proven(self) -> bool:
+        """Whether certificates on both sides were accepted, as far as there is a bound."""
+        failed = self.outside_proof is None or self.outside_proof.verdict[0] in (Verdict.UNSTABLE, Verdict.SLIDES)
+        return bool(self.inside_proof.stable[0]) and failed
+
+
+@dataclass(frozen=True)
+class HeldLoad:
+    """Force and moment that a robot bears for a part that it holds, as the certificate of the state has them."""
+
+    part: int
+    force: tuple[float, float, float]
+    """Of the robot on the part, N."""
+    moment: tuple[float, float, float]
+    """About the centre of mass of the part, Nm."""
+
+    @property
+    def force_n(self) -> float:
+        """Size of the force, N."""
+        return float(np.linalg.norm(self.force))
+
+    @property
+    def moment_nm(self) -> float:
+        """Size of the moment, Nm."""
+        return float(np.linalg.norm(self.moment))
+
+
+@dataclass(frozen=True, eq=False)
+class StateMargins:
+    """Margins of one state; those that were not asked for are None."""
+
+    stands: bool
+    """Whether the state is stable as it is. If not, nothing can be added to it, and the margins are zero."""
+    friction: Bound | None = None
+    """Least coefficient of friction; 0 where the state stands without any."""
+    tilt: Bound | None = None
+    """Largest tilt of the ground in the worst direction, rad; loads other than weight keep their direction."""
+    horizontal: Bound | None = None
+    """Largest horizontal acceleration in the worst direction, shares of gravity."""
+    load_factor: Bound | None = None
+    """Largest factor on the weight of one part, the weakest."""
+    total_load_factor: Bound | None = None
+    """Largest factor on the weight of all parts."""
+    push: Bound | None = None
+    """Largest force on a free face of a part along its normal, the weakest, N."""
+    held: tuple[HeldLoad, ...] = ()
+    """One for each part that a robot holds."""
+    polygon: Array | None = None
+    """Largest tilt in each of 36 directions from x to y, rad; infinite where there is no bound. Shape (36,)."""
+    settlement: tuple[tuple[int, float | None], ...] = ()
+    """Boundary parts with the depth to which each may sink, m; None where there is no bound."""
+
+    def to_dict(self, names: tuple[str, ...]) -> dict[str, Any]:
+        """Return the margins as a JSON object.
+
+        Args:
+            names: of the parts.
+        """
+        data: dict[str, Any] = {"stands": self.stands}
+        for key, bound, scale in (
+            ("friction", self.friction, 1.0),
+            ("tilt_deg", self.tilt, 180.0 / np.pi),
+            ("load_factor", self.load_factor, 1.0),
+            ("total_load_factor", self.total_load_factor, 1.0),
+            ("horizontal_g", self.horizontal, 1.0),
+            ("push_n", self.push, 1.0),
+        ):
+            value = None if bound is None or bound.value is None else bound.value * scale
+            data[key] = value if self.stands or key == "friction" else 0.0
+        data["push_part"] = None if self.push is None else self.push.part
+        data["push_name"] = None if self.push is None or self.push.part is None else names[self.push.part]
+        data["load_part"] = None if self.load_factor is None else self.load_factor.part
+        data["held"] = [
+            {"part": load.part, "name": names[load.part], "force_n": load.force_n, "moment_nm": load.moment_nm}
+            | {"force": list(load.force), "moment": list(load.moment)}
+            for load in self.held
+        ]
+        if self.polygon is not None:
+            degrees = np.degrees(self.polygon)
+            data["tilt_polygon_deg"] = [angle if np.isfinite(angle) else None for angle in degrees.tolist()]
+        if self.settlement:
+            data["settlement_m"] = {names[part]: depth for part, depth in self.settlement}
+        bounds = [self.friction, self.tilt, self.horizontal, self.load_factor, self.total_load_factor, self.push]
+        given = [bound for bound in bounds if bound is not None]
+        data["proven"] = all(bound.proven for bound in given)
+        data["monotone"] = all(bound.monotone for bound in given)
+        return data

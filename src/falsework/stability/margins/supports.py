@@ -1,0 +1,86 @@
+"""What robots bear for the parts that they hold, and how deep supports may sink."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, States
+from falsework.stability.certificate import forces_of_displacement, residual_of_forces
+from falsework.stability.margins.brackets import largest
+from falsework.stability.margins.conditions import Answer, Prober
+from falsework.stability.margins.state_margins import HeldLoad
+from falsework.stability.stiffness import MOVEMENT, structure_size
+
+Array = NDArray[np.float64]
+
+_DEEPEST = 0.9
+"""Largest settlement, as a share of the limit on movement: parts settle under their own weight too."""
+_SHALLOW = 1e-3
+"""Distance between the ends of a bracket of settlements that is small enough, as a share of the largest movement."""
+
+
+def held_loads(prober: Prober, state: States, start: Answer) -> tuple[HeldLoad, ...]:
+    """Return what each robot bears: the weight of its part, and what leans on it or carries it.
+
+    Under `contact` the forces are those that the law brings about; under `equilibrium` they are some that balance the
+    state, of which there may be many.
+
+    Args:
+        prober: of the structure.
+        state: shape (parts,).
+        start: that the state stands.
+    """
+    assembly, problem = prober.assembly, prober.problem
+    held = np.flatnonzero((state == HELD) & ~assembly.boundary)
+    forces = start.forces
+    if start.displacement is not None:
+        forces = forces_of_displacement(assembly, state[None], start.displacement[None], prober.settings.claim)[0]
+    assert forces is not None
+    net = problem.gravity_wrench.copy()
+    active = problem.active(state[None])[0]
+    for part, wrench in ((problem.part_a, problem.wrench_a), (problem.part_b, problem.wrench_b)):
+        np.add.at(net, part[active], np.einsum("pri,pi->pr", wrench[active], forces[active]))
+    return tuple(HeldLoad(int(part), *(_three(-net[part, rows]) for rows in (slice(3), slice(3, 6)))) for part in held)
+
+
+def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int, float | None], ...]:
+    """Return how deep each boundary part that carries something may sink, the others in place.
+
+    The law of the criterion tells it: a fixed part sinks, the others follow, and what they find is at rest within the
+    limit on movement, or it is not. So a settlement of nearly a thousandth of the structure counts as no bound.
+
+    Args:
+        prober: of the structure, under `contact`.
+        state: shape (parts,).
+        start: that the state stands.
+
+    Returns:
+        Boundary parts with depths in m, None where there is no bound.
+    """
+    assembly, problem, claim, depths = prober.assembly, prober.problem, prober.settings.claim, []
+    active = problem.active(state[None])[0]
+    cap = _DEEPEST * MOVEMENT * structure_size(assembly)
+    for part in np.flatnonzero(assembly.boundary).tolist():
+        if not (active & ((problem.part_a == part) | (problem.part_b == part))).any():
+            continue
+        sunk = np.zeros((problem.parts, 6))
+        sunk[part, 2] = -1.0
+
+        def probe(depth: float, near: Answer, sunk: Array = sunk) -> Answer:
+            answer = prober.ask(state, start.condition, near, moved=depth * sunk)
+            if answer.displacement is None:
+                return answer
+            forces = forces_of_displacement(assembly, state[None], (answer.displacement + depth * sunk)[None], claim)
+            left = residual_of_forces(assembly, state[None], forces, claim)[0]
+            return answer if left <= claim.tolerance else replace(answer, stands=False)
+
+        bracket = largest(probe, start, guess=0.5 * cap, cap=cap, floor=_SHALLOW * cap)
+        depths.append((part, None if bracket.outside is None else float(bracket.inside)))
+    return tuple(depths)
+
+
+def _three(values: Array) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])

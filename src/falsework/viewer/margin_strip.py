@@ -1,0 +1,76 @@
+"""Strip of the margins of a plan, one column a step, for the page."""
+
+from __future__ import annotations
+
+import html
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from falsework.search.problem.task import Direction
+from falsework.viewer.palette import INK, MISSING, RAMP, hex_of, ramp_in_steps
+
+if TYPE_CHECKING:
+    from falsework.search.plans.plan import Plan
+
+_WIDTH, _HEIGHT, _LABEL = 300.0, 14.0, 62.0
+"""Of a row and of its label, pixels."""
+_NAMES = {"friction": "friction", "tilt": "tilt", "horizontal": "horizontal", "push": "push"}
+
+
+def margin_strip(plan: Plan | None, direction: Direction, step: int) -> str:
+    """Return rows of coloured columns, one row a margin that the plan records, in HTML; empty if it records none.
+
+    Dark columns are weak; a mark is over the weakest, and a frame around the step that is shown.
+
+    Args:
+        plan: what is shown.
+        direction: order in which it is shown.
+        step: that is shown, from 0.
+    """
+    if plan is None or plan.margins is None or not plan.margins.measured:
+        return ""
+    shown = plan if plan.direction is direction else plan.reverse()
+    assert shown.margins is not None
+    rows, y = [], 2.0
+    column = _WIDTH / len(shown.states)
+    for kind, values in shown.margins.measured.items():
+        colors = ramp_in_steps(weakness(kind, values, plan.friction))
+        y += 9.0
+        rows.append(f'<text x="0" y="{y + 11:.1f}" font-size="11" fill="{INK}">{html.escape(_NAMES[kind])}</text>')
+        rows += [
+            f'<rect x="{_LABEL + k * column:.2f}" y="{y:.1f}" width="{column + 0.1:.2f}" height="{_HEIGHT}" '
+            f'fill="{hex_of(color)}"><title>step {k}: {html.escape(shown.margins.words(k, kind))}</title></rect>'
+            for k, color in enumerate(colors)
+        ]
+        weakest = shown.margins.weakest(kind)
+        if weakest is not None:
+            x = _LABEL + (weakest[0] + 0.5) * column
+            rows.append(f'<path d="M{x - 4:.1f},{y - 7:.1f} h8 l-4,6 z" fill="{MISSING}"/>')
+        x = _LABEL + step * column
+        rows.append(
+            f'<rect x="{x:.2f}" y="{y - 0.5:.1f}" width="{max(column, 2):.2f}" height="{_HEIGHT + 1}" fill="none" '
+            f'stroke="{INK}" stroke-width="1.5"/>'
+        )
+        y += _HEIGHT
+    ends = f'<span style="color:{RAMP[-1]}">dark</span>: weak; the mark is over the weakest step'
+    return (
+        f'<div style="margin:0 1em"><svg width="{_LABEL + _WIDTH + 4:.0f}" height="{y + 4:.0f}" role="img" '
+        f'aria-label="margins of every step">{"".join(rows)}</svg><div style="font-size:11px">{ends}</div></div>'
+    )
+
+
+def weakness(kind: str, values: tuple[float | None, ...], friction: float) -> np.ndarray:
+    """Return how weak each state is, from 0, where there is no bound, to 1, where nothing is left. Shape (states,).
+
+    Args:
+        kind: of the margin.
+        values: one a state.
+        friction: of the structure.
+    """
+    found = np.array([np.nan if value is None else value for value in values], float)
+    if kind == "friction":
+        return np.clip(np.nan_to_num(found, nan=0.0) / max(friction, 1e-300), 0.0, 1.0)
+    # Half of the scale is three times the weakest: most steps are much stronger, and the few weak ones must show.
+    weakest = float(np.nanmin(found)) if np.isfinite(found).any() else 1.0
+    return np.clip(np.nan_to_num(3.0 * weakest / (3.0 * weakest + found - weakest), nan=0.0), 0.0, 1.0)

@@ -1,0 +1,76 @@
+"""Loads of a structure: how they are read, kept and refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework.assembly import Loads, load_assembly, load_structure, save_assembly
+from falsework.errors import AssemblyError
+
+
+def test_a_force_beside_the_centre_turns_its_part() -> None:
+    arch = load_structure("arch:blocks=5")
+    at = arch.mass.center[1] + [0.0, 0.0, 0.5]
+    loaded = load_structure("arch:blocks=5", loads=[{"part": arch.names[1], "force": [10, 0, 0], "at": at.tolist()}])
+    expected = np.zeros((arch.part_count, 6))
+    expected[1] = [10, 0, 0, 0, 5, 0]
+    np.testing.assert_allclose(loaded.applied_wrench() - arch.applied_wrench(), expected, atol=1e-9)
+
+
+def test_an_earthquake_is_a_share_of_the_weight() -> None:
+    arch = load_structure("arch:blocks=5")
+    shaken = load_structure("arch:blocks=5", earthquake=[0.1, -0.2])
+    sideways = shaken.applied_wrench(4.0)[:, :3] / (4.0 * arch.mass.mass[:, None])
+    np.testing.assert_allclose(sideways, np.tile([0.1, -0.2, -1.0], (arch.part_count, 1)))
+
+
+def test_loads_are_part_of_the_identity_and_of_the_folder(tmp_path: Path) -> None:
+    plain = load_structure("stack")
+    loaded = load_structure("stack", loads=[{"part": 0, "force": [0, 0, -100]}], earthquake=[0.05])
+    assert plain.identity != loaded.identity
+    folder = save_assembly(loaded, tmp_path / "stack")
+    assert load_assembly(folder).identity == loaded.identity
+    assert load_structure(folder, earthquake=[0.06]).identity != loaded.identity
+
+
+def test_a_ground_keeps_the_loads() -> None:
+    loaded = load_structure("stack", loads=[{"part": 2, "force": [1, 2, 3]}]).with_ground()
+    assert loaded.loads is not None
+    np.testing.assert_array_equal(loaded.loads.wrench[2, :3], [1, 2, 3])
+    assert loaded.loads.wrench.shape == (loaded.part_count, 6)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"loads": [{"part": 99, "force": [0, 0, -1]}]}, "part 99, which is not there"),
+        ({"loads": [{"part": "keystone", "force": [0, 0, -1]}]}, "'keystone', which is not there"),
+        ({"loads": [{"part": 0, "force": [0, -1]}]}, "3 finite numbers in N"),
+        ({"loads": [{"part": 0, "force": ["a", 0, 0]}]}, "3 finite numbers in N"),
+        ({"loads": [{"part": 0, "weight": 3}]}, "no object with part, force"),
+        ({"loads": {"part": 0}}, "list of objects"),
+        ({"earthquake": [0.1, 0.2, 0.3]}, "1 or 2 finite numbers"),
+        ({"earthquake": "strong"}, "1 or 2 finite numbers"),
+    ],
+)
+def test_wrong_loads(given: dict[str, Any], words: str) -> None:
+    with pytest.raises(AssemblyError, match=words):
+        load_structure("stack", **given)
+
+
+def test_wrong_loads_in_a_folder(tmp_path: Path) -> None:
+    folder = save_assembly(load_structure("stack"), tmp_path / "stack")
+    description = json.loads((folder / "assembly.json").read_text())
+    (folder / "assembly.json").write_text(json.dumps(description | {"loads": "heavy"}))
+    with pytest.raises(AssemblyError, match=r"loads in .* is 'heavy'; expected list"):
+        load_assembly(folder)
+
+
+def test_arrays_of_the_wrong_shape() -> None:
+    with pytest.raises(AssemblyError, match=r"shape \(2, 6\)"):
+        Loads.of(2, wrench=np.zeros((3, 6)))

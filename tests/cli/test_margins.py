@@ -1,0 +1,80 @@
+"""`falsework margins` on structures whose margins are known, and what it refuses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Run = Callable[..., Any]
+
+
+def test_margins_of_a_stack(falsework: Run, stack: Path) -> None:
+    """Two boxes 2 m and 1 m long on a third: pushed at the top the upper one slides at mu times its weight."""
+    done = falsework("margins", stack, "--json", "--friction", "0.4")
+    assert done.code == 0, done.error
+    (record,) = done.records
+    assert set(record) >= {"friction", "tilt_deg", "load_factor", "horizontal_g", "push_n", "push_part", "held"}
+    assert record["friction"] == 0.0
+    assert record["tilt_deg"] == pytest.approx(math.degrees(math.atan(0.4)), rel=0.01)
+    assert record["horizontal_g"] == pytest.approx(0.4, rel=0.01)
+    assert record["push_n"] == pytest.approx(0.4 * 9.81 * 2400, rel=0.01)
+    assert record["push_part"] == 2
+    assert record["load_factor"] is None
+    assert record["held"] == []
+    assert record["proven"] is True
+    text = falsework("margins", stack, "--friction", "0.4").out
+    assert "tilt 21.8 deg" in text
+    assert "on 2" in text
+
+
+def test_margins_of_a_plan_name_the_weakest_step(falsework: Run, stack: Path, tmp_path: Path) -> None:
+    plan = tmp_path / "plan.json"
+    assert falsework("plan", stack, "--robots", 1, "--out", plan).code == 0
+    done = falsework("margins", plan, "--json", "--bears", "100N,1Nm")
+    assert done.code == 1
+    states = [record for record in done.records if "weakest" not in record]
+    assert len(states) == 5
+    assert [record["overloaded"] for record in states].count([]) < 5
+    weakest = {record["weakest"]: record for record in done.records if "weakest" in record}
+    assert weakest["push_n"]["value"] == min(record["push_n"] for record in states if record["push_n"] is not None)
+    assert falsework("margins", plan, "--bears", "1000kN,1000kNm").code == 0
+
+
+def test_a_structure_that_falls_has_no_margins(falsework: Run, tmp_path: Path, write_structure: Any) -> None:
+    leaning = write_structure(tmp_path / "leaning", [((0, 0, 0), (1, 1, 1)), ((0.8, 0, 1), (3, 1, 2))])
+    done = falsework("margins", leaning, "--json")
+    assert done.code == 1
+    assert done.records[0]["stands"] is False
+    assert done.records[0]["tilt_deg"] == 0.0
+
+
+def test_placement_errors_cost_some_draws(falsework: Run, tmp_path: Path, write_structure: Any) -> None:
+    """A block whose middle is 50 mm inside an edge: within 10 mm all draws stand, within 200 mm many do not."""
+    edge = write_structure(tmp_path / "edge", [((0, 0, 0), (1, 1, 1)), ((0.45, 0, 1), (1.45, 1, 2))])
+    done = falsework("margins", edge, "--json", "--placement", "10mm,200mm", "--draws", "30")
+    near, far = (entry["share"] for entry in done.records[0]["placement"])
+    assert near == 1.0
+    assert far < 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--bears", "100N"), "give a force and a moment"),
+        (("--bears", "100mm,8Nm"), "has the unit mm; give 2N"),
+        (("--bears", "100,8Nm"), "has no unit; give 2N"),
+        (("--placement", "1deg"), "has the unit deg; give 2mm"),
+        (("--placement", "-1mm"), "not above zero"),
+        (("--placement", "1mm", "--draws", "0"), "0 draws are no sample"),
+        (("--settlement", "--criterion", "equilibrium"), "equilibrium knows no settlement"),
+    ],
+)
+def test_wrong_options(falsework: Run, stack: Path, options: tuple[str, ...], words: str) -> None:
+    refused = falsework("margins", stack, *options)
+    assert refused.code == 2
+    assert words in refused.error
+    assert refused.error.count("\n") == 1

@@ -1,0 +1,36 @@
+"""How near parts are to slipping or tipping, where it is known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework.assembly.state import complete_state
+from falsework.stability import Stability, StabilitySettings
+from falsework.stability.margins.nearness import nearness_to_limit
+
+
+def nearness(assembly: Any) -> np.ndarray:
+    state = complete_state(assembly.boundary)
+    verdicts = Stability(assembly, StabilitySettings(criterion="equilibrium", cone="quadratic")).check(state)
+    assert verdicts.stable[0]
+    assert verdicts.forces is not None
+    return nearness_to_limit(assembly, state, verdicts.forces[0])
+
+
+@pytest.mark.parametrize("slope", [0.1, 0.3])
+def test_a_block_on_a_slope_uses_its_share_of_friction(scenes: Any, slope: float) -> None:
+    shares = nearness(scenes.slope(slope, friction=0.5))
+    assert shares[0] == pytest.approx(np.tan(slope) / 0.5, rel=1e-3)
+    assert np.isnan(shares[1])
+
+
+@pytest.mark.parametrize("out", [0.2, 0.45])
+def test_a_block_near_an_edge_is_near_tipping(scenes: Any, out: float) -> None:
+    """Its weight acts at the middle of the block; the joint below reaches from the edge of the lower block inwards."""
+    cube, upper = scenes.box([0, 0, 0], [1, 1, 1], "cube"), scenes.box([out, 0, 1], [1 + out, 1, 2], "upper")
+    assembly = scenes.make([upper, cube], [1], friction=0.5)
+    half = (1 - out) / 2  # of the joint, whose middle is half of the overhang from that of the block
+    assert nearness(assembly)[0] == pytest.approx((out / 2) / half, rel=1e-2)
