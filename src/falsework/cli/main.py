@@ -25,6 +25,7 @@ COMMANDS = {
     "export": "Export",
     "stability": "CheckStability",
     "plan": "MakePlan",
+    "robots-needed": "AskRobotsNeeded",
     "check": "CheckPlan",
     "graph": "MakeGraph",
     "serve": "Serve",
@@ -120,7 +121,7 @@ def _parse(arguments: list[str]) -> Command | None:
 
 
 def _command_class(name: str) -> type[Command]:
-    return getattr(importlib.import_module(f"falsework.cli.{name.split()[0]}"), COMMANDS[name])
+    return getattr(importlib.import_module(f"falsework.cli.{name.split()[0].replace('-', '_')}"), COMMANDS[name])
 
 
 def _first_line(kind: type[Command]) -> str:

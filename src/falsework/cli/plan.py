@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, Command, Exit, StructureOptions
-from falsework.cli.planning import TaskOptions, refuse_unstable, writable
+from falsework.cli.command import CONE_HINT, UNSET, Command, Exit, StructureOptions
+from falsework.cli.planning import RuleOptions, refuse_unstable, writable
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,13 +32,16 @@ class MakePlan(Command):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework plan vault --robots 2 --out plan.json",
+        "falsework plan my-dome --robots auto --deadline 120 --out plan.json",
         "falsework plan my-folder --missing 3,4 --alternatives 5 --out plan.json",
     )
 
     structure: StructureOptions
     out: Annotated[Path, arg(metavar="FILE")] = Path("plan.json")
     """File to write; alternatives get -2, -3, ... added to its name."""
-    task: TaskOptions
+    task: RuleOptions
+    robots: Annotated[int | Literal["auto"], arg(metavar="NUMBER")] = 2
+    """Number of robots: parts that can be held at a time; `auto` for the fewest with which a plan is found."""
     alternatives: int = 1
     """Number of plans wanted, as different from each other as possible."""
     width: int = 1024
@@ -58,19 +61,26 @@ class MakePlan(Command):
     """Write the plan in the order of assembly: insert and release instead of hold and remove."""
     proofs: bool = False
     """Write the proof of each state into the plan: displacements, or contact forces under `equilibrium`."""
+    deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
+    """Seconds after which the search ends with the best it has, and is saved like an interrupted one; with --robots
+    auto without it 60."""
     resume: bool = False
     """Resume the interrupted search."""
 
     def run(self, output: Output) -> Exit:
         """Search, prove, save."""
         from falsework.cli.failure import explain
-        from falsework.search.find import find_plans
+        from falsework.search.find import find_plans, task_of
+        from falsework.search.problem.deadline import check_deadline
         from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)
+        check_deadline(self.deadline)
+        if self.robots == "auto":
+            return self._with_fewest_robots(output)
         settings, checkpoint = self._settings(), self._checkpoint()
         assembly = self.structure.load()
-        task = self.task.task(assembly)
+        task = task_of(assembly, self.robots, **self.task.rules(assembly))
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver))
         if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
@@ -81,24 +91,39 @@ class MakePlan(Command):
                 oracle=oracle,
                 settings=settings,
                 progress=report,
+                deadline=self.deadline,
                 checkpoint=checkpoint,
                 forces=self.proofs,
             )
         result = planning.result
-        if result.interrupted:
-            output.note(
-                f"interrupted; the search is saved in {checkpoint}, the same command with --resume continues it"
-            )
+        cut = "the deadline ended the search" if planning.deadline_passed else "interrupted"
+        saved = f"it is saved in {checkpoint}, the same command with --resume continues it"
         if planning.found:
             self._report(self._save(planning.plans), planning, output)
-        elif not result.interrupted:
+            if result.interrupted:
+                output.note(f"{cut}; {saved}")
+        else:
             failure = explain(assembly, oracle, result)
             output.record(failure.to_dict(assembly))
-            output.note(f"falsework: {failure.text}")
+            output.note(f"{cut}: {failure.text}; {saved}" if result.interrupted else f"falsework: {failure.text}")
             if planning.fallen is not None:
                 self._show_fallen(planning.fallen, output)
-            return Exit.NO
-        return Exit.INTERRUPTED if result.interrupted else Exit.DONE
+        if result.interrupted and not planning.deadline_passed:
+            return Exit.INTERRUPTED
+        return Exit.DONE if planning.found else Exit.NO
+
+    def _with_fewest_robots(self, output: Output) -> Exit:
+        """Look for the fewest robots, and save the plan found with them."""
+        from falsework.cli.robots_needed import ask, report
+        from falsework.stability import Stability, StabilitySettings
+
+        if self.alternatives > 1 or self.resume:
+            raise InputError("--robots auto takes neither --alternatives nor --resume; give the number of robots")
+        assembly = self.structure.load()
+        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver))
+        answer = ask(assembly, oracle, self.task, self._settings(), self.deadline, self.proofs, output)
+        path = None if answer.plan is None else self._save([answer.plan])[0][0]
+        return report(answer, path, output)
 
     def _settings(self) -> PlannerSettings:
         from falsework.search.problem.task import Direction

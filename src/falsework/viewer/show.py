@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, check_robots
 from falsework.errors import InputError
+from falsework.search.problem.deadline import check_deadline
 from falsework.stability.verdict import Criterion
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.pictures.contact_sheet import caption, check_places, contact_sheet, legend, one_state, write_png
@@ -106,8 +107,7 @@ def check_view(robots: int, host: str, port: int, deadline: float | None) -> Non
     check_robots(robots)
     if not 0 <= port <= 65535:
         raise InputError(f"there is no port {port}; give 1 to 65535")
-    if deadline is not None and not deadline > 0:
-        raise InputError(f"a deadline of {deadline:g} s leaves no time; give more than 0")
+    check_deadline(deadline)
     check_host(host)
     import_viser()
 
