@@ -85,17 +85,8 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
     if result.sliding:
         parts.append(f"{result.sliding} states on the way slide; another robot or more friction may help")
     text = "; ".join(parts)
-    return Failure(
-        proven,
-        result.reached,
-        result.steps,
-        disassembly,
-        moving,
-        result.limit,
-        result.sliding,
-        result.interrupted,
-        text,
-    )
+    reached, cut = result.reached, result.interrupted
+    return Failure(proven, reached, result.steps, disassembly, moving, result.limit, result.sliding, cut, text)
 
 
 def common_motions(assembly: Assembly, oracle: Stability, states: States) -> list[PartMotion]:

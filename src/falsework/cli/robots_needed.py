@@ -99,10 +99,8 @@ def report(answer: RobotsNeeded, path: Path | None, output: Output) -> Exit:
     elif answer.impossible:
         output.note(f"falsework: no number of robots suffices: {answer.impossible}")
     else:
-        tried = "; ".join(fewer)
-        output.note(
-            f"falsework: no plan was found; at least {answer.least} robots are needed{'; ' if tried else ''}{tried} ({spent})"
-        )
+        found = [f"no plan was found; at least {answer.least} robots are needed", *fewer]
+        output.note(f"falsework: {'; '.join(found)} ({spent})")
     if answer.interrupted:
         output.note("interrupted; this is the best so far")
         return Exit.INTERRUPTED

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Unpack
 
 import numpy as np
+from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import REMOVED, States, held_count
+from falsework.assembly.state import REMOVED, held_count
 from falsework.search.find import TaskRules, plan_of, task_of
 from falsework.search.planner import Planner
 from falsework.search.plans.plan import Plan
@@ -24,7 +25,7 @@ from falsework.stability.oracle import Stability
 
 DEADLINE = 60.0
 """Seconds for the whole question unless another deadline is given."""
-_FIRST_SHARE = 0.25
+_FIRST_SHARE = 0.1
 """Share of the time left in which a plan is first looked for with each number of robots."""
 _FIRST_SECONDS = 15.0
 """The same without a deadline."""
@@ -46,6 +47,8 @@ class RobotsNeeded:
     """Why no plan exists, or none was found, with 1, 2, ... robots, one sentence each."""
     impossible: str = ""
     """Why no number of robots suffices; empty if one may."""
+    certain: bool = True
+    """Whether that is proven; not where the start or the target was found to slide."""
     barrier: Barrier | None = None
     """Sets of parts that `least - 1` robots cannot cross, where that is the proof."""
     verdicts: int = 0
@@ -59,7 +62,7 @@ class RobotsNeeded:
     @property
     def proven(self) -> bool:
         """Whether it is proven that fewer robots do not suffice, or that no number does."""
-        return bool(self.impossible) or self.robots == self.least
+        return self.certain if self.impossible else self.robots == self.least
 
     def to_dict(self) -> dict[str, Any]:
         """Return the answer without the plan as a JSON object."""
@@ -69,6 +72,7 @@ class RobotsNeeded:
             "proven": self.proven,
             "reasons": list(self.reasons),
             "impossible": self.impossible or None,
+            "certain": self.certain,
             "barrier": None if self.barrier is None else self.barrier.to_dict(),
             "verdicts": self.verdicts,
             "seconds": round(self.seconds, 3),
@@ -138,7 +142,7 @@ class _Inquiry:
         self._reasons = dict.fromkeys(range(1, self._least), "the start or the target has more parts held")
         self._barrier: Barrier | None = None
         self._plan: Plan | None = None
-        self._verdicts = 0
+        self._certain = True
 
     def answer(self) -> RobotsNeeded:
         impossible, interrupted, late = "", False, False
@@ -153,7 +157,7 @@ class _Inquiry:
         robots = None if self._plan is None else self._plan.robots
         if robots is None and self._least > self._most:
             impossible = impossible or "a robot for every part does not suffice"
-        last = self._least if robots is None else robots
+        last = max([self._least, *(n + 1 for n in self._planners)]) if robots is None else robots
         verdicts = self._bound.asked + sum(planner.counters.asked for planner in self._planners.values())
         return RobotsNeeded(
             robots=robots,
@@ -161,6 +165,7 @@ class _Inquiry:
             plan=self._plan,
             reasons=tuple(self._reasons.get(n, "not tried") for n in range(1, last)),
             impossible=impossible,
+            certain=self._certain,
             barrier=self._barrier,
             verdicts=verdicts,
             seconds=self._clock.seconds,
@@ -172,6 +177,7 @@ class _Inquiry:
         """Say why no number of robots suffices, however many there are; empty if that is not known."""
         unstable = unstable_end(self._task, self._oracle)
         if unstable is not None:
+            self._certain = unstable.outcome is Outcome.PROVED_IMPOSSIBLE
             return unstable.notes[0]
         stuck = stuck_parts(self._task)
         if not len(stuck):
@@ -245,9 +251,8 @@ class _Inquiry:
     def _take(self, robots: int, result: SearchResult) -> None:
         """Note what came of a search."""
         if result.found:
-            plan = plan_of(
-                result.routes[0], self._assembly, self._planners[robots].task, self._oracle, forces=self._forces
-            )
+            task = self._planners[robots].task
+            plan = plan_of(result.routes[0], self._assembly, task, self._oracle, forces=self._forces)
             if plan.replay is None or plan.replay.stands:
                 self._plan = plan
                 return
@@ -259,8 +264,8 @@ class _Inquiry:
             self._reasons[robots] = f"none found: {doing}, the search reached step {result.reached} of {result.steps}"
 
 
-def stuck_parts(task: Task) -> States:
-    """Return the parts that cannot leave however many robots there are, by their numbers; none where that is not proven.
+def stuck_parts(task: Task) -> NDArray[np.intp]:
+    """Return the parts that cannot leave however many robots there are, by their numbers; none where it is not proven.
 
     A part that has a way out keeps it when others are removed, so removing whatever can leave misses nothing.
     """

@@ -2,13 +2,12 @@
 
 Just after a part is removed, one robot has nothing to hold, so a plan with `n` robots leads through sets of present
 parts that `n - 1` held parts, chosen at will, keep in equilibrium. Which parts were held before and after does not
-matter here, and no state that stands under the criterion `contact` is out of equilibrium, so what is refuted this way is
-refuted under both criteria.
+matter here, and no state that stands under the criterion `contact` is out of equilibrium, so what is refuted this way
+is refuted under both criteria.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,10 +67,9 @@ class HoldBound:
         self.task = task
         self.asked = 0
         """Verdicts requested."""
-        cone = settings.friction_cone
-        self._oracle = Stability(
-            assembly, StabilitySettings(criterion="equilibrium", cone=cone, gravity=settings.gravity)
-        )
+        same = {name: getattr(settings, name) for name in ("gravity", "tolerance", "force_bound")}
+        equilibrium = StabilitySettings(criterion="equilibrium", cone=settings.friction_cone, **same)
+        self._oracle = Stability(assembly, equilibrium)
         self._clock = clock
         fixed = np.zeros(task.part_count, dtype=bool)
         fixed[list(task.fixed)] = True
@@ -80,15 +78,12 @@ class HoldBound:
         self._removable = (task.start != REMOVED) & (task.target == REMOVED)
         self._known: dict[tuple[bytes, int], bool] = {}
 
-    def barrier(
-        self, robots: int, budget: int, *, between: Callable[[int], None] = lambda asked: None
-    ) -> Barrier | None:
+    def barrier(self, robots: int, budget: int) -> Barrier | None:
         """Look for a number of removed or placed parts at which no plan with so many robots passes.
 
         Args:
             robots: number to refute.
             budget: verdicts after which it gives up.
-            between: called with the verdicts requested so far after every set of parts.
 
         Returns:
             None where none was found.
@@ -108,7 +103,6 @@ class HoldBound:
                 if self.asked >= stop_at:
                     return None
                 keep.append(levels[end] == total - 1 or self._can_be_held(state, robots - 1))
-                between(self.asked)
             fronts[end] = candidates[np.array(keep, dtype=bool)] if len(candidates) else candidates
             levels[end] += 1
             if not len(fronts[end]):
@@ -159,7 +153,7 @@ class HoldBound:
         return False
 
     def _moving(self, state: States, velocity: NDArray[np.float64]) -> Mask:
-        """Return the parts that move in a proof of instability, as few as there is an easy proof for. Shape (parts,)."""
+        """Return the parts that move in a proof of instability, without those whose motion is negligible."""
         free = state == INSTALLED
         speed = np.where(free, np.abs(velocity).max(axis=1), 0.0)
         claim, assembly = self._oracle.settings.claim, self._oracle.assembly
