@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from falsework.assembly import load_structure
-from falsework.search import BeamSearch, load_plan, validate_plan
+from falsework.search import BeamSearch, load_plan, load_state_graph, validate_plan
 
 Run = Callable[..., Any]
 
@@ -80,6 +80,24 @@ def test_the_deadline_leaves_a_search_to_resume(falsework: Run, tmp_path: Path) 
     assert "--resume" in finished.error
     assert finished.error.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["plan.json.search"]
+
+
+def test_the_deadline_of_a_graph_saves_what_was_found(
+    falsework: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "graph.npz"
+    finished = falsework("graph", "vault", "--deadline", "0.05", "--device", "cpu", "--out", out, "--json")
+    assert finished.code == 1
+    (record,) = finished.records
+    assert record["interrupted"] is True
+    assert record["found"] is False
+    assert len(load_state_graph(out)) == record["states"]
+    assert "the deadline ended the search at step" in finished.error
+    assert falsework("graph", "vault", "--deadline", "0", "--out", out).code == 2
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    refused = falsework("graph", "vault", "--deadline", "5", "--out", out)
+    assert refused.code == 2
+    assert "leave --deadline out" in refused.error
 
 
 def test_an_interruption_prints_the_best_so_far(falsework: Run, monkeypatch: pytest.MonkeyPatch) -> None:

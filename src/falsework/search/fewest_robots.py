@@ -25,11 +25,12 @@ from falsework.stability.oracle import Stability
 
 DEADLINE = 60.0
 """Seconds for the whole question unless another deadline is given."""
-_FIRST_SHARE = 0.1
-"""Share of the time left in which a plan is first looked for with each number of robots."""
+_FIRST_SHARE, _BELOW_SHARE = 0.1, 0.5
+"""Shares of the time left in which a plan is first looked for with each number of robots, and, once there is a plan,
+with one robot less before that is to be refuted."""
 _FIRST_SECONDS = 15.0
-"""The same without a deadline."""
-_QUICK, _THOROUGH = 2, 10_000
+"""The most of both at first."""
+_QUICK, _THOROUGH = 1, 10_000
 """Verdicts for each part spent on the bound before a plan is looked for, and once there is one with a robot more."""
 
 
@@ -188,24 +189,29 @@ class _Inquiry:
 
     def _search(self) -> None:
         """Go up until there is a plan, then down again as far as a plan or a proof leads."""
-        number = self._least
-        while self._plan is None and number <= self._most:
-            if not self._refuted(number, _QUICK):
-                seconds = _FIRST_SHARE * self._clock.left if self._clock.limited else _FIRST_SECONDS
-                self._look(number, seconds)
-            number += 1
+        seconds = _FIRST_SECONDS
+        while self._plan is None and not all(self._over(n) for n in range(self._least, self._most + 1)):
+            for number in range(self._least, self._most + 1):
+                # What is not refuted for a number is not for a larger one either.
+                if number == self._least and self._refuted(number, _QUICK):
+                    continue
+                if self._plan is None and not self._over(number):
+                    self._look(number, min(_FIRST_SHARE * self._clock.left, seconds))
+            seconds *= 2
         while self._plan is not None and self._plan.robots > self._least:
             below = self._plan.robots - 1
-            if below in self._planners and not self._planners[below].done:
-                self._look(below, 0.5 * self._clock.left if self._clock.limited else _FIRST_SECONDS)
+            if not self._over(below):
+                self._look(below, min(_BELOW_SHARE * self._clock.left, seconds))
             if self._plan.robots <= below:
                 continue
-            if self._refuted(below, _THOROUGH):
-                return
-            if below not in self._planners or not self._planners[below].done:
+            if not self._refuted(below, _THOROUGH) and not self._over(below):
                 self._look(below, np.inf)
             if self._plan.robots > below:
                 return
+
+    def _over(self, robots: int) -> bool:
+        """Return whether a search with so many robots is at its end."""
+        return robots in self._planners and self._planners[robots].done
 
     def _refuted(self, robots: int, budget: int) -> bool:
         """Return whether it is proven that no plan exists with so many robots, after another attempt if need be."""
