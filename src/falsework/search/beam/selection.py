@@ -19,6 +19,8 @@ Confirmed = Callable[[Rows], Mask]
 
 _ENOUGH = 4
 """Moves that failed before are tried where fewer than one in so many of the states wanted is found without them."""
+_THOROUGH_WIDTH = 64
+"""States wanted from which all moves are tried: beams so wide are to prove that there is no plan."""
 _VERDICT_BATCH = 2
 """Candidates asked for at once at least, once the first were not enough: enough to share two cores. The first mostly
 are, and a stable state costs ten times the verdict of one that falls."""
@@ -119,7 +121,7 @@ class Selector:
         keys = self.failures.keys(frontier.states(waiting), frontier.action[waiting] % frontier.task.part_count)
         failed = self.failures.failed(keys)
         kept, rejected = self._stable_ones(judge, waiting[~failed], wanted, confirmed)
-        enough = -(-wanted // _ENOUGH)
+        enough = wanted if wanted >= _THOROUGH_WIDTH else -(-wanted // _ENOUGH)
         if len(kept) < enough and failed.any():
             more, bad = self._stable_ones(judge, waiting[failed], enough - len(kept), confirmed)
             kept, rejected = np.concatenate([kept, more]), np.concatenate([rejected, bad])
