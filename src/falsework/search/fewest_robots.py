@@ -30,6 +30,8 @@ _FIRST_SHARE, _BELOW_SHARE = 0.1, 0.5
 with one robot less before that is to be refuted."""
 _FIRST_SECONDS = 15.0
 """The most of both at first."""
+_SPAN = 4
+"""Numbers of robots that are tried at first, one after the other; then twice as many, the first ones again."""
 _QUICK, _THOROUGH = 1, 10_000
 """Verdicts for each part spent on the bound before a plan is looked for, and once there is one with a robot more."""
 
@@ -189,15 +191,15 @@ class _Inquiry:
 
     def _search(self) -> None:
         """Go up until there is a plan, then down again as far as a plan or a proof leads."""
-        seconds = _FIRST_SECONDS
+        seconds, span = _FIRST_SECONDS, _SPAN
         while self._plan is None and not all(self._over(n) for n in range(self._least, self._most + 1)):
-            for number in range(self._least, self._most + 1):
+            for number in range(self._least, min(self._least + span, self._most + 1)):
                 # What is not refuted for a number is not for a larger one either.
                 if number == self._least and self._refuted(number, _QUICK):
                     continue
                 if self._plan is None and not self._over(number):
                     self._look(number, min(_FIRST_SHARE * self._clock.left, seconds))
-            seconds *= 2
+            seconds, span = 2 * seconds, 2 * span
         while self._plan is not None and self._plan.robots > self._least:
             below = self._plan.robots - 1
             if not self._over(below):
