@@ -111,7 +111,7 @@ def compare(options: Options) -> None:
                 "cpu_ratio": now["cpu_seconds"]["median"] / before["cpu_seconds"]["median"],
             }
         report(
-            "search compare",
+            "search_compare plans",
             structure=name,
             seeds=range(options.seeds),
             parts=runs["now"][0]["parts"],

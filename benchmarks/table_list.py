@@ -106,7 +106,7 @@ TABLES = {
         where=quiet,
     ),
     "search-compare": Table(
-        "search",
+        "search_compare",
         (*STRUCTURE_AND_ROBOTS, ("before", "{before_commit}")),
         (
             ("verdicts", "{verdicts}"),
@@ -118,7 +118,7 @@ TABLES = {
             ("before", "{before.found}"),
             ("memory, GiB", "{memory_gib}"),
         ),
-        benchmark="search compare",
+        benchmark="search_compare plans",
     ),
     "state-graphs": Table(
         "search",
