@@ -31,7 +31,7 @@ with one robot less before that is to be refuted."""
 _FIRST_SECONDS = 15.0
 """The most of both at first."""
 _SPAN = 4
-"""Numbers of robots that are tried at first, one after the other; then twice as many, the first ones again."""
+"""Numbers of robots that are tried at first, one after the other; in each further round one more."""
 _QUICK, _THOROUGH = 1, 10_000
 """Verdicts for each part spent on the bound before a plan is looked for, and once there is one with a robot more."""
 
@@ -199,7 +199,7 @@ class _Inquiry:
                     continue
                 if self._plan is None and not self._over(number):
                     self._look(number, min(_FIRST_SHARE * self._clock.left, seconds))
-            seconds, span = 2 * seconds, 2 * span
+            seconds, span = 2 * seconds, span + 1
         while self._plan is not None and self._plan.robots > self._least:
             below = self._plan.robots - 1
             if not self._over(below):
