@@ -158,6 +158,21 @@ TABLES = {
         benchmark="search plan",
         where=quiet,
     ),
+    "search-compare": Table(
+        "search_compare",
+        (*STRUCTURE_AND_ROBOTS, ("before", "{before_commit}")),
+        (
+            ("verdicts", "{verdicts}"),
+            ("before", "{before.verdicts}"),
+            ("CPU time, s", "{cpu_seconds}"),
+            ("before", "{before.cpu_seconds}"),
+            ("ratio", "{cpu_ratio}"),
+            ("plans found", "{found}"),
+            ("before", "{before.found}"),
+            ("memory, GiB", "{memory_gib}"),
+        ),
+        benchmark="search_compare plans",
+    ),
     "state-graphs": Table(
         "search",
         (*STRUCTURE, ("width", "{width}")),

@@ -87,6 +87,7 @@ def test_examples_in_help_texts_run(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         "doctor",
         "plan",
         "export",
+        "robots-needed",
         "check",
         "sheet",
         "stability",

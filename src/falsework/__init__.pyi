@@ -30,6 +30,7 @@ from falsework.search import StateGraph as StateGraph
 from falsework.search import Task as Task
 from falsework.search import find_plans as find_plans
 from falsework.search import load_plan as load_plan
+from falsework.search import robots_needed as robots_needed
 from falsework.search import save_plan as save_plan
 from falsework.search import validate_plan as validate_plan
 from falsework.stability import Stability as Stability

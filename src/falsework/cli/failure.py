@@ -38,6 +38,8 @@ class Failure:
     """Reason why the search proves nothing, where it does not."""
     sliding: int
     """States that the search refused because they slide."""
+    cut: bool
+    """Whether the search was stopped before its end, by the keyboard or a deadline."""
     text: str
     """Summary in one line."""
 
@@ -46,6 +48,7 @@ class Failure:
         return {
             "plan": None,
             "outcome": "no plan exists" if self.proven else "no plan was found",
+            "interrupted": self.cut,
             "reached": self.reached,
             "steps": self.steps,
             "direction": "disassembly" if self.disassembly else "assembly",
@@ -68,20 +71,22 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
 
     proven = result.outcome is Outcome.PROVED_IMPOSSIBLE
     disassembly = result.direction is Direction.DISASSEMBLY
-    moving = common_motions(assembly, oracle, result.rejected[:LOOKED_AT])
+    # Motions cost verdicts, for which a search that was stopped has no time left.
+    moving = [] if result.interrupted else common_motions(assembly, oracle, result.rejected[:LOOKED_AT])
     doing = "taking it apart" if disassembly else "putting it together"
     parts = ["no plan exists" if proven else "no plan was found"]
     parts.append(f"{doing}, the search reached step {result.reached} of {result.steps}")
     if moving:
         parts.append(f"there {describe(assembly, moving, limit=3)}")
-    else:
+    elif not result.interrupted:
         parts.append("there the rules allow no further step")
     if not proven and result.limit:
         parts.append(result.limit)
     if result.sliding:
         parts.append(f"{result.sliding} states on the way slide; another robot or more friction may help")
     text = "; ".join(parts)
-    return Failure(proven, result.reached, result.steps, disassembly, moving, result.limit, result.sliding, text)
+    reached, cut = result.reached, result.interrupted
+    return Failure(proven, reached, result.steps, disassembly, moving, result.limit, result.sliding, cut, text)
 
 
 def common_motions(assembly: Assembly, oracle: Stability, states: States) -> list[PartMotion]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import Exit, JudgingCommand, StructureOptions
+from falsework.cli.command import UNSET, Exit, JudgingCommand, StructureOptions
 from falsework.cli.planning import SearchOptions, TaskOptions, refuse_unstable, writable
+from falsework.errors import InputError
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -33,14 +35,21 @@ class MakeGraph(JudgingCommand):
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device of the search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
 
+    deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
+    """Seconds after which the search of one process ends; the states found so far are saved."""
+
     def run(self, output: Output) -> Exit:
         """Search, connect, save."""
         from falsework.cli.failure import explain
         from falsework.search.backend import beam_search
+        from falsework.search.problem.deadline import Deadline
         from falsework.search.problem.state_graph import StateGraph, save_state_graph
         from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)
+        clock = Deadline(self.deadline)
+        if clock.limited and int(os.environ.get("WORLD_SIZE", "1")) > 1:
+            raise InputError("processes that share a search cannot end it at a deadline; leave --deadline out")
         assembly = self.structure.load()
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
         task = self.task.task(assembly).judged_by(oracle)
@@ -51,7 +60,7 @@ class MakeGraph(JudgingCommand):
                 search.run()
                 return Exit.DONE
             with output.search_progress() as report:
-                result = search.run(progress=report)
+                result = search.run(progress=report, stop=lambda: clock.passed)
         for note in result.notes:
             output.note(note)
         graph = StateGraph.build(task, search.states(), name=assembly.name)
@@ -71,8 +80,9 @@ class MakeGraph(JudgingCommand):
         )
         output.say(f"{len(graph)} states and {len(graph.source)} actions between them are in {self.out}")
         if result.interrupted:
-            output.note(f"interrupted at step {result.reached} of {result.steps}; what was found so far is saved")
-            return Exit.INTERRUPTED
+            cut = "the deadline ended the search" if clock.passed else "interrupted"
+            output.note(f"{cut} at step {result.reached} of {result.steps}; what was found so far is saved")
+            return Exit.NO if clock.passed else Exit.INTERRUPTED
         if not result.found:
             output.note(f"falsework: {explain(assembly, oracle, result).text}")
             return Exit.NO

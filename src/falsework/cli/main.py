@@ -34,6 +34,7 @@ COMMANDS = {
     "stability": "CheckStability",
     "margins": "FindMargins",
     "plan": "MakePlan",
+    "robots-needed": "AskRobotsNeeded",
     "check": "CheckPlan",
     "graph": "MakeGraph",
     "serve": "Serve",
@@ -151,7 +152,7 @@ def _spell_unions_out(kind: Any) -> None:
 
 
 def _command_class(name: str) -> type[Command]:
-    return getattr(importlib.import_module(f"falsework.cli.{name.split()[0]}"), COMMANDS[name])
+    return getattr(importlib.import_module(f"falsework.cli.{name.split()[0].replace('-', '_')}"), COMMANDS[name])
 
 
 @cache

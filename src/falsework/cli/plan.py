@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from tyro.conf import arg
 
 from falsework.cli.command import CONE_HINT, UNSET, Command, Exit, StructureOptions
-from falsework.cli.planning import TaskOptions, refuse_unstable, writable
+from falsework.cli.planning import RuleOptions, refuse_unstable, writable
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ class MakePlan(Command):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework plan vault --robots 2 --out plan.json",
+        "falsework plan my-dome --robots auto --deadline 120 --out plan.json",
         "falsework plan my-folder --missing 3,4 --alternatives 5 --out plan.json",
         "falsework plan arch --margin friction=1.25,tilt=1deg --out safe.json",
         "falsework plan arch --maximise friction --out strong.json",
@@ -40,7 +41,9 @@ class MakePlan(Command):
     structure: StructureOptions
     out: Annotated[Path, arg(metavar="FILE")] = Path("plan.json")
     """File to write; alternatives get -2, -3, ... added to its name."""
-    task: TaskOptions
+    task: RuleOptions
+    robots: Annotated[int | Literal["auto"], arg(metavar="NUMBER")] = 2
+    """Number of robots: parts that can be held at a time; `auto` for the fewest with which a plan is found."""
     alternatives: int = 1
     """Number of plans wanted, as different from each other as possible."""
     width: int = 1024
@@ -65,15 +68,20 @@ class MakePlan(Command):
     """Write the plan in the order of assembly: insert and release instead of hold and remove."""
     proofs: bool = False
     """Write the proof of each state into the plan: displacements, or contact forces under `equilibrium`."""
+    deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
+    """Seconds after which the search ends with the best it has, and is saved like an interrupted one; with --robots
+    auto without it 60."""
     resume: bool = False
     """Resume the interrupted search."""
 
     def run(self, output: Output) -> Exit:
         """Search, prove, save."""
         from falsework.cli.demands import explain_shortfall, refuse_weak_end
-        from falsework.search.find import find_plans
+        from falsework.cli.failure import explain
+        from falsework.search.find import find_plans, task_of
         from falsework.search.margins.demands import DemandingStability, Demands
         from falsework.search.maximise import maximise_margin
+        from falsework.search.problem.deadline import Deadline, check_deadline
         from falsework.stability import Stability, StabilitySettings
 
         if self.maximise and (self.alternatives > 1 or self.resume):
@@ -81,9 +89,14 @@ class MakePlan(Command):
         demands = Demands() if self.margin is None else Demands.parse(self.margin)
 
         writable(self.out)
+        check_deadline(self.deadline)
+        if self.robots == "auto":
+            if demands or self.maximise:
+                raise InputError("--robots auto takes neither --margin nor --maximise; give the number of robots")
+            return self._with_fewest_robots(output)
         settings, checkpoint = self._settings(), self._checkpoint()
         assembly = self.structure.load()
-        task = self.task.task(assembly)
+        task = task_of(assembly, self.robots, **self.task.rules(assembly))
         stability = StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver)
         oracle = DemandingStability(assembly, stability, demands) if demands else Stability(assembly, stability)
         if refuse_unstable(assembly, oracle, task, output):
@@ -95,6 +108,7 @@ class MakePlan(Command):
             return Exit.NO
         with output.search_progress() as report:
             if self.maximise is not None:
+                clock = Deadline(self.deadline)
                 planning = maximise_margin(
                     assembly,
                     task,
@@ -103,8 +117,10 @@ class MakePlan(Command):
                     demands=demands,
                     settings=settings,
                     progress=report,
+                    stop=lambda: clock.passed,
                     forces=self.proofs,
                 )
+                planning = replace(planning, deadline_passed=clock.passed)
             else:
                 planning = find_plans(
                     assembly,
@@ -112,29 +128,43 @@ class MakePlan(Command):
                     oracle=oracle,
                     settings=settings,
                     progress=report,
+                    deadline=self.deadline,
                     checkpoint=checkpoint,
                     forces=self.proofs,
                 )
         result = planning.result
-        if result.interrupted and self.maximise is not None:
-            output.note("interrupted before there was a plan; the same command begins anew")
-        elif result.interrupted:
-            output.note(
-                f"interrupted; the search is saved in {checkpoint}, the same command with --resume continues it"
-            )
+        cut = "the deadline ended the search" if planning.deadline_passed else "interrupted"
+        saved = f"it is saved in {checkpoint}, the same command with --resume continues it"
+        if self.maximise is not None:
+            saved = "the same command begins anew"
         if planning.found:
             self._report(self._save(planning.plans), planning, output)
-        elif not result.interrupted:
-            from falsework.cli.failure import explain
-
+            if result.interrupted:
+                output.note(f"{cut}; {saved}")
+        else:
             failure = explain(assembly, oracle, result)
             lacks, words = ({}, "") if demanding is None else explain_shortfall(demanding, result)
             output.record(failure.to_dict(assembly) | ({"shortfall": lacks} if demanding is not None else {}))
-            output.note(f"falsework: {failure.text}{words}")
+            reason = f"{failure.text}{words}"
+            output.note(f"{cut}: {reason}; {saved}" if result.interrupted else f"falsework: {reason}")
             if planning.fallen is not None:
                 self._show_fallen(planning.fallen, output)
-            return Exit.NO
-        return Exit.INTERRUPTED if result.interrupted else Exit.DONE
+        if result.interrupted and not planning.deadline_passed:
+            return Exit.INTERRUPTED
+        return Exit.DONE if planning.found else Exit.NO
+
+    def _with_fewest_robots(self, output: Output) -> Exit:
+        """Look for the fewest robots, and save the plan found with them."""
+        from falsework.cli.robots_needed import ask, report
+        from falsework.stability import Stability, StabilitySettings
+
+        if self.alternatives > 1 or self.resume:
+            raise InputError("--robots auto takes neither --alternatives nor --resume; give the number of robots")
+        assembly = self.structure.load()
+        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver))
+        answer = ask(assembly, oracle, self.task, self._settings(), self.deadline, self.proofs, output)
+        path = None if answer.plan is None else self._save([answer.plan])[0][0]
+        return report(answer, path, output)
 
     def _settings(self) -> PlannerSettings:
         from falsework.search.problem.task import Direction

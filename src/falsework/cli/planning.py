@@ -17,16 +17,15 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.search.beam.settings import BeamSettings
+    from falsework.search.find import TaskRules
     from falsework.search.problem.task import Task
     from falsework.stability import Stability
 
 
 @dataclass(frozen=True, kw_only=True)
-class TaskOptions:
-    """Rules that a plan must obey."""
+class RuleOptions:
+    """Rules that a plan must obey beside the number of robots."""
 
-    robots: int = 2
-    """Number of robots: parts that can be held at a time."""
     start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
     """State from which disassembly starts, where assembly ends: `complete`, digits such as 2110, or a file."""
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
@@ -38,24 +37,37 @@ class TaskOptions:
     removable_only_if_clear: bool = False
     """Remove a part only if it has a collision-free straight exit in some direction."""
 
+    def rules(self, assembly: Assembly) -> TaskRules:
+        """Return the rules, as `find_plans` takes them.
+
+        Raises:
+            InputError: parts or states that the structure does not have; the message says what to do.
+        """
+        return {
+            "start": None if self.start is None else parse_state(self.start, "--start", assembly),
+            "target": None if self.target is None else parse_state(self.target, "--target", assembly),
+            "fixed": () if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names),
+            "missing": () if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
+            "removable_only_if_clear": self.removable_only_if_clear,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskOptions(RuleOptions):
+    """Rules that a plan must obey."""
+
+    robots: int = 2
+    """Number of robots: parts that can be held at a time."""
+
     def task(self, assembly: Assembly) -> Task:
         """Check the rules against a structure.
 
         Raises:
             InputError: parts or states that the structure does not have; the message says what to do.
         """
-        from falsework.search.problem.task import Task
+        from falsework.search.find import task_of
 
-        return Task.create(
-            assembly.boundary,
-            self.robots,
-            start=None if self.start is None else parse_state(self.start, "--start", assembly),
-            target=None if self.target is None else parse_state(self.target, "--target", assembly),
-            fixed=() if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names),
-            missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
-            clearance=assembly.clearance if self.removable_only_if_clear else None,
-            identity=assembly.identity,
-        )
+        return task_of(assembly, self.robots, **self.rules(assembly))
 
 
 @dataclass(frozen=True, kw_only=True)

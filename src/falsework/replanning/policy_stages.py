@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
-from falsework.replanning.deadline import AdaptiveBatchSize
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.result import Stage
 from falsework.replanning.session import ReplanContext, ReplanSession
+from falsework.search.problem.deadline import AdaptiveBatchSize
 from falsework.search.problem.result import Route
 from falsework.search.problem.rollout import Rollout, roll_out
 from falsework.search.problem.task import Direction, Task

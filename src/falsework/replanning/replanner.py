@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
-from falsework.replanning.deadline import Deadline
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.policy_stages import follow_greedily, follow_samples, with_time
 from falsework.replanning.proving import Prover
@@ -27,6 +26,7 @@ from falsework.replanning.result import Stage as Stage
 from falsework.replanning.search_stages import search_on
 from falsework.replanning.session import ReplanContext, ReplanSession
 from falsework.replanning.session import ReplanSettings as ReplanSettings
+from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.stability.oracle import Stability
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States, as_states, complete_state, held_count
 from falsework.errors import InputError, StateError
+from falsework.search.problem.deadline import check_deadline
 from falsework.search.problem.task import STAGE, Direction, Task
 
 MOST_PLANS = 1000
@@ -81,8 +82,7 @@ class Request:
         if not 1 <= self.alternatives <= MOST_PLANS:
             limits = f"at least 1 and at most {MOST_PLANS}"
             raise InputError(f"{self.alternatives} alternatives is no number of plans; ask for {limits}")
-        if self.deadline is not None and not self.deadline > 0:
-            raise InputError(f"a deadline of {self.deadline} s leaves no time; give more than 0")
+        check_deadline(self.deadline)
         state = _state(self.state, assembly, "state")
         target = None if self.target is None else _state(self.target, assembly, "target")
         way = self.way(assembly)
@@ -107,6 +107,7 @@ class Request:
             fixed=self.fixed,
             missing=self.missing,
             clearance=assembly.clearance if self.removable_only_if_clear else None,
+            contacts=assembly.contacts.parts,
             identity=assembly.identity,
         )
         _check_first_step(task, way, assembly)

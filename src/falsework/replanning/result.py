@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.replanning.replays import Replayed
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Outcome, SearchResult
 from falsework.search.problem.task import Direction
+from falsework.search.problem.timed_replayer import Replayed
 from falsework.stability.verdict import Criterion
 
 

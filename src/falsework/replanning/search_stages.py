@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
-from falsework.replanning.deadline import Deadline
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.result import Stage
 from falsework.replanning.session import ReplanSession
@@ -18,6 +17,7 @@ from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.exhaustive import ExhaustiveSearch
 from falsework.search.planner import Planner
+from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.result import Outcome, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph

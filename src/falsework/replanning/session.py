@@ -11,19 +11,19 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError, PlanError
-from falsework.replanning.deadline import Deadline
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.proving import Prover
-from falsework.replanning.replays import DeadlineReplayer
 from falsework.replanning.request import Request
 from falsework.replanning.result import ReplanResult, Stage
-from falsework.replanning.timed_oracle import TimedOracle
 from falsework.search.planner import insertion_steps
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
+from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import Outcome, Route, SearchResult
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
+from falsework.search.problem.timed_oracle import TimedOracle
+from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.verdict import Verdicts
 
 _SAMPLES_GPU, _SAMPLES_CPU = 16, 4

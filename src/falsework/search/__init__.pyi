@@ -5,6 +5,8 @@ from falsework.search.device.beam import DeviceBeam as DeviceBeam
 from falsework.search.device.rules import TensorRules as TensorRules
 from falsework.search.exhaustive import ExhaustiveResult as ExhaustiveResult
 from falsework.search.exhaustive import ExhaustiveSearch as ExhaustiveSearch
+from falsework.search.fewest_robots import RobotsNeeded as RobotsNeeded
+from falsework.search.fewest_robots import robots_needed as robots_needed
 from falsework.search.find import Planning as Planning
 from falsework.search.find import find_plans as find_plans
 from falsework.search.find import plan_of as plan_of

@@ -19,10 +19,13 @@ from falsework.search.planner import Planner
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide, SupportGuide
+from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Outcome, Progress, Route, SearchProgress, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Task
+from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
 from falsework.stability.oracle import Stability
 from falsework.stability.verdict import Verdicts
@@ -60,6 +63,8 @@ class Planning:
     """How much the plans differ; its routes are those of `plans`."""
     fallen: Plan | None = None
     """Without a plan whose replay succeeds: the one whose replay gets farthest, with the step at which it fails."""
+    deadline_passed: bool = False
+    """Whether the deadline ended the search; `result` and `plans` are the best that it had by then."""
 
     @property
     def found(self) -> bool:
@@ -77,6 +82,7 @@ def find_plans(
     guide: Guide | None = None,
     progress: Progress | None = None,
     stop: Stop | None = None,
+    deadline: float | None = None,
     checkpoint: Path | str | None = None,
     forces: bool = True,
     **rules: Unpack[TaskRules],
@@ -92,6 +98,7 @@ def find_plans(
         guide: scores actions; by default parts with much support go in first.
         progress: called after every level of every attempt.
         stop: called before every level; true ends the search with the plans found so far.
+        deadline: seconds after which the search ends with the best that it has; the plans are proved after that.
         checkpoint: file that the search is saved to now and then and resumed from if it is there; removed at the end.
         forces: keep the contact forces that prove each state in the plans; for a thousand parts half a gigabyte a plan.
         rules: start, target, fixed, missing and removable_only_if_clear; see `TaskRules`. Without them the complete
@@ -101,15 +108,17 @@ def find_plans(
         Plans with verdicts and proofs; none if there is none, or none was found.
 
     Raises:
-        InputError: a checkpoint of another task, a task and rules together, or rules that the structure cannot keep.
+        InputError: a checkpoint of another task, a task and rules together, rules that the structure cannot keep, or a
+            deadline of zero or less.
     """
     named = [*rules, *(["robots"] if robots is not None else [])]
     if task is not None and named:
         raise InputError(f"a task and {', '.join(named)} were given; put them into the task, or leave the task out")
+    clock = Deadline(deadline)
     oracle = oracle or Stability(assembly)
     task = task or task_of(assembly, 2 if robots is None else robots, **rules)
     guide = guide or SupportGuide(assembly)
-    planner = _resume(checkpoint, task, oracle, settings, guide)
+    planner = _resume(checkpoint, task, timed(oracle, clock), settings, guide)
     result = planner.run(progress=_saving(planner, checkpoint, progress), stop=stop)
     if checkpoint is not None:
         if result.interrupted:
@@ -120,13 +129,14 @@ def find_plans(
         fallen = None
         if planner.fallen is not None and not result.interrupted:
             fallen = plan_of(planner.fallen[0], assembly, task, oracle, forces=forces)
-        return Planning(result, (), Alternatives.of([]), fallen)
+        return Planning(result, (), Alternatives.of([]), fallen, result.interrupted and clock.passed)
+    late = result.interrupted and clock.passed
     chosen = choose_plans(planner, settings, assembly.name)
     plans = tuple(plan_of(route, assembly, task, oracle, forces=forces) for route in chosen.routes)
     standing = [k for k, plan in enumerate(plans) if plan.replay is None or plan.replay.stands]
     if len(standing) < len(plans):
         plans, chosen = tuple(plans[k] for k in standing), chosen.keep(standing)
-    return Planning(result, plans, chosen)
+    return Planning(result, plans, chosen, deadline_passed=late)
 
 
 def task_of(
@@ -152,6 +162,7 @@ def task_of(
         fixed=fixed,
         missing=missing,
         clearance=assembly.clearance if removable_only_if_clear else None,
+        contacts=assembly.contacts.parts,
         identity=assembly.identity,
     )
 
@@ -210,7 +221,7 @@ def choose_plans(planner: Planner, settings: PlannerSettings, name: str = "") ->
 
 
 def _resume(
-    checkpoint: Path | str | None, task: Task, oracle: Stability, settings: PlannerSettings, guide: Guide
+    checkpoint: Path | str | None, task: Task, oracle: Oracle, settings: PlannerSettings, guide: Guide
 ) -> Planner:
     if checkpoint is not None and Path(checkpoint).exists():
         return Planner.load(checkpoint, task, oracle, settings, guide=guide)

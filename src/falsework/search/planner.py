@@ -30,7 +30,7 @@ from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
 from falsework.utils.archive import read_archive, write_archive
 
-FORMAT = "falsework.planner/2"
+FORMAT = "falsework.planner/3"
 
 _MOST_FALLS = 64
 """Routes whose replay falls before an attempt is given up."""
@@ -92,6 +92,11 @@ class Planner:
         return self._stage == "done"
 
     @property
+    def counters(self) -> SearchCounters:
+        """Work done so far by all attempts."""
+        return sum((beam.search.counters for beam in self._beams.values()), self._counters)
+
+    @property
     def postponed(self) -> tuple[int, ...]:
         """Steps of assembly before the first, second, ... missing part goes in, by the plan found so far."""
         return insertion_steps(self.routes[0], self.task) if self.routes else self._trial
@@ -126,7 +131,7 @@ class Planner:
         def report(event: SearchProgress) -> None:
             if progress is not None:
                 seconds = self._seconds + time.perf_counter() - begun
-                progress(replace(event, asked=self._all_counters().asked, seconds=seconds))
+                progress(replace(event, asked=self.counters.asked, seconds=seconds))
 
         interrupted = False
         try:
@@ -260,7 +265,7 @@ class Planner:
 
     def _drop_beams(self) -> None:
         """Forget the beams of an attempt that is over, but not the work that they did."""
-        self._counters = self._all_counters()
+        self._counters = self.counters
         self._beams = {}
         self._attempt = self._falls = 0
 
@@ -331,11 +336,8 @@ class Planner:
     def _beam_guide(self) -> Guide | None:
         return NoveltyGuide(self._guide, self.routes) if self._stage == "alternatives" else self._guide
 
-    def _all_counters(self) -> SearchCounters:
-        return sum((beam.search.counters for beam in self._beams.values()), self._counters)
-
     def _result(self, interrupted: bool) -> SearchResult:
-        counters = self._all_counters()
+        counters = self.counters
         if self.routes:
             notes = ()
             if interrupted:

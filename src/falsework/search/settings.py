@@ -8,10 +8,13 @@ from falsework.errors import InputError
 from falsework.search.problem.task import Direction
 
 _BOTH = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
-_FIRST_WIDTH = 16
-"""Beams grow to this width from one end before the other end is tried ..."""
+_FIRST_WIDTH = 1
+"""Beams grow to this width from one end before the other end is tried: what is hard from one is often easy from the
+other ..."""
 _WIDENING = 4
 """... and then to widths this many times larger, in turn."""
+_OTHER_WIDTH = 16
+"""Widest beam for a plan unlike others."""
 _TRIAL_WIDTH = 4
 """Widest beam for a plan with missing parts later: how wide the first plan's beam was is no guide to that."""
 
@@ -43,10 +46,10 @@ class PlannerSettings:
         Args:
             stage: `plan`, `postpone` or `alternatives`.
         """
-        limit = min(self.width, _TRIAL_WIDTH) if stage == "postpone" else self.width
-        widths = [min(_FIRST_WIDTH, limit)]
-        while widths[-1] < limit and stage == "plan":
-            widths.append(min(widths[-1] * _WIDENING, limit))
+        first = {"plan": _FIRST_WIDTH, "postpone": _TRIAL_WIDTH, "alternatives": _OTHER_WIDTH}[stage]
+        widths = [min(first, self.width)]
+        while widths[-1] < self.width and stage == "plan":
+            widths.append(min(widths[-1] * _WIDENING, self.width))
         directions = self.directions
         if stage == "alternatives":
             # Taking apart leaves more freedom in the order of removal than putting together.

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, check_robots
 from falsework.errors import InputError
+from falsework.search.problem.deadline import check_deadline
 from falsework.stability.margins.nearness import nearness_to_limit
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
@@ -112,8 +113,7 @@ def check_view(robots: int, host: str, port: int, deadline: float | None) -> Non
     check_robots(robots)
     if not 0 <= port <= 65535:
         raise InputError(f"there is no port {port}; give 1 to 65535")
-    if deadline is not None and not deadline > 0:
-        raise InputError(f"a deadline of {deadline:g} s leaves no time; give more than 0")
+    check_deadline(deadline)
     check_host(host)
     import_viser()
 

@@ -13,12 +13,12 @@ from falsework.assembly.state import action_mask
 from falsework.errors import InputError
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.networks.factory import make_policy
-from falsework.replanning.deadline import Deadline, DeadlineExceeded
 from falsework.replanning.policy_guide import PolicyGuide
-from falsework.replanning.timed_oracle import TimedOracle
 from falsework.search import BeamSearch, BeamSettings
 from falsework.search.find import find_plans, task_of
+from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.task import Direction
+from falsework.search.problem.timed_oracle import TimedOracle
 from falsework.stability import Stability
 
 ARCH = load_structure("arch:blocks=5")

@@ -14,16 +14,22 @@ from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Progress, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
 
+_TRIALS = 3
+"""Times in a row that the beam comes back as narrow as it was, with other random preferences, before it is widened."""
+_DISORDER = 0.3
+"""Spread of these preferences at first; each further trial adds as much. Scores of a guide are shares of 1."""
 _WIDENING_FACTOR = 4
-"""Each time in a row that the beam dies at one place, it comes back this many times wider ..."""
+"""After that, the beam comes back this many times wider ..."""
 _RETREAT_FACTOR = 4
 """... from this many times farther back ..."""
 _RETREAT_LEVELS = 8
-"""... beginning with so many levels."""
+"""... than so many levels; each trial of one width begins twice as far back as the last."""
 _LOOKAHEAD_STATES = 64
 """States that need no verdict which the narrowest beam keeps, so that the next level has a choice."""
 _LOOKAHEAD_PER_WIDTH = 16
 """The same for wide beams, as a multiple of the width."""
+_PLACE = ("failures", "deaths", "farthest", "easy_from")
+"""What a beam remembers of the places where it died."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +43,10 @@ class AdaptiveSettings:
     seed: int = 0
     """Same seed, same machine, same result."""
 
-    def beam(self, failures: int) -> BeamSettings:
-        """Return settings of the beam after so many deaths in a row at one place."""
-        width = self.width * _WIDENING_FACTOR**failures
+    def beam(self, failures: int, number: int = 0) -> BeamSettings:
+        """Return settings of the beam after so many deaths in a row at one place, and `number` deaths altogether."""
+        widened, trial = divmod(failures, _TRIALS + 1)
+        width = self.width * _WIDENING_FACTOR**widened
         return BeamSettings(
             width=width,
             direction=self.direction,
@@ -47,23 +54,26 @@ class AdaptiveSettings:
             lookahead=max(_LOOKAHEAD_STATES, _LOOKAHEAD_PER_WIDTH * width),
             commit=width == 1,
             retries=0,
+            disorder=_DISORDER * trial,
+            number=number,
             seed=self.seed,
         )
 
 
 class AdaptiveBeam:
-    """Beam search that widens where it dies and narrows again afterwards.
+    """Beam search that takes another way where it dies, then a wider one, and narrows again afterwards.
 
-    Where the beam dies, it is taken back some levels and widened; if it dies there again, back farther and wider
-    still. Once it is well past the place, it becomes narrow again. Verdicts asked before are in the oracle's memory,
-    so going over the same ground costs little.
+    Where the beam dies, it is taken back some levels and prefers other parts, at random; if it dies there again, back
+    farther, and after some trials wider. A narrow beam that takes another way costs a fraction of a wide one, whose
+    states are mostly the same parts in another order. Once it is well past the place, it follows its guide again, and
+    is narrow. Verdicts asked before are in the oracle's memory, so going over the same ground costs little.
     """
 
     def __init__(self, task: Task, oracle: Oracle, settings: AdaptiveSettings, *, guide: Guide | None = None) -> None:
         """Begin narrow, at the origin of the direction."""
         self.settings = settings
         self.search = BeamSearch(task, oracle, settings.beam(0), guide=guide)
-        self._failures = 0
+        self._failures = self._deaths = 0
         self._farthest = -1
         self._easy_from = -1
 
@@ -106,7 +116,7 @@ class AdaptiveBeam:
     def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return the search as it stands: plain values, and arrays."""
         header, arrays = self.search.pack()
-        own = {"failures": self._failures, "farthest": self._farthest, "easy_from": self._easy_from}
+        own = {name: getattr(self, f"_{name}") for name in _PLACE}
         return header | {"adaptive": own, "base": self.settings.width, "base_seed": self.settings.seed}, arrays
 
     @classmethod
@@ -127,9 +137,8 @@ class AdaptiveBeam:
         direction = Direction(header["settings"]["direction"])
         beam = cls(task, oracle, AdaptiveSettings(direction, int(header["base"]), int(header["base_seed"])))
         beam.search = BeamSearch.unpack(header, arrays, task, oracle, guide=guide)
-        own = header["adaptive"]
-        beam._failures, beam._farthest = int(own["failures"]), int(own["farthest"])
-        beam._easy_from = int(own["easy_from"])
+        for name in _PLACE:
+            setattr(beam, f"_{name}", int(header["adaptive"][name]))
         return beam
 
     def _eased(self) -> bool:
@@ -137,13 +146,16 @@ class AdaptiveBeam:
         return self._failures > 0 and len(self.search.levels) - 1 > self._easy_from and not self.search.done
 
     def _widen(self, widest: int) -> bool:
-        """Go back and come again wider; False if that would be too wide."""
+        """Go back and come again, another way or wider; False if that would be too wide."""
         level = len(self.search.levels) - 1
         failures = 1 if level > self._farthest + 2 else self._failures + 1
-        settings = self.settings.beam(failures)
+        settings = self.settings.beam(failures, self._deaths + 1)
         if settings.width > widest:
             return False
         self._failures, self._farthest = failures, max(self._farthest, level)
+        self._deaths += 1
         self._easy_from = self._farthest + 2 * _RETREAT_LEVELS
-        self.search.rewind(max(level - _RETREAT_LEVELS * _RETREAT_FACTOR ** (failures - 1), 0), settings)
+        widened, trial = divmod(failures, _TRIALS + 1)
+        retreat = _RETREAT_LEVELS * _RETREAT_FACTOR**widened * 2 ** max(trial - 1, 0)
+        self.search.rewind(max(level - retreat, 0), settings)
         return True

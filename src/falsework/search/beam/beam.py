@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
+from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier, Level, expand
 from falsework.search.beam.histories import Histories
 from falsework.search.beam.level_search import LevelSearch
@@ -56,6 +57,7 @@ class BeamSearch(LevelSearch):
         self._judge = CountingOracle(oracle)
         replayer = getattr(oracle, "replayer", None) if settings.direction is Direction.ASSEMBLY else None
         self._histories = None if replayer is None else Histories(replayer, self.levels)
+        self._failures = None if task.neighbours is None else FailureMemory(task.neighbours)
         self._guide = guide
         self._hash = StateHash.for_parts(task.part_count)
         self._candidates = 0
@@ -99,8 +101,13 @@ class BeamSearch(LevelSearch):
             if scores.shape != mask.shape:
                 raise InputError(f"the guide returned scores of shape {scores.shape}; expected {mask.shape}")
             score = score + scores[frontier.parent, frontier.action]
+        if settings.disorder > 0:
+            draw = np.random.default_rng((settings.seed, settings.number))
+            preference = draw.uniform(-settings.disorder, settings.disorder, self.task.part_count)
+            score = score + preference[frontier.action % self.task.part_count]
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
-        selector = Selector(frontier, score, settings.diversity == "k-means", settings.pool, rng)
+        clustered = settings.diversity == "k-means"
+        selector = Selector(frontier, score, clustered, settings.pool, rng, self._failures)
         doubt = False
         if settings.lookahead > 0:
 
@@ -237,6 +244,9 @@ class BeamSearch(LevelSearch):
         }
         for name in ("parent", "action", "score", "grounded"):
             arrays[name] = np.concatenate([getattr(level, name) for level in self.levels] or [np.empty(0)])
+        known = {} if self._failures is None else self._failures.known
+        arrays["tried"] = np.array(list(known), dtype=np.uint64)
+        arrays["failed"] = np.array(list(known.values()), dtype=bool)
         return header, arrays
 
     @classmethod
@@ -265,6 +275,8 @@ class BeamSearch(LevelSearch):
         ends = np.cumsum(sizes)[:-1]
         columns = [np.split(arrays[name], ends) for name in ("states", "parent", "action", "score", "grounded")]
         search.levels[:] = [Level(*column) for column in zip(*columns, strict=True)] if len(sizes) else []
+        if search._failures is not None:
+            search._failures.known.update(zip(arrays["tried"].tolist(), arrays["failed"].tolist(), strict=True))
         search._before = SearchCounters(**header["counters"])
         search._seconds, search._undecided = float(header["seconds"]), int(header["undecided"])
         search._sliding = int(header["sliding"])

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask
+from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier
 from falsework.search.beam.k_means import k_means
 from falsework.search.problem.oracle import CountingOracle
@@ -16,8 +17,13 @@ from falsework.search.problem.oracle import CountingOracle
 Rows = NDArray[np.int64]
 Confirmed = Callable[[Rows], Mask]
 
-_VERDICT_BATCH = 4
-"""Candidates asked for at once at least, when verdicts are asked one after the other: enough to share two cores."""
+_ENOUGH = 4
+"""Moves that failed before are tried where fewer than one in so many of the states wanted is found without them."""
+_THOROUGH_WIDTH = 64
+"""States wanted from which all moves are tried: beams so wide are to prove that there is no plan."""
+_VERDICT_BATCH = 2
+"""Candidates asked for at once at least, once the first were not enough: enough to share two cores. The first mostly
+are, and a stable state costs ten times the verdict of one that falls."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +51,8 @@ class Selector:
     """Bound on candidates times parts that are clustered at once; beyond it, of a random sample only."""
     rng: np.random.Generator
     """Breaks ties and seeds the clusters."""
+    failures: FailureMemory | None = None
+    """Moves that failed before, which are tried last."""
 
     def order(self, rows: Rows, score: NDArray[np.float64], count: int) -> Rows:
         """Return rows in the order in which they are to be taken, where about `count` are wanted.
@@ -97,11 +105,30 @@ class Selector:
         # The gap between numbers of held parts is wider than all scores, so that it decides first.
         promise = self.score - held * (np.ptp(self.score) + 1.0 if len(held) else 1.0)
         loose = self.order(np.flatnonzero(~frontier.fixing), promise, width)
-        proven, rejected = self._stable_ones(judge, loose, width, confirmed)
+        proven, rejected = self._likely_ones(judge, loose, width, confirmed)
         fixed = self.order(np.flatnonzero(frontier.fixing), promise, lookahead)
         if commit and len(proven) >= width:
             fixed = fixed[held[fixed] <= held[proven].max()]
         return self._choice(np.concatenate([proven, fixed[:lookahead]]), rejected)
+
+    def _likely_ones(
+        self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmed
+    ) -> tuple[Rows, Rows]:
+        """As `_stable_ones`; moves that failed before are tried only where too few of the others are stable."""
+        if self.failures is None or not len(waiting):
+            return self._stable_ones(judge, waiting, wanted, confirmed)
+        frontier = self.frontier
+        keys = self.failures.keys(frontier.states(waiting), frontier.action[waiting] % frontier.task.part_count)
+        failed = self.failures.failed(keys)
+        kept, rejected = self._stable_ones(judge, waiting[~failed], wanted, confirmed)
+        enough = wanted if wanted >= _THOROUGH_WIDTH else -(-wanted // _ENOUGH)
+        if len(kept) < enough and failed.any():
+            more, bad = self._stable_ones(judge, waiting[failed], enough - len(kept), confirmed)
+            kept, rejected = np.concatenate([kept, more]), np.concatenate([rejected, bad])
+        for rows, stable in ((kept, True), (rejected, False)):
+            place = np.isin(waiting, rows)
+            self.failures.learn(keys[place], np.full(int(place.sum()), stable))
+        return kept, rejected
 
     def _stable_ones(
         self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmed
@@ -112,7 +139,7 @@ class Selector:
         rejected: list[Rows] = [waiting[:0]]
         position = 0
         while wanted > 0 and position < len(waiting):
-            batch = waiting[position : position + max(wanted, _VERDICT_BATCH)]
+            batch = waiting[position : position + (max(wanted, _VERDICT_BATCH) if position else wanted)]
             stable = judge.stable(frontier.states(batch), frontier.parents(batch))
             if stable.any():
                 stable[stable] = confirmed(batch[stable])

@@ -29,6 +29,11 @@ class BeamSettings:
     """With `lookahead`: drop states that keep more robots busy than the `width` states found stable."""
     retries: int = 3
     """Times that a beam which died goes back some levels to choose again with other random numbers."""
+    disorder: float = 0.0
+    """Spread of a random preference for each part, which is added to the scores of the guide; above 0 where the order
+    of the guide led to a dead end."""
+    number: int = 0
+    """Draws the preferences, together with the seed."""
     seed: int = 0
     """Same seed, same machine, same result."""
     pool: int = 8_000_000
@@ -41,5 +46,7 @@ class BeamSettings:
             raise InputError(f"a beam cannot keep {self.lookahead} states ahead; give 0 or more")
         if self.retries < 0:
             raise InputError(f"a beam cannot be tried again {self.retries} times; give 0 or more")
+        if self.disorder < 0:
+            raise InputError(f"random preferences cannot spread by {self.disorder}; give 0 or more")
         if self.pool < 1:
             raise InputError("the pool of a beam search must hold at least one number")

@@ -78,6 +78,8 @@ class Task:
     """Where given, a part is removed only if it can leave."""
     identity: str = ""
     """Hash of the structure, so that saved searches are not mixed up."""
+    neighbours: Mask | None = None
+    """Which movable parts are in contact, shape (parts, parts); a search that knows it learns from failures."""
     holds_keep_stable: bool = False
     """Whether a stable state stays stable when a part of it is held: a theorem under the criterion `equilibrium`,
     wrong under `contact`. Where it does, holds need no verdict; see `judged_by`."""
@@ -93,6 +95,7 @@ class Task:
         fixed: Sequence[int] = (),
         missing: Sequence[int] = (),
         clearance: Clearance | None = None,
+        contacts: ArrayLike | None = None,
         identity: str = "",
     ) -> Task:
         """Validate a task and fill in defaults.
@@ -105,6 +108,7 @@ class Task:
             fixed: parts that must be neither held nor removed.
             missing: parts not delivered yet; see `postponed`.
             clearance: where given, a part is removed only if it has a free exit direction.
+            contacts: pairs of parts in contact, shape (pairs, 2).
             identity: hash of the structure.
 
         Raises:
@@ -140,7 +144,13 @@ class Task:
                 raise StateError(f"the {name} state has {held} parts held; {robots} robots can hold {robots}")
         for array in (boundary, first, last):
             array.setflags(write=False)
-        return cls(boundary, robots, first, last, fixed, missing, (0,) * len(missing), clearance, identity)
+        neighbours = None
+        if contacts is not None:
+            a, b = np.asarray(contacts, dtype=np.int64).reshape(-1, 2).T
+            neighbours = np.zeros((len(boundary), len(boundary)), dtype=bool)
+            neighbours[a, b] = neighbours[b, a] = True
+            neighbours &= ~boundary[:, None] & ~boundary
+        return cls(boundary, robots, first, last, fixed, missing, (0,) * len(missing), clearance, identity, neighbours)
 
     @property
     def part_count(self) -> int:

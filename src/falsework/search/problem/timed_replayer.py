@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.state import States
-from falsework.replanning.deadline import Deadline, DeadlineExceeded
+from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.stability.contact.newton import RESTS
 from falsework.stability.contact.replay import History, Replay, Replayer
 from falsework.stability.problem import Problem
@@ -66,7 +66,7 @@ class DeadlineReplayer:
     two ends, since every sequence has them: where an end falls, its neighbour is ruled out.
     """
 
-    def __init__(self, replayer: Replayer, clock: Deadline, between: Callable[[], None]) -> None:
+    def __init__(self, replayer: Replayer, clock: Deadline, between: Callable[[], None] = lambda: None) -> None:
         """Replay until `clock` has run out; call `between` before each few steps."""
         self.unfinished: States | None = None
         """The last sequence whose replay the clock cut short, in the order of assembly."""

@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from falsework.assembly.state import Mask, States
-from falsework.replanning.deadline import AdaptiveBatchSize, Deadline, DeadlineExceeded
-from falsework.replanning.replays import DeadlineReplayer
+from falsework.search.problem.deadline import AdaptiveBatchSize, Deadline, DeadlineExceeded
 from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.timed_replayer import DeadlineReplayer
+from falsework.stability.oracle import Stability
 from falsework.stability.verdict import Verdict, Verdicts
 
 
@@ -64,3 +65,11 @@ class TimedOracle:
         """Which states replays have ruled out, shape (batch,)."""
         known = () if self.replayer is None else self.replayer.ruled_out
         return np.array([bool(known) and state.tobytes() in known for state in states], dtype=bool)
+
+
+def timed(oracle: Stability, clock: Deadline) -> Oracle:
+    """Return the oracle of a search that ends at the deadline of a clock, in the middle of a level if need be."""
+    if not clock.limited:
+        return oracle
+    replayer = oracle.replayer
+    return TimedOracle(oracle, clock, replayer=None if replayer is None else DeadlineReplayer(replayer, clock))

@@ -8,11 +8,23 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from falsework.errors import InputError
+
 _AT_ONCE = 16
 """States judged between two looks at the clock, at first ..."""
 _LEAST, _MOST = 4, 8192
 _SLICE = 0.02
 """... and then as many as take about so many seconds."""
+
+
+def check_deadline(deadline: float | None) -> None:
+    """Raise unless a deadline in seconds leaves time.
+
+    Raises:
+        InputError: it is zero, less, or no number.
+    """
+    if deadline is not None and not deadline > 0:
+        raise InputError(f"a deadline of {deadline:g} s leaves no time; give more than 0")
 
 
 class DeadlineExceeded(KeyboardInterrupt):
@@ -27,7 +39,12 @@ class Deadline:
     """Deadline of a request, with an account of the time spent."""
 
     def __init__(self, deadline: float | None = None) -> None:
-        """Start counting; stop after `deadline` seconds, or never."""
+        """Start counting; stop after `deadline` seconds, or never.
+
+        Raises:
+            InputError: a deadline of zero or less.
+        """
+        check_deadline(deadline)
         self._begun = time.perf_counter()
         self._deadline = deadline
         self.reserve = 0.0

@@ -1,0 +1,132 @@
+"""Compare planning with that of another commit, seed by seed in one run: one JSON object for each structure.
+
+    git worktree add ../before COMMIT
+    python benchmarks/search_compare.py --before ../before --structures vault crossvault-184 --seeds 5
+
+Each plan is searched for in a process of its own, once with this source tree and once with the other, in turn.
+`cpu_seconds` and `seconds` are those of the search with its proofs, without loading and compilation; a search that
+uses more than `--limit` seconds of CPU time ends without a plan and counts with what it used. `verdict_ratio` and
+`cpu_ratio` are medians here over medians there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from record import report, spread, write_to
+
+_MEASURED = ("verdicts", "cpu_seconds", "seconds", "memory_gib")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to run."""
+
+    structures: tuple[str, ...] = ("vault",)
+    """Built-in names, paths, or names of real structures."""
+    before: Path | None = None
+    """Worktree of the commit to compare with."""
+    robots: int = 2
+    """Parts held at once."""
+    seeds: int = 5
+    """Number of seeds, from 0 on."""
+    limit: float = 60.0
+    """Seconds of CPU time for each search."""
+    child: int | None = None
+    """Search with this seed in this process, and print the figures."""
+    out: Path | None = None
+    """File to which the records are appended."""
+
+
+def search(options: Options, seed: int) -> dict[str, Any]:
+    """Search for one plan in this process."""
+    from falsework.assembly import load_structure
+    from falsework.search import PlannerSettings, find_plans
+
+    find_plans(load_structure("arch:blocks=5"))  # have everything compiled
+    assembly = load_structure(options.structures[0])
+    cpu, wall = time.process_time(), time.perf_counter()
+    planning = find_plans(
+        assembly,
+        robots=options.robots,
+        settings=PlannerSettings(seed=seed),
+        stop=lambda: time.process_time() - cpu > options.limit,
+    )
+    return {
+        "parts": assembly.part_count,
+        "found": planning.found and len(planning.plans) == 1,
+        "reached": planning.result.reached,
+        "steps": planning.result.steps,
+        "verdicts": planning.result.counters.asked,
+        "cpu_seconds": time.process_time() - cpu,
+        "seconds": time.perf_counter() - wall,
+        "memory_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+    }
+
+
+def run(options: Options, tree: Path, structure: str, seed: int) -> dict[str, Any]:
+    """Search for one plan in a process that imports falsework from a source tree."""
+    command = [sys.executable, "-W", "ignore", __file__, "--child", str(seed), "--structures", structure]
+    command += ["--robots", str(options.robots), "--limit", str(options.limit)]
+    environment = {**os.environ, "PYTHONPATH": str(tree.resolve() / "src")}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """Medians with ranges, and how many searches found a plan."""
+    figures: dict[str, Any] = {name: spread([run[name] for run in runs]) for name in _MEASURED}
+    return {"found": sum(run["found"] for run in runs), "reached": spread([run["reached"] for run in runs]), **figures}
+
+
+def compare(options: Options) -> None:
+    """All structures, each with all seeds, with both trees in turn."""
+    from states import find
+
+    here = Path(__file__).resolve().parents[1]
+    trees = {"now": here} if options.before is None else {"now": here, "before": options.before}
+    for name in options.structures:
+        runs: dict[str, list[dict[str, Any]]] = {tree: [] for tree in trees}
+        for seed in range(options.seeds):
+            for tree, path in trees.items():
+                runs[tree].append(run(options, path, find(name), seed))
+        now = summary(runs["now"])
+        figures: dict[str, Any] = {}
+        if options.before is not None:
+            before = summary(runs["before"])
+            git = ["git", "-C", str(options.before), "rev-parse", "--short=7", "HEAD"]
+            figures = {
+                "before": before,
+                "before_commit": subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip(),
+                "verdict_ratio": now["verdicts"]["median"] / before["verdicts"]["median"],
+                "cpu_ratio": now["cpu_seconds"]["median"] / before["cpu_seconds"]["median"],
+            }
+        report(
+            "search_compare plans",
+            structure=name,
+            seeds=range(options.seeds),
+            parts=runs["now"][0]["parts"],
+            steps=runs["now"][0]["steps"],
+            robots=options.robots,
+            limit=options.limit,
+            **now,
+            **figures,
+        )
+
+
+if __name__ == "__main__":
+    chosen = tyro.cli(Options, description=__doc__)
+    if chosen.child is not None:
+        print(json.dumps(search(chosen, chosen.child)))
+    else:
+        write_to(chosen.out)
+        compare(chosen)

@@ -1,0 +1,165 @@
+"""Lower bound on the robots of every plan, from necessary conditions on its first and its last steps.
+
+Just after a part is removed, one robot has nothing to hold, so a plan with `n` robots leads through sets of present
+parts that `n - 1` held parts, chosen at will, keep in equilibrium. Which parts were held before and after does not
+matter here, and no state that stands under the criterion `contact` is out of equilibrium, so what is refuted this way
+is refuted under both criteria.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
+from falsework.search.problem.deadline import Deadline, DeadlineExceeded
+from falsework.search.problem.task import Direction, Task
+from falsework.stability.certificate import residual_bound_of_velocity
+from falsework.stability.oracle import Stability
+from falsework.stability.settings import StabilitySettings
+
+_BATCH = 8
+"""States judged between two looks at the clock."""
+_NEGLIGIBLE = (1e-5, 1e-8)
+"""Speeds that are taken as zero, as a share of the fastest part's, where what is left is a proof as well."""
+
+
+@dataclass(frozen=True)
+class Barrier:
+    """Sets of parts that every order has to cross, and that too few robots cannot."""
+
+    robots: int
+    """Number of robots with which no plan exists."""
+    parts: int
+    """Parts removed, or placed, after which no set of parts is left that can be kept in equilibrium."""
+    end: Direction
+    """Disassembly: the first `parts` removals; assembly: the first `parts` insertions."""
+
+    @property
+    def text(self) -> str:
+        """The same in words."""
+        several = f"{self.parts} parts" if self.parts > 1 else "one part"
+        what = f"with {several} {'removed' if self.end is Direction.DISASSEMBLY else 'placed'}"
+        hold = f"{self.robots - 1} held" if self.robots > 1 else "none held"
+        return f"{what}, nothing is in equilibrium with {hold}, whichever parts they are"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the barrier as a JSON object."""
+        return {"robots": self.robots, "parts": self.parts, "end": self.end.value, "text": self.text}
+
+
+class HoldBound:
+    """Refutation of numbers of robots by the sets of parts that each order crosses near its two ends."""
+
+    def __init__(self, assembly: Assembly, task: Task, settings: StabilitySettings, clock: Deadline) -> None:
+        """Prepare to refute.
+
+        Args:
+            assembly: the structure.
+            task: start, target, fixed parts and clearance; its number of robots does not matter.
+            settings: of the plan; the friction cone, gravity and tolerances are taken over.
+            clock: raises `DeadlineExceeded` out of `barrier` once it has run out.
+        """
+        self.task = task
+        self.asked = 0
+        """Verdicts requested."""
+        same = {name: getattr(settings, name) for name in ("gravity", "tolerance", "force_bound")}
+        equilibrium = StabilitySettings(criterion="equilibrium", cone=settings.friction_cone, **same)
+        self._oracle = Stability(assembly, equilibrium)
+        self._clock = clock
+        fixed = np.zeros(task.part_count, dtype=bool)
+        fixed[list(task.fixed)] = True
+        self._touched = ~task.boundary & ~fixed
+        self._holdable = self._touched & (task.target != INSTALLED)
+        self._removable = (task.start != REMOVED) & (task.target == REMOVED)
+        self._known: dict[tuple[bytes, int], bool] = {}
+
+    def barrier(self, robots: int, budget: int) -> Barrier | None:
+        """Look for a number of removed or placed parts at which no plan with so many robots passes.
+
+        Args:
+            robots: number to refute.
+            budget: verdicts after which it gives up.
+
+        Returns:
+            None where none was found.
+
+        Raises:
+            DeadlineExceeded: the clock ran out.
+        """
+        ends = list(Direction)
+        fronts = {end: self._bare(self.task.origin(end))[None] for end in ends}
+        levels = dict.fromkeys(ends, 0)
+        stop_at, total = self.asked + budget, int(self._removable.sum())
+        while sum(levels.values()) < total and self.asked < stop_at:
+            end = min(ends, key=lambda side: len(fronts[side]))
+            candidates = self._next(fronts[end], end)
+            keep = []
+            for state in candidates:
+                if self.asked >= stop_at:
+                    return None
+                keep.append(levels[end] == total - 1 or self._can_be_held(state, robots - 1))
+            fronts[end] = candidates[np.array(keep, dtype=bool)] if len(candidates) else candidates
+            levels[end] += 1
+            if not len(fronts[end]):
+                return Barrier(robots, levels[end], end)
+        return None
+
+    def _bare(self, state: States) -> States:
+        """State with the same parts and nothing held but what always is."""
+        return np.where((state == HELD) & self._touched, INSTALLED, state).astype(np.uint8)
+
+    def _next(self, front: States, end: Direction) -> States:
+        """Return the distinct sets with one part less, in assembly with one more, that the rules allow."""
+        moves: Mask = self._removable & (front != REMOVED if end is Direction.DISASSEMBLY else front == REMOVED)
+        if self.task.clearance is not None:
+            moves = moves & self.task.clearance.can_leave(front)
+        row, part = np.nonzero(moves)
+        states = front[row]
+        states[np.arange(len(row)), part] = REMOVED if end is Direction.DISASSEMBLY else INSTALLED
+        return np.unique(states, axis=0)
+
+    def _can_be_held(self, state: States, holds: int) -> bool:
+        """Return whether some choice of `holds` more parts may keep a state in equilibrium; False is proven."""
+        key = state.tobytes(), holds
+        if key not in self._known:
+            self._known[key] = self._some_hold(state[None], holds)
+        return self._known[key]
+
+    def _some_hold(self, states: States, holds: int) -> bool:
+        """Return whether one of the states may be in equilibrium with `holds` more parts held."""
+        for begin in range(0, len(states), _BATCH):
+            rows = states[begin : begin + _BATCH]
+            if self._clock.passed:
+                raise DeadlineExceeded
+            verdicts = self._oracle.check(rows)
+            self.asked += len(rows)
+            if not verdicts.unstable.all():
+                return True
+            if holds == 0:
+                continue
+            assert verdicts.velocity is not None
+            for state, velocity in zip(rows, verdicts.velocity, strict=True):
+                # Whatever is held among the parts that stay still, the same velocity proves the state unstable.
+                moving = np.flatnonzero(self._moving(state, velocity) & self._holdable)
+                more = np.repeat(state[None], len(moving), axis=0)
+                more[np.arange(len(moving)), moving] = HELD
+                if self._some_hold(more, holds - 1):
+                    return True
+        return False
+
+    def _moving(self, state: States, velocity: NDArray[np.float64]) -> Mask:
+        """Return the parts that move in a proof of instability, without those whose motion is negligible."""
+        free = state == INSTALLED
+        speed = np.where(free, np.abs(velocity).max(axis=1), 0.0)
+        claim, assembly = self._oracle.settings.claim, self._oracle.assembly
+        for share in _NEGLIGIBLE:
+            moving = speed > share * speed.max()
+            kept = np.where(moving[:, None], velocity, 0.0)
+            if residual_bound_of_velocity(assembly, state[None], kept[None], claim)[0] > claim.tolerance:
+                return moving
+        return free

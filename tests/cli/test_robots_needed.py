@@ -1,0 +1,112 @@
+"""`falsework robots-needed`, `falsework plan --robots auto` and `--deadline`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from falsework.assembly import load_structure
+from falsework.search import BeamSearch, load_plan, load_state_graph, validate_plan
+
+Run = Callable[..., Any]
+
+
+def test_fewest_robots_of_an_arch(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    finished = falsework("robots-needed", "arch:blocks=7", "--out", out, "--json")
+    assert finished.code == 0, finished.error
+    (record,) = finished.records
+    assert (record["robots"], record["least"], record["proven"]) == (2, 2, True)
+    assert record["barrier"]["robots"] == 1
+    assert record["plan"] == str(out)
+    plan = load_plan(out)
+    assert plan.robots == 2
+    assert validate_plan(plan, load_structure("arch:blocks=7")).good
+    people = falsework("robots-needed", "arch:blocks=7")
+    assert people.code == 0
+    assert people.out.startswith("2 robots: a plan was found; proven to be the fewest")
+    assert "with 1: no plan exists" in people.out
+
+
+def test_plan_with_the_fewest_robots(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    finished = falsework("plan", "arch:blocks=5", "--robots", "auto", "--out", out)
+    assert finished.code == 0, finished.error
+    assert load_plan(out).robots == 2
+    assert f"the plan is in {out}" in finished.out
+
+
+@pytest.mark.parametrize("command", [("robots-needed",), ("plan", "--robots", "auto"), ("plan",)])
+@pytest.mark.parametrize("deadline", ["0", "-3"])
+def test_no_time(falsework: Run, command: tuple[str, ...], deadline: str, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    finished = falsework(*command, "arch:blocks=5", "--deadline", deadline, "--out", out)
+    assert finished.code == 2
+    assert finished.error.count("\n") == 1
+    assert "leaves no time" in finished.error
+
+
+@pytest.mark.parametrize("options", [("--alternatives", 2), ("--resume",)])
+def test_auto_takes_neither_alternatives_nor_resume(falsework: Run, options: tuple[Any, ...], tmp_path: Path) -> None:
+    finished = falsework("plan", "arch:blocks=5", "--robots", "auto", *options, "--out", tmp_path / "plan.json")
+    assert finished.code == 2
+    assert "--robots auto takes neither" in finished.error
+
+
+def test_no_number_of_robots(falsework: Run) -> None:
+    """The last parts of the shelf interlock, so that no robot gets them out."""
+    finished = falsework("robots-needed", "shelf", "--removable-only-if-clear", "--json")
+    assert finished.code == 1
+    (record,) = finished.records
+    assert record["robots"] is None
+    assert record["impossible"].endswith("cannot leave without a collision")
+    assert record["verdicts"] == 0
+    assert finished.error.count("\n") == 1
+    assert "no number of robots suffices" in finished.error
+
+
+def test_the_deadline_leaves_a_search_to_resume(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    finished = falsework("plan", "vault", "--deadline", "0.2", "--out", out, "--json")
+    assert finished.code == 1
+    (record,) = finished.records
+    assert record["plan"] is None
+    assert record["interrupted"] is True
+    assert 0 <= record["reached"] < record["steps"]
+    assert "the deadline ended the search" in finished.error
+    assert "--resume" in finished.error
+    assert finished.error.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.json.search"]
+
+
+def test_the_deadline_of_a_graph_saves_what_was_found(
+    falsework: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "graph.npz"
+    finished = falsework("graph", "vault", "--deadline", "0.05", "--device", "cpu", "--out", out, "--json")
+    assert finished.code == 1
+    (record,) = finished.records
+    assert record["interrupted"] is True
+    assert record["found"] is False
+    assert len(load_state_graph(out)) == record["states"]
+    assert "the deadline ended the search at step" in finished.error
+    assert falsework("graph", "vault", "--deadline", "0", "--out", out).code == 2
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    refused = falsework("graph", "vault", "--deadline", "5", "--out", out)
+    assert refused.code == 2
+    assert "leave --deadline out" in refused.error
+
+
+def test_an_interruption_prints_the_best_so_far(falsework: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(search: BeamSearch) -> bool:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(BeamSearch, "step", interrupted)
+    finished = falsework("robots-needed", "arch:blocks=5", "--json")
+    assert finished.code == 130
+    assert finished.records[0]["least"] == 2
+    assert "at least 2 robots are needed" in finished.error
+    assert "interrupted" in finished.error

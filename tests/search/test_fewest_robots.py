@@ -1,0 +1,114 @@
+"""Fewest robots: agreement with an exhaustive search, and answers that end in time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework.assembly import Assembly, load_structure
+from falsework.errors import InputError
+from falsework.search import (
+    BeamSearch,
+    Direction,
+    ExhaustiveSearch,
+    Outcome,
+    Task,
+    find_plans,
+    robots_needed,
+    task_of,
+    validate_plan,
+)
+from falsework.search.fewest_robots import stuck_parts
+from falsework.search.problem.deadline import Deadline, DeadlineExceeded
+from falsework.search.problem.hold_bound import HoldBound
+from falsework.stability import Stability, StabilitySettings
+from falsework.stability.settings import EQUILIBRIUM
+
+
+def test_an_arch_needs_two(small_arch: Assembly, arch_oracle: Stability) -> None:
+    """One robot has nothing left to hold once it has removed a part, and no arch stands without a part."""
+    answer = robots_needed(small_arch, oracle=arch_oracle)
+    assert (answer.robots, answer.least, answer.proven) == (2, 2, True)
+    assert answer.plan is not None
+    assert answer.plan.robots == 2
+    assert validate_plan(answer.plan, small_arch, arch_oracle.settings).good
+    assert answer.barrier is not None
+    assert (answer.barrier.robots, answer.barrier.parts, answer.barrier.end) == (1, 1, Direction.DISASSEMBLY)
+    census = ExhaustiveSearch(task_of(small_arch, 1), Stability(small_arch, EQUILIBRIUM)).run()
+    assert census.result.outcome is Outcome.PROVED_IMPOSSIBLE
+
+
+@pytest.mark.parametrize("structure", ["arch:blocks=5", "arch:blocks=7", "house", "bottle"])
+def test_no_barrier_where_there_is_a_plan(structure: str) -> None:
+    """The bound is a necessary condition: what an exhaustive search under equilibrium can do, it never refutes."""
+    assembly = load_structure(structure)
+    oracle = Stability(assembly, EQUILIBRIUM)
+    for robots in (1, 2):
+        task = task_of(assembly, robots)
+        barrier = HoldBound(assembly, task, oracle.settings, Deadline()).barrier(robots, 300)
+        if barrier is not None:
+            assert not find_plans(assembly, task, oracle=oracle).found
+        else:
+            assert robots == 2 or structure in ("house", "bottle")
+
+
+def test_a_start_in_which_parts_are_held(small_arch: Assembly) -> None:
+    start = np.where(small_arch.boundary, 2, 1).astype(np.uint8)
+    start[np.flatnonzero(~small_arch.boundary)[:2]] = 2
+    answer = robots_needed(small_arch, start=start)
+    assert answer.robots is not None
+    assert answer.least >= 2
+    assert answer.reasons[0] == "the start or the target has more parts held"
+
+
+def test_parts_that_cannot_leave_are_named_at_once(rules: Any) -> None:
+    """Parts 2 and 3 block each other, and part 4 is blocked by both; part 1 leaves once 5 is gone."""
+    clearance = rules.clearance([[[]], [[5]], [[3]], [[2]], [[2, 3]], [[]]])
+    task = Task.create(rules.ground(6), 6, clearance=clearance)
+    assert stuck_parts(task).tolist() == [2, 3, 4]
+    free = Task.create(rules.ground(6), 6, clearance=rules.clearance([[[]], [[5]], [[3]], [[]], [[2, 3]], [[]]]))
+    assert not len(stuck_parts(free))
+
+
+def test_a_start_that_falls_has_no_number(small_arch: Assembly) -> None:
+    start = np.where(small_arch.boundary, 2, 1).astype(np.uint8)
+    start[np.flatnonzero(~small_arch.boundary)[1]] = 0
+    answer = robots_needed(small_arch, start=start)
+    assert answer.robots is None
+    assert answer.impossible == "the start state is unstable"
+    assert answer.proven
+
+
+@pytest.mark.parametrize("deadline", [0, -1, float("nan")])
+def test_no_time(deadline: float, small_arch: Assembly) -> None:
+    for ask in (robots_needed, find_plans):
+        with pytest.raises(InputError, match="leaves no time"):
+            ask(small_arch, deadline=deadline)
+
+
+def test_the_deadline_ends_every_search() -> None:
+    assembly = load_structure("vault")
+    answer = robots_needed(assembly, deadline=0.05)
+    assert answer.deadline_passed
+    assert not answer.interrupted
+    assert answer.robots is None
+    planning = find_plans(assembly, deadline=0.05)
+    assert planning.deadline_passed
+    assert planning.result.interrupted
+    assert not planning.plans
+    with pytest.raises(DeadlineExceeded):
+        HoldBound(assembly, task_of(assembly), StabilitySettings(), Deadline(1e-9)).barrier(1, 10)
+
+
+def test_an_interruption_leaves_the_best_so_far(small_arch: Assembly, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(search: BeamSearch) -> bool:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(BeamSearch, "step", interrupted)
+    answer = robots_needed(small_arch)
+    assert answer.interrupted
+    assert not answer.deadline_passed
+    assert (answer.robots, answer.least) == (None, 2)  # the bound comes before the search
+    assert answer.to_dict()["interrupted"]
