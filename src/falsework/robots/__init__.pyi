@@ -38,3 +38,13 @@ from falsework.robots.plans.robot_plan_file import robot_plan_from_dict as robot
 from falsework.robots.plans.robot_plan_file import robot_plan_schema as robot_plan_schema
 from falsework.robots.plans.robot_plan_file import robot_plan_to_dict as robot_plan_to_dict
 from falsework.robots.plans.robot_plan_file import save_robot_plan as save_robot_plan
+from falsework.robots.plans.temporal_graph import MotionNode as MotionNode
+from falsework.robots.plans.temporal_graph import Precedence as Precedence
+from falsework.robots.plans.temporal_graph import TemporalPlanGraph as TemporalPlanGraph
+from falsework.robots.plans.timeline import ArmShares as ArmShares
+from falsework.robots.plans.timeline import arm_shares as arm_shares
+from falsework.robots.plans.timeline import event_times as event_times
+from falsework.robots.schedule.build import schedule_plan as schedule_plan
+from falsework.robots.schedule.simulation import SimulationReport as SimulationReport
+from falsework.robots.schedule.simulation import simulate as simulate
+from falsework.robots.schedule.solver import ScheduleSettings as ScheduleSettings
