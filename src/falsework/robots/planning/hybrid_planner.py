@@ -26,6 +26,7 @@ from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeu
 from falsework.robots.planning.failure_report import Explanation, FailureLog, explain
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
 from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
+from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.planning.trajectory_assembly import make_robot_plan
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -367,6 +368,8 @@ class _Search:
         return Route(states, np.array([edge.action for edge in chain], dtype=np.int64))
 
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
+        if self.settings.keyframes.haste:
+            chain = shorten_motions(chain, self.cell.speed, self.settings.seed)
         route, task = self._route(root, chain), self.solvability.task
         statistics = self._statistics()
         if why is not None:

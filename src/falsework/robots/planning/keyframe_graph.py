@@ -92,6 +92,8 @@ class PathSegment:
     """Shape (points, joints)."""
     part: int | None = None
     touches: int | None = None
+    view: CollisionQuery | None = None
+    """The scene in which a free path was planned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +288,7 @@ class KeyframeGraph:
             return None
         state = node.state.copy()
         state[part] = HELD
-        segments = (PathSegment("free", free.path), PathSegment("line", retreat.path[::-1].copy(), touches=part))  # type: ignore[index]
+        segments = (PathSegment("free", free.path, view=clear), PathSegment("line", retreat.path[::-1].copy(), touches=part))  # type: ignore[index]
         clock = node.clock.held(robot, self._expected(robot, segments), self.cell.robot_count)
         after = replace(_replaced(node, state, robot, grip.configuration, part), clock=clock)
         return Edge(part, robot, segments, after)
@@ -338,7 +340,7 @@ class KeyframeGraph:
                 state[part] = REMOVED
                 lines = tuple(PathSegment("line", path, part=part) for path in paths)
                 assert free.path is not None
-                segments = (*lines, PathSegment("free", free.path, part=part))
+                segments = (*lines, PathSegment("free", free.path, part=part, view=view))
                 clock = node.clock.removed(robot, self._expected(robot, segments), self.cell.robot_count)
                 after = replace(_replaced(node, state, robot, goal, None), clock=clock)
                 return Edge(self.assembly.part_count + part, robot, segments, after)
