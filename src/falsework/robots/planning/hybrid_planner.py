@@ -26,6 +26,7 @@ from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeu
 from falsework.robots.planning.failure_report import Explanation, FailureLog, explain
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
 from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
+from falsework.robots.planning.reordering import reorder
 from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.planning.trajectory_assembly import make_robot_plan
@@ -277,6 +278,7 @@ class _Search:
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Yield edges out of a keyframe in the order in which to try them."""
         tried, probes, worked = 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
+        idle: list[Edge] = []
         for action in self.ranking.actions(node, self.attempt, rng):
             if (node.key, action) in self.impossible or self.deadline_passed():
                 continue
@@ -292,7 +294,9 @@ class _Search:
             found = 0
             for edge in self.graph.edges(node, action):
                 found += 1
-                if edge.node.key not in self.dead:
+                if self._waits(edge):
+                    idle.append(edge)
+                elif edge.node.key not in self.dead:
                     yield edge
                 if found == _EDGES_PER_ACTION:
                     break
@@ -302,7 +306,18 @@ class _Search:
                 self.impossible.add((node.key, action))
             tried += 1
             if tried == self.settings.actions:
-                return
+                break
+        yield from idle
+
+    def _waits(self, edge: Edge) -> bool:
+        """Return whether an arm would hold a part that could leave, while it has no way to carry it away."""
+        removal = edge.action + self.assembly.part_count
+        if not self.graph.settings.haste or edge.action >= self.assembly.part_count:
+            return False
+        state = edge.node.state
+        if removal not in self.solvability.legal(state) or not self.solvability.known(state, removal):
+            return False
+        return next(self.graph.edges(edge.node, removal), None) is None
 
     def _note_dead_end(self, node: Node, depth: int) -> None:
         """Actions that failed where the search came farthest."""
@@ -370,17 +385,19 @@ class _Search:
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
         if self.settings.keyframes.haste:
             chain = shorten_motions(chain, self.cell.speed, self.settings.seed)
-        route, task = self._route(root, chain), self.solvability.task
+            chain = reorder(self.graph, self.oracle, root, chain, self._timed(root, chain))
         statistics = self._statistics()
         if why is not None:
             statistics["failure"] = why.to_dict()
-        plan = make_robot_plan(
-            self.assembly, self.cell, task, self.oracle, route, root, chain, forces=self.settings.forces
-        )
+        plan = self._timed(root, chain)
         statistics["seconds"] = round(time.perf_counter() - self.began, 3)
         replay = plan.plan.replay
         plan.statistics.update(statistics, replay=None if replay is None else asdict(replay))
         return plan
+
+    def _timed(self, root: Node, chain: list[Edge]) -> RobotPlan:
+        route, task, forces = self._route(root, chain), self.solvability.task, self.settings.forces
+        return make_robot_plan(self.assembly, self.cell, task, self.oracle, route, root, chain, forces=forces)
 
     def _statistics(self) -> dict[str, Any]:
         return {

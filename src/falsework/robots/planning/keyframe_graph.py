@@ -226,6 +226,10 @@ class KeyframeGraph:
         # At the start of a plan robots stand as they stand: what does not touch is good enough.
         return self._cache.view(node.scene, robot, contact, 0.0).explain(node.configurations[robot])
 
+    def view(self, scene: Scene, robot: int, contact: Contact, margin: float) -> CollisionQuery:
+        """Return the collision queries of one robot in a scene, as `MotionCache.view`."""
+        return self._cache.view(scene, robot, contact, margin)
+
     # Holding
 
     def _hold(self, node: Node, part: int) -> Iterator[Edge]:
@@ -288,7 +292,10 @@ class KeyframeGraph:
             return None
         state = node.state.copy()
         state[part] = HELD
-        segments = (PathSegment("free", free.path, view=clear), PathSegment("line", retreat.path[::-1].copy(), touches=part))  # type: ignore[index]
+        segments = (
+            PathSegment("free", free.path, view=clear),
+            PathSegment("line", retreat.path[::-1].copy(), touches=part),
+        )  # type: ignore[index]
         clock = node.clock.held(robot, self._expected(robot, segments), self.cell.robot_count)
         after = replace(_replaced(node, state, robot, grip.configuration, part), clock=clock)
         return Edge(part, robot, segments, after)

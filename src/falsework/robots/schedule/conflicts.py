@@ -37,7 +37,7 @@ def fixed_precedences(rows: Itineraries) -> list[Precedence]:
     found = []
     for robot in range(len(rows.rows)):
         found += [Precedence(a, rows.nodes[a].seconds, b, "arm") for a, b in pairwise(rows.of_robot(robot))]
-    for one, other in pairwise(rows.events):
+    for one, other in zip(rows.events, rows.events[rows.slack + 1 :], strict=False):
         offset = rows.nodes[one.node].seconds if one.at_end else 0.0
         found.append(Precedence(one.node, offset, other.node, "state"))
     for robot in range(len(rows.rows)):
@@ -52,7 +52,8 @@ def _parts_in_the_way(rows: Itineraries, robot: int) -> list[Precedence]:
         if stretch.node is None:
             continue
         step, present = rows.nodes[stretch.node].step, rows.present(stretch.node)
-        others = range(stretch.after + 1, step) if apart else range(step + 1, min(stretch.before, len(rows.events)))
+        first, last = max(stretch.after + 1 - rows.slack, 0), min(stretch.before + rows.slack, len(rows.events))
+        others = range(first, step) if apart else range(step + 1, last)
         for event in others:
             part, mover = rows.moved(event), rows.events[event].node
             if part is None or present[part] or rows.nodes[mover].robot == robot:
@@ -93,7 +94,7 @@ def conflict_table(rows: Itineraries, one: int, other: int) -> NDArray[np.bool_]
     table = np.zeros(size, dtype=bool)
     for a in rows.rows[one]:
         for b in rows.rows[other]:
-            if a.after >= b.before or b.after >= a.before or _proven(a, b):
+            if a.after >= b.before + rows.slack or b.after >= a.before + rows.slack or _proven(a, b):
                 continue
             margin = min(_margin(rows, a), _margin(rows, b))
             table[a.first : a.first + a.cells, b.first : b.first + b.cells] = conflicts(a.swept, b.swept, margin)
@@ -114,8 +115,17 @@ def _node_after(rows: Itineraries, robot: int, cell: int) -> int:
     """Return the node that a cell is in, or that follows the rest that it is."""
     row = rows.rows[robot]
     k = bisect_right([stretch.first for stretch in row], cell) - 1
-    later = [stretch.node for stretch in row[k:] if stretch.node is not None]
-    return later[0] if later else len(rows.nodes)
+    node = row[k].node
+    return _ends_rest(rows, robot, k) if node is None else node
+
+
+def _ends_rest(rows: Itineraries, robot: int, place: int) -> int:
+    """Return the node with which a rest ends, one more than there are for the last: a motion, or a grip."""
+    row = rows.rows[robot]
+    if place + 1 == len(row):
+        return len(rows.nodes)
+    following = row[place + 1].node
+    return rows.events[row[place].before].node if following is None else following
 
 
 def _goes_first(rows: Itineraries, one: int, other: int, cells: NDArray[np.intp]) -> tuple[Precedence, ...] | None:
@@ -132,11 +142,9 @@ def _goes_first(rows: Itineraries, one: int, other: int, cells: NDArray[np.intp]
         k = bisect_right(firsts, cell) - 1
         before, offset = leaving[k].node, float(leaving[k].ends[cell - leaving[k].first])
         if before is None:
-            if k + 1 == len(leaving):
+            before, offset = _ends_rest(rows, one, k), 0.0
+            if before == len(rows.nodes):
                 return None
-            # A rest ends when the next motion begins, or, for the rest up to it, when the gripper closes or opens.
-            following, offset = leaving[k + 1].node, 0.0
-            before = rows.events[leaving[k].before].node if following is None else following
         waits = stretch.node
         if waits is None:  # it must not come to rest there: the motion before must not begin
             earlier = [s.node for s in entering[:place] if s.node is not None]

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 CELL = 0.05
 """Longest cell, seconds."""
+_SAME = 1e-5
+"""Joint values that differ by no more are the same, rad or m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +52,15 @@ class Stretch:
 class Itineraries:
     """All arms of a plan."""
 
-    def __init__(self, plan: RobotPlan, world: CollisionWorld) -> None:
+    def __init__(self, plan: RobotPlan, world: CollisionWorld, *, slack: int = 0) -> None:
         """Cut motions into cells and place the bodies.
 
         Args:
             plan: the motions.
             world: the cell and the parts.
+            slack: events whose numbers differ by no more than this may come in another order.
         """
-        self.plan, self.world = plan, world
+        self.plan, self.world, self.slack = plan, world, slack
         self.nodes, self.events = nodes_of(plan)
         self._standing: dict[int, Swept] = {}
         self.rows = [list(self._row(robot)) for robot in range(len(plan.robots))]
@@ -101,13 +104,14 @@ class Itineraries:
         cell = np.asarray(values, dtype=np.float64)[None]
         step = None if last is None else self.nodes[last].step
         part = None
+        frames = {
+            k
+            for k, frame in enumerate(self.plan.keyframes)
+            if np.abs(frame.configurations[robot] - cell[0]).max() <= _SAME
+        }
         if step is not None and following is not None and self.nodes[following].step == step:  # on the way
-            frames = {step}
+            frames.add(step)
             part = self._load(following) if self.nodes[following].trajectory is not None else None
-        else:
-            frames = {
-                k for k, frame in enumerate(self.plan.keyframes) if np.array_equal(frame.configurations[robot], cell[0])
-            }
         found = self._swept(robot, cell, np.zeros_like(cell), part)
         return Stretch(None, first, 1, after, before, np.zeros(1), (found, found), False, frozenset(frames))
 
