@@ -24,7 +24,7 @@ from falsework.robots.plans.check_schedule import check_schedule
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan, robot_plan_to_dict, save_robot_plan
-from falsework.robots.plans.temporal_graph import TemporalPlanGraph
+from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
 from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
 from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.simulation import simulate
@@ -91,8 +91,11 @@ def test_the_independent_check_agrees(scheduled: RobotPlan, row: Assembly, wide:
 
 
 def test_the_check_finds_arms_that_do_not_wait(scheduled: RobotPlan, row: Assembly, wide: Cell) -> None:
-    arms = tuple(edge for edge in graph_of(scheduled).edges if edge.why == "arm")
-    careless = replace(scheduled, schedule=TemporalPlanGraph(nodes_of(scheduled)[0], arms, 2, 0.0))
+    graph, nodes = graph_of(scheduled), nodes_of(scheduled)[0]
+    late, early = graph.of_robot(0)[0], graph.of_robot(1)[-1]
+    arms = [edge for edge in graph.edges if edge.why == "arm"]
+    arms.append(Precedence(early, nodes[early].seconds, late, "volume"))
+    careless = replace(scheduled, schedule=TemporalPlanGraph(nodes, tuple(arms), 2, 0.0))
     report = check_robot_plan(careless, row, wide)
     assert any("comes before" in problem.what or "meets" in problem.what for problem in report.problems)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States
-from falsework.robots.planning.keyframe_graph import KeyframeGraph, Node
+from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, Node
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Direction
@@ -104,6 +104,14 @@ class ActionRanking:
             if not leaves:
                 waiting.append(action)
         return [a for a in looked if a not in waiting] + waiting + actions[_LOOKED_AT:]
+
+    def waits(self, edge: Edge) -> bool:
+        """Return whether an arm would hold a part that could leave, while it has no way to carry it away."""
+        parts, state = len(edge.node.state), edge.node.state
+        removal = edge.action + parts
+        if not self.graph.settings.haste or edge.action >= parts or removal not in self.solvability.legal(state):
+            return False
+        return self.solvability.known(state, removal) and next(self.graph.edges(edge.node, removal), None) is None
 
     def _score(self, node: Node, action: int) -> float:
         # What is known costs nothing to judge; a part with its way blocked is worse than an unknown answer.

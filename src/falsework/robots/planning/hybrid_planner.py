@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -26,6 +26,7 @@ from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeu
 from falsework.robots.planning.failure_report import Explanation, FailureLog, explain
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
 from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
+from falsework.robots.planning.progress import HybridProgress, Progress
 from falsework.robots.planning.reordering import reorder
 from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
@@ -68,20 +69,6 @@ class HybridSettings:
         if self.deadline is not None and self.deadline <= 0:
             raise InputError(f"a deadline of {self.deadline:g} s leaves no time; give seconds above 0")
 
-
-@dataclass(frozen=True)
-class HybridProgress:
-    """Progress of a running search."""
-
-    reached: int
-    """Steps of the longest plan so far."""
-    steps: int
-    attempt: int
-    dead_ends: int
-    seconds: float
-
-
-Progress = Callable[[HybridProgress], None]
 
 _MAX_FALLEN_REPLAYS = 40
 """Plans with motions whose replay may fall before the search is given up."""
@@ -294,7 +281,7 @@ class _Search:
             found = 0
             for edge in self.graph.edges(node, action):
                 found += 1
-                if self._waits(edge):
+                if self.ranking.waits(edge):
                     idle.append(edge)
                 elif edge.node.key not in self.dead:
                     yield edge
@@ -308,16 +295,6 @@ class _Search:
             if tried == self.settings.actions:
                 break
         yield from idle
-
-    def _waits(self, edge: Edge) -> bool:
-        """Return whether an arm would hold a part that could leave, while it has no way to carry it away."""
-        removal = edge.action + self.assembly.part_count
-        if not self.graph.settings.haste or edge.action >= self.assembly.part_count:
-            return False
-        state = edge.node.state
-        if removal not in self.solvability.legal(state) or not self.solvability.known(state, removal):
-            return False
-        return next(self.graph.edges(edge.node, removal), None) is None
 
     def _note_dead_end(self, node: Node, depth: int) -> None:
         """Actions that failed where the search came farthest."""

@@ -292,10 +292,10 @@ class KeyframeGraph:
             return None
         state = node.state.copy()
         state[part] = HELD
-        segments = (
-            PathSegment("free", free.path, view=clear),
-            PathSegment("line", retreat.path[::-1].copy(), touches=part),
-        )  # type: ignore[index]
+        assert free.path is not None
+        assert retreat.path is not None
+        line = PathSegment("line", retreat.path[::-1].copy(), touches=part)
+        segments = (PathSegment("free", free.path, view=clear), line)
         clock = node.clock.held(robot, self._expected(robot, segments), self.cell.robot_count)
         after = replace(_replaced(node, state, robot, grip.configuration, part), clock=clock)
         return Edge(part, robot, segments, after)
