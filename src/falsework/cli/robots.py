@@ -346,7 +346,7 @@ class ExportRobots(Command):
     """Write the motions of a robot plan for robot controllers.
 
     ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file a step and one for the plan; ABB RAPID as
-    one module a robot.
+    one module a robot; an MCAP bag of ROS 2 messages with the times of the schedule.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -356,7 +356,7 @@ class ExportRobots(Command):
 
     plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
     """Plan to export, as `falsework robots plan` wrote it."""
-    format: Literal["ros2-json", "ros2-yaml", "csv", "rapid"] = "ros2-json"
+    format: Literal["ros2-json", "ros2-yaml", "csv", "rapid", "mcap"] = "ros2-json"
     """Output format."""
     out: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write into."""
