@@ -23,6 +23,7 @@ from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic
+from falsework.robots.planning.balance import BalanceGuide
 from falsework.robots.planning.failure_report import Explanation, FailureLog, explain
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
 from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
@@ -32,7 +33,7 @@ from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.planning.trajectory_assembly import make_robot_plan
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search.problem.guide import Guide, MemoizedGuide
+from falsework.search.problem.guide import Guide, MemoizedGuide, SupportGuide
 from falsework.search.problem.result import Outcome, Route, SearchResult
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
@@ -150,8 +151,13 @@ class _Search:
             assembly, cell, settings=settings.keyframes, seed=settings.seed, reasons=self.reasons
         )
         self.task = task_in_cell(assembly, cell, task, self.graph.exits)
-        ease = ExecutionHeuristic(self.graph, None if guide is None else MemoizedGuide(guide))
+        balanced: Guide | None = guide
+        if settings.keyframes.haste:
+            balanced = BalanceGuide(guide, cell, self.graph.parts)
+        ease = ExecutionHeuristic(self.graph, None if balanced is None else MemoizedGuide(balanced))
         score = None if guide is None else ease
+        if settings.keyframes.haste:
+            guide = BalanceGuide(guide or SupportGuide(assembly), cell, self.graph.parts)
         self.solvability = SolvabilityCheck(assembly, self.task, oracle, guide=guide, score=score, seed=settings.seed)
         self.ranking = ActionRanking(self.graph, ease, self.solvability)
         self.abstract: SearchResult | None = None
