@@ -31,7 +31,6 @@ class MakePicture(Command):
         "falsework picture plan.json --out sheet.png",
         "falsework picture plan.json --step 4 --out step.png",
         "falsework picture arch:blocks=9 --svg --forces --out arch.svg",
-        "falsework picture robot_plan.json --gantt --out gantt.svg",
     )
 
     subject: ViewableOptions
