@@ -23,7 +23,7 @@ from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic
-from falsework.robots.planning.balance import BalanceGuide
+from falsework.robots.planning.expected_times import BalanceGuide
 from falsework.robots.planning.failure_report import Explanation, FailureLog, explain
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
 from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
