@@ -7,10 +7,14 @@
     python benchmarks/robots.py dome-72
     python benchmarks/robots.py random --cells 20
     python benchmarks/robots.py dome-37 --policy RUN
+    python benchmarks/robots.py dome-37 --together --seeds 10
     python benchmarks/robots.py all
 
 The first five plan a published structure in the built-in cell of that name: `seconds` is from structure and cell in
 memory to a proven plan with timed motions, compilation not counted. The last line of each has median and worst.
+`--together`: each seed is planned twice, one robot at a time and with robots that move at the same time;
+`makespan_share` is the makespan of the second over the first plan, `extra_seconds` what it took longer, and
+`delayed` random runs of its schedule are simulated, `checked_runs` of them by Pinocchio and Coal.
 `random`: dome-37 in cells with random bases of two arms from which every part can be held; success and, for each
 failure, the explanation. `--policy`: a run of `falsework train` for that structure as guide. `--no-check` leaves the
 check by Pinocchio and Coal out. The structures are read from FALSEWORK_DATA, else from the folder `shared` beside the
@@ -35,11 +39,17 @@ from falsework.errors import FalseworkError
 from falsework.robots.cells.cell_file import load_cell
 from falsework.robots.cells.validate import check_cell
 from falsework.robots.model.cell import Cell, CellRobot
+from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import inverse_pose, pose
 from falsework.robots.planning.hybrid_planner import HybridResult, HybridSettings, plan_robots
-from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
 from falsework.robots.planning.warm_up import compile_kernels
 from falsework.robots.plans.check import check_robot_plan
+from falsework.robots.plans.check_schedule import check_schedule
+from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.schedule.build import schedule_plan
+from falsework.robots.schedule.simulation import simulate
 from falsework.search.problem.guide import Guide
 from falsework.stability import Stability
 
@@ -66,6 +76,9 @@ class Arguments:
     cells: int = 20
     policy: Path | None = None
     no_check: bool = False
+    together: bool = False
+    delayed: int = 1000
+    checked_runs: int = 3
     out: Path | None = None
     """File to which the records are appended."""
 
@@ -136,6 +149,78 @@ def building(name: str, arguments: Arguments) -> None:
     )
 
 
+def together(name: str, arguments: Arguments) -> None:
+    """Seeds of one built-in cell, one robot at a time and together, then the median of the ratios."""
+    assembly, cell = structure(STRUCTURES[name]), load_cell(name)
+    shares, bounds, extra, good = [], [], [], 0
+    seeds = tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
+    for seed in seeds:
+        alone = HybridSettings(seed=seed, deadline=arguments.deadline)
+        hasty = replace(alone, keyframes=KeyframeSettings(haste=1.0))
+        begun, work = time.perf_counter(), time.process_time()
+        before = plan_robots(assembly, cell, settings=alone).plan
+        middle, used = time.perf_counter(), time.process_time()
+        found = plan_robots(assembly, cell, settings=hasty).plan
+        plan = None if found is None else schedule_plan(found, assembly, cell)
+        seconds, cpu = time.perf_counter() - middle, time.process_time() - used
+        if before is None or plan is None or plan.schedule is None:
+            report("robots together seed", cell=name, found=False, seeds=(seed,))
+            continue
+        fields = _checked(plan, assembly, cell, arguments)
+        good += bool(fields["check"])
+        shares.append(plan.makespan / before.seconds)
+        bounds.append(plan.schedule.lower_bound / plan.makespan)
+        extra.append(seconds - (middle - begun))
+        report(
+            "robots together seed",
+            cell=name,
+            robots=cell.robot_count,
+            found=True,
+            makespan=round(plan.makespan, 2),
+            sequential=round(plan.seconds, 2),
+            today=round(before.seconds, 2),
+            lower_bound=round(plan.schedule.lower_bound, 2),
+            makespan_share=round(shares[-1], 3),
+            extra_seconds=round(extra[-1], 1),
+            extra_cpu_seconds=round(cpu - (used - work), 1),
+            **fields,
+            seeds=(seed,),
+        )
+    report(
+        "robots together",
+        cell=name,
+        robots=cell.robot_count,
+        runs=len(seeds),
+        found=len(shares),
+        checked_good=good,
+        makespan_share=spread(shares),
+        bound_share=spread(bounds),
+        extra_seconds=spread(extra),
+        seeds=seeds,
+    )
+
+
+def _checked(plan: RobotPlan, assembly: Assembly, cell: Cell, arguments: Arguments) -> dict[str, Any]:
+    """Check a schedule as it is, simulate it under delays, and check some of these runs too."""
+    report = check_robot_plan(plan, assembly, cell)
+    runs = simulate(plan, runs=arguments.delayed)
+    judge = PinocchioCollisionChecker(cell, place_parts(assembly, cell.placement), 0.001)
+    assert plan.schedule is not None
+    problems, count = [str(problem) for problem in report.problems], len(plan.schedule.nodes)
+    for run in range(arguments.checked_runs):
+        found, _ = check_schedule(plan, cell, judge, stretch=1 + np.random.default_rng(run).random(count))
+        problems += [problem.what for problem in found]
+    return {
+        "check": not problems and runs.good,
+        "timed_samples": report.timed_samples,
+        "delayed": arguments.delayed,
+        "out_of_order": runs.out_of_order,
+        "stuck": runs.stuck,
+        "checked_runs": arguments.checked_runs,
+        "problems": problems[:3],
+    }
+
+
 def random_cells(assembly: Assembly, count: int, seed: int) -> Iterator[tuple[int, Cell]]:
     """Cells like that of dome-37 whose arms stand elsewhere; every part can be held by one of them, none is blocked."""
     made, rng, drawn = 0, np.random.default_rng(seed), 0
@@ -196,7 +281,9 @@ def main() -> None:
     Stability(load_structure("stack:blocks=2"))
     names = [*STRUCTURES, "random"] if arguments.what == "all" else [arguments.what]
     for name in names:
-        if name == "random":
+        if arguments.together:
+            together(name, arguments)
+        elif name == "random":
             random_layouts(arguments)
         else:
             building(name, arguments)

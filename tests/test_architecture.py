@@ -41,7 +41,7 @@ SUBPACKAGES = {
     "stability": ("cpu", "contact", "gpu", "reference", "margins", "judges"),
     "search": ("problem", "beam", "margins", "plans", "device"),
     "learn": ("config", "env", "networks", "data", "algorithms", "training"),
-    "robots": ("model", "kernels", "kinematics", "motion", "cells", "grasping", "plans", "planning"),
+    "robots": ("model", "kernels", "kinematics", "motion", "cells", "grasping", "plans", "schedule", "planning"),
     "viewer": ("pictures", "page"),
 }
 MOST_MODULES = 16

@@ -41,6 +41,8 @@ class MakePicture(JudgingCommand):
     """Draw the state after this step alone; 0 is the beginning."""
     svg: bool = False
     """Line drawing of a two-dimensional structure, or the state graph, as SVG."""
+    gantt: bool = False
+    """Draw when each arm of a robot plan moves, holds and waits."""
     forces: bool = False
     """Draw the certificate of a single state."""
     verdicts: bool = False
@@ -67,6 +69,8 @@ class MakePicture(JudgingCommand):
         from falsework.viewer.show import check_picture, picture
 
         writable(self.out)
+        if self.gantt:
+            return self._gantt(output)
         out = self.out.with_suffix(".svg") if self.svg and self.out == Path("picture.png") else self.out
         if self.svg != (out.suffix.lower() == ".svg"):
             raise InputError(f"{out} and {'--svg' if self.svg else 'no --svg'} do not fit; name a file that does")
@@ -96,4 +100,16 @@ class MakePicture(JudgingCommand):
             record["visited"] = drawn.visited
         output.record(record)
         output.say(f"{out}: {drawn.shows}")
+        return Exit.DONE
+
+    def _gantt(self, output: Output) -> Exit:
+        from falsework.viewer.pictures.gantt import draw_gantt
+
+        subject = self.subject.open()
+        if subject.arms is None:
+            raise InputError(f"a {subject.kind} has no arms to draw a Gantt chart of; give a robot plan")
+        plan = subject.arms.plan
+        bars = draw_gantt(plan, self.out, width=self.width, title=self.title)
+        output.record({"out": str(self.out), "kind": "gantt", "bars": bars, "makespan": round(plan.makespan, 3)})
+        output.say(f"{self.out}: {len(plan.robots)} arms over {plan.makespan:.1f} s")
         return Exit.DONE

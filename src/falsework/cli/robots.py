@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, Exit, LoadOptions, StructureOptions
 from falsework.cli.planning import writable
+from falsework.cli.robot_arguments import parse_holding, parse_joints
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,19 +25,26 @@ if TYPE_CHECKING:
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Task
 
+HASTE = 1.0
+"""Weight of time in the choice of actions where robots move at the same time."""
+_NO_GAIN = 0.05
+"""A schedule that saves no more than this is none, seconds."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlanRobots(Command):
     """Plan arm motions that disassemble a structure and, in reverse, assemble it.
 
     Actions and motions are planned together: every state is stable, a replay in assembly order succeeds, every motion
-    is collision-free, and one robot moves at a time. Exit code 1 if no plan was found; the report lists parts out of
-    reach and obstacles, and how far the search got. A partial plan is saved in any case.
+    is collision-free. Then motions of different robots are scheduled to take place at the same time wherever that is
+    proven safe, whatever the delays. Exit code 1 if no plan was found; the report lists parts out of reach and
+    obstacles, and how far the search got. A partial plan is saved in any case.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots plan my-folder --cell cell.toml --out robot_plan.json",
         "falsework robots plan my-folder --cell cell.toml --policy my-run --robots-seed 3 --deadline 60",
+        "falsework robots plan my-folder --cell cell.toml --state 2210 --joints now.json --holding left=3",
     )
 
     structure: StructureOptions
@@ -49,14 +58,22 @@ class PlanRobots(Command):
     """Random seed; results are reproducible on one machine."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
     """Time limit."""
-    start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
-    """State to start from: `complete`, digits such as 2110, or a file. It must not have held parts."""
+    start: Annotated[
+        str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)", aliases=["--state"])
+    ] = None
+    """State to start from: `complete`, digits such as 2110, or a file."""
+    joints: Annotated[str | None, arg(metavar="JOINTS", help_behavior_hint="(default: all at home)")] = None
+    """Where the robots are, such as left=0,0.1,-0.5,0,1,0;right=home, or a JSON file with such lists by robot, rad."""
+    holding: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
+    """Parts that robots hold at the start, such as left=3,right=keystone."""
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
     """State to end in: `empty`, digits, or a file."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
     assembly_order: bool = False
     """Write the motions in the order of assembly."""
+    sequential: bool = False
+    """One robot moves at a time."""
     proofs: bool = False
     """Write the contact forces that prove each state into the plan."""
     criterion: Literal["contact", "equilibrium"] = "contact"
@@ -67,33 +84,71 @@ class PlanRobots(Command):
         """Search, save, report."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.planning.hybrid_planner import HybridSettings, plan_robots
+        from falsework.robots.planning.keyframe_graph import KeyframeSettings
+        from falsework.robots.schedule.build import schedule_plan
         from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)
-        settings = HybridSettings(seed=self.robots_seed, deadline=self.deadline, forces=self.proofs)
         cell = load_cell(self.cell)
+        together = not self.sequential and cell.robot_count > 1 and self._can_schedule(output)
+        settings = HybridSettings(
+            seed=self.robots_seed,
+            deadline=self.deadline,
+            forces=self.proofs,
+            keyframes=KeyframeSettings(haste=HASTE if together else 0.0),
+        )
         assembly = self.structure.load()
-        task = self._task(assembly, cell)
+        held = parse_holding(self.holding, cell, assembly)
+        joints = parse_joints(self.joints, cell)
+        task = self._task(assembly, cell, held)
         guide = self._guide(assembly, task)
         with output.bar("planning motions") as show:
             result = plan_robots(
                 assembly,
                 cell,
                 task=task,
+                configurations=joints,
+                held=held,
                 oracle=Stability(assembly, StabilitySettings(criterion=self.criterion)),
                 guide=guide,
                 settings=settings,
                 progress=lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}"),
             )
-        return self._report(result, output)
+        found = result.plan or result.partial
+        if found is not None and self.assembly_order:
+            found = found.reverse()
+        if found is not None and together:
+            with output.bar("scheduling motions"):
+                found = schedule_plan(found, assembly, cell)
+        return self._report(result, found, output)
 
-    def _task(self, assembly: Assembly, cell: Cell) -> Task:
+    def _can_schedule(self, output: Output) -> bool:
+        from falsework.errors import DependencyError
+        from falsework.robots.schedule.solver import import_ortools
+
+        try:
+            import_ortools()
+        except DependencyError as error:
+            output.note(f"falsework: one robot moves at a time: {error}")
+            return False
+        return True
+
+    def _task(self, assembly: Assembly, cell: Cell, held: Sequence[int | None]) -> Task:
+        from falsework.assembly.state import HELD, complete_state
         from falsework.search.problem.task import Task
 
+        start = None if self.start is None else parse_state(self.start, "--start", assembly)
+        holding = [part for part in held if part is not None]
+        if holding:
+            start = (complete_state(assembly.boundary) if start is None else start).copy()
+            for part in holding:
+                if not start[part]:
+                    raise InputError(f"--holding: part {assembly.names[part]} is not there at the start; leave it out")
+                start[part] = HELD
         return Task.create(
             assembly.boundary,
             cell.robot_count,
-            start=None if self.start is None else parse_state(self.start, "--start", assembly),
+            start=start,
             target=None if self.target is None else parse_state(self.target, "--target", assembly),
             missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
             clearance=assembly.clearance,
@@ -108,8 +163,7 @@ class PlanRobots(Command):
 
         return PolicyGuide(load_run(self.policy, assembly=assembly).policy, task=task)
 
-    def _report(self, result: HybridResult, output: Output) -> Exit:
-        found = result.plan or result.partial
+    def _report(self, result: HybridResult, found: RobotPlan | None, output: Output) -> Exit:
         if found is not None:
             saved = self._save(found)
             output.record(
@@ -119,6 +173,7 @@ class PlanRobots(Command):
                     "steps": len(saved),
                     "motion_seconds": round(saved.seconds, 3),
                     **result.statistics,
+                    **_times(saved),
                 }
             )
             if result.found:
@@ -129,6 +184,8 @@ class PlanRobots(Command):
                 )
                 if replay is not None:
                     output.say(f"the replay succeeds; parts move by at most {replay.moved * 1e3:.3g} mm")
+                if saved.schedule is not None:
+                    output.say(_schedule_text(saved))
                 return Exit.DONE
             output.note(f"the {len(saved)} steps that were found are in {self.out}")
         else:
@@ -146,9 +203,42 @@ class PlanRobots(Command):
             cell_source = Path(os.path.relpath(Path(self.cell).resolve(), self.out.resolve().parent)).as_posix()
         abstract = replace(plan.plan, source=self.structure.source(self.out))
         plan = replace(plan, plan=abstract, cell_source=cell_source)
-        plan = plan.reverse() if self.assembly_order else plan
         save_robot_plan(plan, self.out)
         return plan
+
+
+def _times(plan: RobotPlan) -> dict[str, Any]:
+    """Return times of a plan, and what each arm does with them."""
+    from falsework.robots.plans.timeline import arm_shares
+
+    if plan.schedule is None:
+        return {"makespan": round(plan.seconds, 3), "sequential": round(plan.seconds, 3), "lower_bound": None}
+    return {
+        "makespan": round(plan.schedule.makespan, 3),
+        "sequential": round(plan.schedule.sequential, 3),
+        "lower_bound": round(plan.schedule.lower_bound, 3),
+        "arms": [
+            {
+                "robot": share.robot,
+                "moves": round(share.moves, 4),
+                "holds": round(share.holds, 4),
+                "waits": round(share.waits, 4),
+            }
+            for share in arm_shares(plan, plan.schedule)
+        ],
+    }
+
+
+def _schedule_text(plan: RobotPlan) -> str:
+    graph = plan.schedule
+    assert graph is not None
+    if graph.makespan > graph.sequential - _NO_GAIN:
+        return f"no two motions can take place at the same time: the plan stays sequential, {graph.sequential:.0f} s"
+    share = graph.makespan / graph.sequential
+    return (
+        f"with robots moving at the same time it takes {graph.makespan:.0f} s, {share:.0%} of its motions one after "
+        f"the other; no order of these motions takes less than {graph.lower_bound:.0f} s"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,8 +247,9 @@ class CheckRobots(Command):
 
     Pinocchio computes the kinematics and Coal the collisions of the meshes of parts and links, every 0.01 rad; built-in
     arms have no meshes, so their convex pieces are checked. Limits of position, velocity and acceleration and the
-    continuity of motions are checked too. The exact solver checks the stability of the states. Exit code 1 if anything
-    is wrong.
+    continuity of motions are checked too. A plan with a schedule is checked as a whole as well, every 0.01 s: all that
+    moves at a time against all else, and the order of the states. The exact solver checks the stability of the states.
+    Exit code 1 if anything is wrong.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -205,6 +296,7 @@ class CheckRobots(Command):
                 "robot_plan": str(self.plan),
                 "good": report.good and (stable is None or stable.good),
                 "samples": report.samples,
+                "timed_samples": report.timed_samples,
                 "trajectories": report.trajectories,
                 "largest_step": report.largest_step,
                 "largest_join": report.largest_join,
@@ -238,9 +330,10 @@ class CheckRobots(Command):
             return Exit.NO
         states = "" if stable is None else f", all {stable.states} states are stable"
         links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
+        timed = f" and at {report.timed_samples} moments of its schedule" if report.timed_samples else ""
         output.say(
-            f"{self.plan}: no collision in {report.samples} configurations of {report.trajectories} motions (links of "
-            f"{links}), all within limits{states}"
+            f"{self.plan}: no collision in {report.samples} configurations of {report.trajectories} motions{timed} "
+            f"(links of {links}), all within limits{states}"
         )
         return Exit.DONE
 
@@ -256,7 +349,7 @@ class ExportRobots(Command):
     """Write the motions of a robot plan for robot controllers.
 
     ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file a step and one for the plan; ABB RAPID as
-    one module a robot.
+    one module a robot; an MCAP bag of ROS 2 messages with the times of the schedule.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -266,7 +359,7 @@ class ExportRobots(Command):
 
     plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
     """Plan to export, as `falsework robots plan` wrote it."""
-    format: Literal["ros2-json", "ros2-yaml", "csv", "rapid"] = "ros2-json"
+    format: Literal["ros2-json", "ros2-yaml", "csv", "rapid", "mcap"] = "ros2-json"
     """Output format."""
     out: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write into."""

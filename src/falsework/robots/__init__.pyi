@@ -16,12 +16,12 @@ from falsework.robots.model.cell import cell_identity as cell_identity
 from falsework.robots.model.robot_model import RobotModel as RobotModel
 from falsework.robots.planning.failure_report import Explanation as Explanation
 from falsework.robots.planning.failure_report import LoggedFailure as LoggedFailure
-from falsework.robots.planning.hybrid_planner import HybridProgress as HybridProgress
 from falsework.robots.planning.hybrid_planner import HybridResult as HybridResult
 from falsework.robots.planning.hybrid_planner import HybridSettings as HybridSettings
 from falsework.robots.planning.hybrid_planner import plan_robots as plan_robots
 from falsework.robots.planning.keyframe_graph import KeyframeGraph as KeyframeGraph
 from falsework.robots.planning.keyframe_graph import KeyframeSettings as KeyframeSettings
+from falsework.robots.planning.progress import HybridProgress as HybridProgress
 from falsework.robots.plans.check import CheckReport as CheckReport
 from falsework.robots.plans.check import PlanProblem as PlanProblem
 from falsework.robots.plans.check import check_robot_plan as check_robot_plan
@@ -37,3 +37,13 @@ from falsework.robots.plans.robot_plan_file import robot_plan_from_dict as robot
 from falsework.robots.plans.robot_plan_file import robot_plan_schema as robot_plan_schema
 from falsework.robots.plans.robot_plan_file import robot_plan_to_dict as robot_plan_to_dict
 from falsework.robots.plans.robot_plan_file import save_robot_plan as save_robot_plan
+from falsework.robots.plans.temporal_graph import MotionNode as MotionNode
+from falsework.robots.plans.temporal_graph import Precedence as Precedence
+from falsework.robots.plans.temporal_graph import TemporalPlanGraph as TemporalPlanGraph
+from falsework.robots.plans.timeline import ArmShares as ArmShares
+from falsework.robots.plans.timeline import arm_shares as arm_shares
+from falsework.robots.plans.timeline import event_times as event_times
+from falsework.robots.schedule.build import schedule_plan as schedule_plan
+from falsework.robots.schedule.simulation import SimulationReport as SimulationReport
+from falsework.robots.schedule.simulation import simulate as simulate
+from falsework.robots.schedule.solver import ScheduleSettings as ScheduleSettings

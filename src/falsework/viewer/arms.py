@@ -86,6 +86,11 @@ class Arms:
         self.scale = scale
         self.links = [link for number, robot in enumerate(cell.robots) for link in _links(number, robot, 1 / scale)]
 
+    @property
+    def plan(self) -> RobotPlan:
+        """The plan in the order shown."""
+        return self._plan
+
     def turned(self, direction: Direction) -> Arms:
         """Return the same in the other order."""
         return self if direction is self.direction else Arms(self._plan, self.cell, direction)

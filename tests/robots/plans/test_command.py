@@ -119,3 +119,60 @@ def test_wrong_input_is_one_line(run: Callable, cell_file: Path, tmp_path: Path)
         assert code == 2
         assert message in error
         assert error.count("\n") == 1
+
+
+def test_motions_at_the_same_time(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
+    second = CELL[CELL.index("[[robots]]") :].replace('"arm"', '"other"')
+    second = second.replace("[-1.15, 0.0, 0.0], yaw = 0.0", "[1.15, 0.0, 0.0], yaw = 180.0")
+    cell_file.write_text(CELL + second)
+    wanted = ("robots", "plan", STACK, "--cell", cell_file, "--criterion", "equilibrium")
+    code, records, _ = run(*wanted, "--out", tmp_path / "plan.json", "--json")
+    assert code == 0
+    times = records[-1]
+    assert 0 < times["lower_bound"] <= times["makespan"] <= times["sequential"] + 1e-3
+    assert {entry["robot"] for entry in times["arms"]} == {"arm", "other"}
+    assert load_robot_plan(tmp_path / "plan.json").makespan == pytest.approx(times["makespan"], abs=1e-3)
+    code, records, _ = run("robots", "check", tmp_path / "plan.json", "--motions-only", "--json")
+    assert code == 0
+    assert records[-1]["timed_samples"] > 0
+    code, records, _ = run(*wanted, "--out", tmp_path / "one.json", "--sequential", "--json")
+    assert code == 0
+    assert records[-1]["makespan"] == records[-1]["sequential"]
+
+
+def test_go_on_from_where_the_arms_are(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    wanted = ("robots", "plan", STACK, "--cell", cell_file, "--criterion", "equilibrium", "--json")
+    assert run(*wanted, "--out", tmp_path / "all.json")[0] == 0
+    plan = load_robot_plan(tmp_path / "all.json")
+    (row,) = [k for k, frame in enumerate(plan.keyframes) if frame.held[0] is not None][:1]
+    (tmp_path / "now.json").write_text(json.dumps({"arm": plan.keyframes[row].configurations[0].tolist()}))
+    midway = ("--state", "".join(map(str, plan.plan.states[row])), "--joints", tmp_path / "now.json")
+    held = f"arm={plan.keyframes[row].held[0]}"
+    code, _, _ = run(*wanted, "--out", tmp_path / "rest.json", *midway, "--holding", held)
+    assert code == 0
+    rest = load_robot_plan(tmp_path / "rest.json")
+    assert len(rest) == len(plan) - row
+    assert rest.keyframes[0].held == plan.keyframes[row].held
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--holding", "elbow=0"), "has no robot 'elbow'"),
+        (("--holding", "arm"), "names no robot and value"),
+        (("--holding", "arm=77"), "no part 77"),
+        (("--state", "002", "--holding", "arm=0"), "is not there at the start"),
+        (("--joints", "arm=1,2,x"), "give joint values in rad"),
+        (("--joints", "arm=9,0,0,0,0,0"), "outside its limits"),
+        (("--joints", "arm=0,2.6,0,0,0,0"), "at the start"),
+        (("--joints", "nowhere.json"), "no JSON file"),
+    ],
+)
+def test_starts_that_are_none(
+    run: Callable, cell_file: Path, tmp_path: Path, options: tuple[str, ...], message: str
+) -> None:
+    code, _, err = run("robots", "plan", STACK, "--cell", cell_file, "--out", tmp_path / "plan.json", *options)
+    assert code == 2
+    assert message in err
+    assert len(err.strip().splitlines()) == 1

@@ -131,7 +131,7 @@ def test_rapid_modules_are_whole_and_hold_the_knots(robot_plan: RobotPlan, tmp_p
 
 
 def test_what_cannot_be_exported(robot_plan: RobotPlan, tmp_path: Path) -> None:
-    assert FORMATS == ("ros2-json", "ros2-yaml", "csv", "rapid")
+    assert FORMATS == ("ros2-json", "ros2-yaml", "csv", "rapid", "mcap")
     with pytest.raises(InputError, match="no export format 'krl'; choose ros2-json"):
         export_plan(robot_plan, tmp_path, "krl")
     with pytest.raises(InputError, match="rate of 0 positions"):
@@ -139,3 +139,21 @@ def test_what_cannot_be_exported(robot_plan: RobotPlan, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot write into"):
         export_plan(robot_plan, tmp_path / "file" / "folder", "csv")
+
+
+def test_a_bag_can_be_read_without_falsework(robot_plan: RobotPlan, tmp_path: Path) -> None:
+    reader = pytest.importorskip("mcap.reader", reason="bags need mcap; pip install 'falsework[schedule]'")
+    typesys = pytest.importorskip("rosbags.typesys", reason="bags need rosbags; pip install 'falsework[schedule]'")
+    (path,) = export_plan(robot_plan, tmp_path, "mcap")
+    store, begins, attached = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE), [], 0
+    with path.open("rb") as file:
+        for schema, channel, message in reader.make_reader(file).iter_messages():
+            attached += channel.topic == "/attached_collision_object"
+            if schema.name == "trajectory_msgs/msg/JointTrajectory":
+                found = store.deserialize_cdr(message.data, schema.name)
+                begins.append(message.log_time * 1e-9)
+                assert channel.topic == f"/{found.header.frame_id}/joint_trajectory"
+                assert len(found.points[0].positions) == len(found.joint_names)
+    motions = [trajectory.seconds for _, _, trajectory in robot_plan.moves()]
+    assert begins == pytest.approx([sum(motions[:k]) for k in range(len(motions))], abs=1e-6)
+    assert attached == 2 * int((robot_plan.plan.actions >= len(robot_plan.plan.boundary)).sum())

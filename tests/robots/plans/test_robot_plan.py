@@ -150,7 +150,7 @@ def _put(data: dict[str, Any], value: Any, *path: Any) -> None:
 
 
 DAMAGE: list[tuple[Callable[[dict[str, Any]], None], str]] = [
-    (lambda data: _put(data, "falsework.robot-plan/9", "format"), "reads 'falsework.robot-plan/1' only"),
+    (lambda data: _put(data, "falsework.robot-plan/9", "format"), "reads 'falsework.robot-plan/2' only"),
     (lambda data: _cut(data, "cell", "identity"), "cell lacks 'identity'"),
     (lambda data: _put(data, 1, "extra"), "unknown entry 'extra'"),
     (lambda data: _cut(data, "keyframes", 0), "do not go with a plan of"),

@@ -5,13 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import Mask, States
-from falsework.robots.planning.keyframe_graph import KeyframeGraph, Node
+from falsework.assembly.state import HELD, Mask, States
+from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, Node
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
+
+_LOOKED_AT = 12
+"""Best actions of a keyframe of which it is asked whether the part can leave at once."""
+_ASKED = 6
+"""Searches for an answer at one keyframe; beyond, what is not known counts as no."""
 
 
 class ExecutionHeuristic:
@@ -80,7 +85,33 @@ class ActionRanking:
         scores = np.array([self._score(node, action) for action in actions])
         scores += self.ease.guided(node.state[None], allowed)[0, actions]
         scores += rng.normal(size=len(actions)) * (0.1 if attempt == 0 else 0.4 * min(attempt, 4))
-        return [actions[k] for k in np.argsort(-scores, kind="stable")]
+        ordered = [actions[k] for k in np.argsort(-scores, kind="stable")]
+        return self._passing_first(node, ordered) if self.graph.settings.haste else ordered
+
+    def _passing_first(self, node: Node, actions: list[int]) -> list[int]:
+        """Put parts that can leave as soon as they are held before parts for which an arm would have to wait."""
+        parts, looked = len(node.state), actions[:_LOOKED_AT]
+        asked, waiting = 0, []
+        for action in looked:
+            if action >= parts:
+                continue
+            after = node.state.copy()
+            after[action] = HELD
+            leaves = action + parts in self.solvability.legal(after)
+            if leaves and not self.solvability.known(after, action + parts):
+                asked += 1
+                leaves = asked <= _ASKED and self.solvability.solvable(after, action + parts)
+            if not leaves:
+                waiting.append(action)
+        return [a for a in looked if a not in waiting] + waiting + actions[_LOOKED_AT:]
+
+    def waits(self, edge: Edge) -> bool:
+        """Return whether an arm would hold a part that could leave, while it has no way to carry it away."""
+        parts, state = len(edge.node.state), edge.node.state
+        removal = edge.action + parts
+        if not self.graph.settings.haste or edge.action >= parts or removal not in self.solvability.legal(state):
+            return False
+        return self.solvability.known(state, removal) and next(self.graph.edges(edge.node, removal), None) is None
 
     def _score(self, node: Node, action: int) -> float:
         # What is known costs nothing to judge; a part with its way blocked is worse than an unknown answer.
@@ -90,8 +121,13 @@ class ActionRanking:
             return score
         center = self.graph.parts.center[action]
         robots = self.graph.cell.robots
-        free = [robot.base[:2, 3] for robot, held in zip(robots, node.held, strict=True) if held is None]
-        score -= min(float(np.linalg.norm(base - center[:2])) for base in free) / self.graph.spread
+        free = [robot for robot, held in enumerate(node.held) if held is None]
+        haste = self.graph.settings.haste
+        score -= min(
+            float(np.linalg.norm(robots[robot].base[:2, 3] - center[:2])) / self.graph.spread
+            + haste * node.clock.of(robot)
+            for robot in free
+        )
         for part in node.held:
             if part is not None:
                 apart = float(np.linalg.norm(self.graph.parts.center[part] - center)) / self.graph.spread

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -23,13 +23,17 @@ from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic
+from falsework.robots.planning.expected_times import BalanceGuide
 from falsework.robots.planning.failure_report import Explanation, explain
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
 from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
+from falsework.robots.planning.progress import HybridProgress, Progress
+from falsework.robots.planning.reordering import reorder
+from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.planning.trajectory_assembly import make_robot_plan
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search.problem.guide import Guide, MemoizedGuide
+from falsework.search.problem.guide import Guide, MemoizedGuide, SupportGuide
 from falsework.search.problem.result import Outcome, Route, SearchResult
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
@@ -66,20 +70,6 @@ class HybridSettings:
         if self.deadline is not None and self.deadline <= 0:
             raise InputError(f"a deadline of {self.deadline:g} s leaves no time; give seconds above 0")
 
-
-@dataclass(frozen=True)
-class HybridProgress:
-    """Progress of a running search."""
-
-    reached: int
-    """Steps of the longest plan so far."""
-    steps: int
-    attempt: int
-    dead_ends: int
-    seconds: float
-
-
-Progress = Callable[[HybridProgress], None]
 
 _MAX_FALLEN_REPLAYS = 40
 """Plans with motions whose replay may fall before the search is given up."""
@@ -158,8 +148,13 @@ class _Search:
         self.settings, self.progress = settings, progress
         self.graph = graph or KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed)
         self.task = task_in_cell(assembly, cell, task, self.graph.exits)
-        ease = ExecutionHeuristic(self.graph, None if guide is None else MemoizedGuide(guide))
+        balanced: Guide | None = guide
+        if settings.keyframes.haste:
+            balanced = BalanceGuide(guide, cell, self.graph.parts)
+        ease = ExecutionHeuristic(self.graph, None if balanced is None else MemoizedGuide(balanced))
         score = None if guide is None else ease
+        if settings.keyframes.haste:
+            guide = BalanceGuide(guide or SupportGuide(assembly), cell, self.graph.parts)
         self.solvability = SolvabilityCheck(assembly, self.task, oracle, guide=guide, score=score, seed=settings.seed)
         self.ranking = ActionRanking(self.graph, ease, self.solvability)
         self.abstract: SearchResult | None = None
@@ -273,6 +268,7 @@ class _Search:
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Yield edges out of a keyframe in the order in which to try them."""
         tried, probes, worked = 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
+        idle: list[Edge] = []
         for action in self.ranking.actions(node, self.attempt, rng):
             if (node.key, action) in self.impossible or self.deadline_passed():
                 continue
@@ -288,7 +284,9 @@ class _Search:
             found = 0
             for edge in self.graph.edges(node, action):
                 found += 1
-                if edge.node.key not in self.dead:
+                if self.ranking.waits(edge):
+                    idle.append(edge)
+                elif edge.node.key not in self.dead:
                     yield edge
                 if found == _EDGES_PER_ACTION:
                     break
@@ -298,7 +296,8 @@ class _Search:
                 self.impossible.add((node.key, action))
             tried += 1
             if tried == _ACTIONS_PER_KEYFRAME:
-                return
+                break
+        yield from idle
 
     def _note_dead_end(self, node: Node, depth: int) -> None:
         """Actions that failed where the search came farthest."""
@@ -364,17 +363,21 @@ class _Search:
         return Route(states, np.array([edge.action for edge in chain], dtype=np.int64))
 
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
-        route, task = self._route(root, chain), self.solvability.task
+        if self.settings.keyframes.haste:
+            chain = shorten_motions(chain, self.cell.speed, self.settings.seed)
+            chain = reorder(self.graph, self.oracle, root, chain, self._timed(root, chain))
         statistics = self._statistics()
         if why is not None:
             statistics["failure"] = why.to_dict()
-        plan = make_robot_plan(
-            self.assembly, self.cell, task, self.oracle, route, root, chain, forces=self.settings.forces
-        )
+        plan = self._timed(root, chain)
         statistics["seconds"] = round(time.perf_counter() - self.began, 3)
         replay = plan.plan.replay
         plan.statistics.update(statistics, replay=None if replay is None else asdict(replay))
         return plan
+
+    def _timed(self, root: Node, chain: list[Edge]) -> RobotPlan:
+        route, task, forces = self._route(root, chain), self.solvability.task, self.settings.forces
+        return make_robot_plan(self.assembly, self.cell, task, self.oracle, route, root, chain, forces=forces)
 
     def _statistics(self) -> dict[str, Any]:
         return {

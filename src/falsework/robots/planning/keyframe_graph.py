@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +23,7 @@ from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, 
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
 from falsework.robots.planning.exit_directions import ExitDirections
+from falsework.robots.planning.expected_times import NO_TIME, Clock, expected_seconds
 from falsework.robots.planning.failure_report import FailureLog
 from falsework.robots.planning.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.robots.planning.withdrawal import Withdrawal
@@ -45,6 +46,9 @@ class KeyframeSettings:
     """Configurations of one robot for one grasp or place that are looked at closely, nearest first."""
     nodes: int = 500
     """Nodes of the trees of one free motion."""
+    haste: float = 0.0
+    """Weight of a second that robots who move at the same time would wait, against the other reasons to choose an
+    action; 0: robots move one at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +60,8 @@ class Node:
     configurations: tuple[Array, ...]
     held: tuple[int | None, ...]
     """The part that each robot holds."""
+    clock: Clock = NO_TIME
+    """When the robots were here, if they move at the same time; does not tell nodes apart."""
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
@@ -84,6 +90,8 @@ class PathSegment:
     """Shape (points, joints)."""
     part: int | None = None
     touches: int | None = None
+    view: CollisionQuery | None = None
+    """The scene in which a free path was planned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +208,7 @@ class KeyframeGraph:
     def _hold(self, node: Node, part: int) -> Iterator[Edge]:
         free = [robot for robot, held in enumerate(node.held) if held is None]
         center = self.parts.center[part]
-        free.sort(key=lambda robot: float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2])))
+        free.sort(key=lambda robot: self._reluctance(node, robot, center))
         # One way with each robot before another way with the first: who holds a part matters more than how.
         turns = [self._hold_with(node, part, robot) for robot in free]
         while turns:
@@ -210,6 +218,11 @@ class KeyframeGraph:
                     turns.remove(ways)
                 else:
                     yield edge
+
+    def _reluctance(self, node: Node, robot: int, center: Array) -> float:
+        """Rank free robots for a part: near ones first, and those first that are done early with what they do."""
+        far = float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2]))
+        return far + self.settings.haste * self.spread * node.clock.of(robot)
 
     def _hold_with(self, node: Node, part: int, robot: int) -> Iterator[Edge]:
         grips = self.grips(robot, part, node.state)
@@ -252,8 +265,12 @@ class KeyframeGraph:
             return None
         state = node.state.copy()
         state[part] = HELD
-        after = _replaced(node, state, robot, grip.configuration, part)
-        segments = (PathSegment("free", free.path), PathSegment("line", retreat.path[::-1].copy(), touches=part))  # type: ignore[index]
+        assert free.path is not None
+        assert retreat.path is not None
+        line = PathSegment("line", retreat.path[::-1].copy(), touches=part)
+        segments = (PathSegment("free", free.path, view=clear), line)
+        clock = node.clock.held(robot, self._expected(robot, segments), self.cell.robot_count)
+        after = replace(_replaced(node, state, robot, grip.configuration, part), clock=clock)
         return Edge(part, robot, segments, after)
 
     def _can_leave_later(self, node: Node, part: int, grip: GraspConfiguration) -> bool:
@@ -301,15 +318,20 @@ class KeyframeGraph:
             if free:
                 state = node.state.copy()
                 state[part] = REMOVED
-                after = _replaced(node, state, robot, goal, None)
                 lines = tuple(PathSegment("line", path, part=part) for path in paths)
                 assert free.path is not None
-                segments = (*lines, PathSegment("free", free.path, part=part))
+                segments = (*lines, PathSegment("free", free.path, part=part, view=view))
+                clock = node.clock.removed(robot, self._expected(robot, segments), self.cell.robot_count)
+                after = replace(_replaced(node, state, robot, goal, None), clock=clock)
                 return Edge(self.assembly.part_count + part, robot, segments, after)
             self.reasons.add("remove", part, robot, f"way to {entry.name}'s place: {free.reason}", free.pair, free.at)
         return None
 
     # What both need
+
+    def _expected(self, robot: int, segments: tuple[PathSegment, ...]) -> float:
+        model = self.cell.robots[robot].model
+        return sum(expected_seconds(model, segment.path, self.cell.speed) for segment in segments)
 
     def _view(self, node: Node, robot: int, margin: float) -> CollisionQuery:
         part = node.held[robot]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from falsework.robots.kernels import numeric_ik, rrt_connect
+from falsework.robots.kernels import coordination, numeric_ik, rrt_connect
 from falsework.robots.kinematics import forward
 
 MESSAGE = "compiling the motion code; this happens once and takes up to 15 seconds"
@@ -16,7 +16,13 @@ MESSAGE = "compiling the motion code; this happens once and takes up to 15 secon
 
 def is_compiled() -> bool:
     """Return whether numba finds compiled code of all entry points that fits their sources."""
-    functions = (rrt_connect._run, forward.place_many, numeric_ik.reach_poses)
+    functions = (
+        rrt_connect._run,
+        forward.place_many,
+        numeric_ik.reach_poses,
+        coordination._place,
+        coordination._conflicts,
+    )
     for function in functions:
         if function.signatures:
             continue
@@ -54,4 +60,6 @@ def compile_kernels(report: Callable[[str], None] | None = None) -> float:
     parts = no_parts()
     view = CollisionWorld(cell, parts).view(Scene.at_home(cell, parts), 0)
     follow_line(view, model.home, (0.0, 0.0, 1.0), 0.01)
+    swept = coordination.sweep(model.home[None], np.zeros((1, model.joints)), view.chain, view.bodies)
+    coordination.conflicts((swept, swept), (swept, swept), 0.0)
     return time.perf_counter() - began

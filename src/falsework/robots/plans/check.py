@@ -15,6 +15,7 @@ from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.plans.check_schedule import check_schedule
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.search.problem.task import Direction
@@ -78,6 +79,8 @@ class CheckReport:
     arm is described by."""
     seconds: float
     """That the check took."""
+    timed_samples: int = 0
+    """Moments of the schedule at which everything that moves then was checked."""
 
     @property
     def good(self) -> bool:
@@ -251,7 +254,8 @@ def check_robot_plan(
     are the convex pieces that they are described by.
 
     One robot moves, all else stands. Everything that moves is checked against everything that stands, with these
-    exceptions and no others:
+    exceptions and no others. A schedule is checked as a whole after that: at every moment all that moves against all
+    else, what other robots carry included, and that the states of the structure come in their order.
 
     - neighbouring links, and the pairs that the description of the arm says never to check;
     - a gripper and the last two links of its arm, and a part in a gripper and the last link and the gripper;
@@ -287,6 +291,10 @@ def check_robot_plan(
         if progress is not None:
             progress(index + 1, len(plan))
     checker.keyframe(len(plan))
+    timed = 0
+    if plan.schedule is not None and not checker.full():
+        found, timed = check_schedule(plan, cell, checker.judge, step=step)
+        checker.problems += [PlanProblem(p.step, p.robot, p.what, pair=p.pair, seconds=p.seconds) for p in found]
     return CheckReport(
         tuple(checker.problems),
         checker.samples,
@@ -298,4 +306,5 @@ def check_robot_plan(
         checker.judge.slack,
         {robot.name: "convex pieces" if robot.model.meshes is None else "meshes" for robot in cell.robots},
         time.perf_counter() - began,
+        timed,
     )

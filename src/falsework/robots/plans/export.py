@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.robots.plans.mcap_bag import write_bag
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.search.problem.task import Direction
 from falsework.utils.archive import write_whole
 
 Array = NDArray[np.float64]
-Format = Literal["ros2-json", "ros2-yaml", "csv", "rapid"]
+Format = Literal["ros2-json", "ros2-yaml", "csv", "rapid", "mcap"]
 
 FORMATS: tuple[str, ...] = get_args(Format)
 
@@ -43,7 +44,7 @@ def export_plan(plan: RobotPlan, folder: Path | str, form: str, *, rate: float =
         plan: what to write; reverse it first to export the assembly of a plan for disassembly.
         folder: where to; made if it is not there.
         form: `ros2-json` and `ros2-yaml` (one file a step and one for the plan), `csv` (the same), or `rapid` (one
-            module a robot).
+            module a robot), or `mcap` (one bag with the times of the schedule).
         rate: positions a second for `csv` and `rapid`; ROS 2 gets the knots with their velocities.
 
     Returns:
@@ -68,7 +69,10 @@ def export_plan(plan: RobotPlan, folder: Path | str, form: str, *, rate: float =
     except OSError as error:
         raise InputError(f"cannot write into {folder}: {error.strerror}; choose another place") from None
     paths = []
-    for entry in writers[form]():
+    if form == "mcap":
+        paths.append(folder / "plan.mcap")
+        write_bag(plan, paths[0])
+    for entry in writers[form]() if form in writers else ():
         path, data = folder / entry.name, entry.text.encode()
         write_whole(path, lambda file, data=data: file.write(data))
         paths.append(path)

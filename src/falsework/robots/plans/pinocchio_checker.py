@@ -7,7 +7,7 @@ pieces, so these are what is checked.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -129,8 +129,9 @@ class PinocchioCollisionChecker:
         grip: Array | None = None,
         touches: int | None = None,
         at_place: bool = False,
+        loads: Mapping[int, tuple[int, Array]] | None = None,
     ) -> PreparedQuery:
-        """One robot moves.
+        """One robot moves, or several of which one is checked.
 
         Args:
             robot: which one.
@@ -141,12 +142,15 @@ class PinocchioCollisionChecker:
             touches: part that the gripper may touch.
             at_place: whether the carried part starts or ends at its place; it is then shrunk by the tolerance, since
                 it touches its neighbours there.
+            loads: parts that other robots carry, each with the configuration in which it is at its place.
         """
         moving = self._robot_bodies(robot)
         joints = self.cell.robots[robot].model.joints
         if carried is not None and grip is not None:
             moving += [(joints + 2, body) for body in self._carried(robot, carried, grip, at_place)]
         standing = self._standing(robot, present)
+        for other, (part, place) in (loads or {}).items():
+            standing += [("robot", other, body) for body in self._carried(other, part, place, False)]
         for _, body in moving:
             for number in sorted(body.against or ()):
                 if present[number]:

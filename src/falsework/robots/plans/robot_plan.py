@@ -1,4 +1,4 @@
-"""The robot plan: an abstract plan with the motions that carry it out, one robot at a time."""
+"""The robot plan: an abstract plan with the motions that carry it out, and with their times if robots move at once."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from falsework.search.problem.task import Direction
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
+    from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Trajectory of one robot while all others are at rest: knots connected by cubic polynomials.
+    """Trajectory of one robot: knots connected by cubic polynomials.
 
     Between two knots the positions are the cubics that have the positions and velocities of both, as a controller that
     is given positions and velocities interpolates.
@@ -58,6 +59,10 @@ class Trajectory:
     def sample(self, seconds: Array) -> Array:
         """Positions at some times, shape (samples,) to (samples, joints)."""
         return self._cubics()(np.clip(seconds, 0.0, self.times[-1]))
+
+    def rates(self, seconds: Array) -> Array:
+        """Return velocities at some times, shape (samples,) to (samples, joints)."""
+        return self._cubics().derivative(1)(np.clip(seconds, 0.0, self.times[-1]))
 
     def peaks(self) -> tuple[Array, Array]:
         """Largest speed and acceleration of each joint, exactly; both of shape (joints,)."""
@@ -163,6 +168,8 @@ class RobotPlan:
     """Name of the built-in cell, or path of the cell file relative to the file of the plan."""
     statistics: dict[str, Any] = field(default_factory=dict)
     """How it was found: seconds, seed, counts."""
+    schedule: TemporalPlanGraph | None = None
+    """Which motions take place at the same time; None: one after the other."""
 
     def __post_init__(self) -> None:
         if len(self.keyframes) != len(self.plan) + 1 or len(self.steps) != len(self.plan):
@@ -178,6 +185,11 @@ class RobotPlan:
     def seconds(self) -> float:
         """How long the robots take, one after the other."""
         return sum(step.seconds for step in self.steps)
+
+    @property
+    def makespan(self) -> float:
+        """How long the robots take as scheduled, or one after the other without a schedule."""
+        return self.seconds if self.schedule is None else self.schedule.makespan
 
     @property
     def direction(self) -> Direction:
@@ -201,7 +213,8 @@ class RobotPlan:
             RobotStep(step.robot, tuple(trajectory.reverse() for trajectory in reversed(step.trajectories)))
             for step in reversed(self.steps)
         )
-        return replace(self, plan=self.plan.reverse(), keyframes=self.keyframes[::-1], steps=steps)
+        schedule = None if self.schedule is None else self.schedule.reverse()
+        return replace(self, plan=self.plan.reverse(), keyframes=self.keyframes[::-1], steps=steps, schedule=schedule)
 
     def check_identity(self, assembly: Assembly, cell: Cell) -> None:
         """Raise PlanError unless the plan is for this structure in this cell."""

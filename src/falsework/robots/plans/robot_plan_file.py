@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.errors import PlanError
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep, Trajectory
+from falsework.robots.plans.temporal_graph import MotionNode, Precedence, Reason, TemporalPlanGraph
+from falsework.robots.plans.timeline import nodes_of
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.utils.json_file import Reader, write_json
 
 Array = NDArray[np.float64]
 
-FORMAT = "falsework.robot-plan/1"
+FORMAT = "falsework.robot-plan/2"
+FIRST_FORMAT = "falsework.robot-plan/1"
+"""Without a schedule; read, no longer written."""
 
 DIGITS = 9
 """Decimals of joint values, velocities and times: coarser ones would show as acceleration where knots are close."""
@@ -25,6 +31,9 @@ JOINS = 1e-5
 """Joint values that differ by no more than this are the same, rad or m."""
 
 _KEYS = {"format", "cell", "plan", "keyframes", "steps", "statistics"}
+_REASONS = get_args(Reason)
+_TIMES = 1e-3
+"""Times of a schedule that differ by no more are the same, seconds."""
 
 
 def robot_plan_schema() -> dict[str, Any]:
@@ -34,7 +43,7 @@ def robot_plan_schema() -> dict[str, Any]:
 
 
 def save_robot_plan(plan: RobotPlan, path: Path | str) -> None:
-    """Write a robot plan as JSON, format `falsework.robot-plan/1`, whole or not at all.
+    """Write a robot plan as JSON, format `falsework.robot-plan/2`, whole or not at all.
 
     Raises:
         InputError: the file cannot be written.
@@ -85,7 +94,30 @@ def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
             }
             for index, step in enumerate(plan.steps)
         ],
+        "schedule": None if plan.schedule is None else _schedule_to_dict(plan.schedule),
         "statistics": plan.statistics,
+    }
+
+
+def _schedule_to_dict(graph: TemporalPlanGraph) -> dict[str, Any]:
+    return {
+        "makespan": round(graph.makespan, DIGITS),
+        "sequential": round(graph.sequential, DIGITS),
+        "lower_bound": round(graph.lower_bound, DIGITS),
+        "motions": [
+            {
+                "robot": node.robot,
+                "step": node.step,
+                "trajectory": node.trajectory,
+                "start": round(start, DIGITS),
+                "seconds": round(node.seconds, DIGITS),
+            }
+            for node, start in zip(graph.nodes, graph.starts().tolist(), strict=True)
+        ],
+        "precedences": [
+            {"before": edge.before, "offset": round(edge.offset, DIGITS), "after": edge.after, "why": edge.why}
+            for edge in graph.edges
+        ],
     }
 
 
@@ -119,7 +151,9 @@ class _Reader(Reader):
     kind, form, command = "robot plan", FORMAT, "falsework robots plan"
 
     def plan(self, data: Any) -> RobotPlan:
-        self._header(data, _KEYS)
+        if isinstance(data, dict) and data.get("format") == FIRST_FORMAT:
+            data = {**data, "format": FORMAT, "schedule": None}
+        self._header(data, _KEYS | {"schedule"})
         cell = data["cell"]
         self._keys(cell, {"name", "identity", "robots"}, "cell", frozenset({"source"}))
         robots = tuple(self._robot(entry, f"robot {k}") for k, entry in enumerate(self._list(cell["robots"], "robots")))
@@ -146,7 +180,48 @@ class _Reader(Reader):
             statistics=data["statistics"],
         )
         self._joins(made)
-        return made
+        return made if data["schedule"] is None else replace(made, schedule=self._schedule(data["schedule"], made))
+
+    def _schedule(self, data: Any, plan: RobotPlan) -> TemporalPlanGraph:
+        self._keys(data, {"makespan", "sequential", "lower_bound", "motions", "precedences"}, "schedule")
+        found, expected = self._list(data["motions"], "schedule: motions"), nodes_of(plan)[0]
+        if len(found) != len(expected):
+            self._fail(f"its schedule has {len(found)} motions, its steps have {len(expected)}")
+        starts = []
+        for k, (entry, node) in enumerate(zip(found, expected, strict=True)):
+            place = f"schedule: motion {k}"
+            self._keys(entry, {"robot", "step", "trajectory", "start", "seconds"}, place)
+            if (entry["robot"], entry["step"], entry["trajectory"]) != (node.robot, node.step, node.trajectory):
+                self._fail(f"{place} is not that of its step", "the motions must be in the order of the steps")
+            starts.append(self._seconds(entry["start"], f"{place}: start"))
+            if abs(self._seconds(entry["seconds"], f"{place}: seconds") - node.seconds) > JOINS:
+                self._fail(f"{place} takes another time than its trajectory")
+        edges = [
+            self._precedence(entry, f"schedule: precedence {k}", expected)
+            for k, entry in enumerate(self._list(data["precedences"], "schedule: precedences"))
+        ]
+        bound = self._seconds(data["lower_bound"], "schedule: lower_bound")
+        try:
+            graph = TemporalPlanGraph(expected, tuple(edges), len(plan.robots), bound)
+        except PlanError as error:
+            self._fail(f"its schedule does not work: {error}", "schedule it again")
+        if starts and np.abs(graph.starts() - starts).max() > _TIMES:
+            self._fail("the times of its schedule are not those that its precedences give", "schedule it again")
+        return graph
+
+    def _precedence(self, data: Any, place: str, nodes: tuple[MotionNode, ...]) -> Precedence:
+        self._keys(data, {"before", "offset", "after", "why"}, place)
+        for end in ("before", "after"):
+            if type(data[end]) is not int or not 0 <= data[end] < len(nodes):
+                self._fail(f"{place}: {end} is {data[end]!r}", f"it must be a motion from 0 to {len(nodes) - 1}")
+        if data["why"] not in _REASONS:
+            self._fail(f"{place}: why is {data['why']!r}", f"it must be one of {', '.join(_REASONS)}")
+        return Precedence(data["before"], self._seconds(data["offset"], f"{place}: offset"), data["after"], data["why"])
+
+    def _seconds(self, value: Any, place: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < float("inf"):
+            self._fail(f"{place} is {value!r}", "it must be seconds, finite and not negative")
+        return float(value)
 
     def _robot(self, data: Any, place: str) -> RobotRecord:
         self._keys(data, {"name", "model", "joints", "base", "gripper", "tool"}, place)

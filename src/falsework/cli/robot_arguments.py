@@ -1,0 +1,89 @@
+"""Parsers of where robots are and what they hold, given as command-line arguments."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from falsework.cli.arguments import parse_parts
+from falsework.errors import InputError
+from falsework.utils.json_text import parse_json
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.robots.model.cell import Cell
+
+
+def parse_joints(text: str | None, cell: Cell) -> list[Any] | None:
+    """Read configurations of the robots of a cell; those that are not named are at home.
+
+    Args:
+        text: such as `left=0,0.1,-0.5,0,1,0;right=home`, or a JSON file with an object of lists by robot; rad.
+        cell: the robots.
+
+    Returns:
+        Joint values of every robot, not yet checked against its limits; None where nothing is given.
+
+    Raises:
+        InputError: a robot that the cell has not, or no numbers.
+    """
+    if text is None:
+        return None
+    found: list[Any] = list(cell.homes)
+    for name, given in _by_robot(text).items():
+        robot = _robot(name, cell, "--joints")
+        if given == "home":
+            continue
+        try:
+            found[robot] = [float(value) for value in (given.split(",") if isinstance(given, str) else given)]
+        except (TypeError, ValueError):
+            raise InputError(f"--joints: {name} is {given!r}; give joint values in rad, or `home`") from None
+    return found
+
+
+def _by_robot(text: str) -> dict[str, Any]:
+    if "=" in text and not Path(text).is_file():
+        return dict(_pair(piece, "--joints", "left=0,0.1,-0.5,0,1,0;right=home") for piece in text.split(";"))
+    try:
+        content = parse_json(Path(text).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, ValueError):
+        raise InputError(f"--joints {text}: no JSON file; give one, or values such as left=0,0,0,0,0,0") from None
+    if not isinstance(content, dict):
+        raise InputError(f"--joints {text} holds no object; give lists of joint values by robot")
+    return content
+
+
+def parse_holding(text: str | None, cell: Cell, assembly: Assembly) -> list[int | None]:
+    """Read which part each robot holds, such as `left=3,right=keystone`.
+
+    Raises:
+        InputError: no such robot or part, or a robot or a part named twice.
+    """
+    held: list[int | None] = [None] * cell.robot_count
+    for piece in () if text is None else text.split(","):
+        name, part = _pair(piece, "--holding", "left=3,right=keystone")
+        robot = _robot(name, cell, "--holding")
+        (number,) = parse_parts(part, "--holding", assembly.names)[:1]
+        if not 0 <= number < assembly.part_count:
+            raise InputError(f"--holding {piece}: no part {number}; there are 0 to {assembly.part_count - 1}")
+        if assembly.boundary[number]:
+            raise InputError(f"--holding {piece}: part {assembly.names[number]} is fixed, so no robot holds it")
+        if held[robot] is not None or number in held:
+            raise InputError(f"--holding {text}: a robot holds one part, and a part is held by one robot")
+        held[robot] = number
+    return held
+
+
+def _pair(piece: str, option: str, example: str) -> tuple[str, str]:
+    name, sign, value = piece.strip().partition("=")
+    if not (name and sign and value):
+        raise InputError(f"{option}: {piece!r} names no robot and value; give {example}")
+    return name.strip(), value.strip()
+
+
+def _robot(name: str, cell: Cell, option: str) -> int:
+    names = [robot.name for robot in cell.robots]
+    if name not in names:
+        raise InputError(f"{option}: {cell.name} has no robot {name!r}; there are {', '.join(names)}")
+    return names.index(name)

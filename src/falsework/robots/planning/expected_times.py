@@ -1,0 +1,91 @@
+"""Choice of actions for robots that move at the same time: expected times, and work on the sides of all robots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import REMOVED, Mask, States
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import PartShapes
+from falsework.robots.model.robot_model import RobotModel
+from falsework.search.problem.guide import Guide
+from falsework.search.problem.task import Direction
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Times at a keyframe if every robot moves as soon as its own motions and the order of the states allow."""
+
+    robots: tuple[float, ...] = ()
+    """When each is done with what it does, seconds; empty at the start."""
+    state: float = 0.0
+    """When the structure comes to the state of the keyframe."""
+
+    def of(self, robot: int) -> float:
+        """Return how much longer than the first to be done a robot is busy, seconds."""
+        return self.robots[robot] - min(self.robots) if self.robots else 0.0
+
+    def held(self, robot: int, seconds: float, robots: int) -> Clock:
+        """Return the clock after a robot has gone to a part, which takes `seconds`, and holds it."""
+        times = list(self.robots or (0.0,) * robots)
+        times[robot] = max(times[robot] + seconds, self.state)
+        return Clock(tuple(times), times[robot])
+
+    def removed(self, robot: int, seconds: float, robots: int) -> Clock:
+        """Return the clock after a robot has left with the part that it holds, and carried it away in `seconds`."""
+        times = list(self.robots or (0.0,) * robots)
+        begin = max(times[robot], self.state)
+        times[robot] = begin + seconds
+        return Clock(tuple(times), begin)
+
+
+NO_TIME = Clock()
+"""At the start."""
+
+
+def expected_seconds(model: RobotModel, path: Array, speed: float) -> float:
+    """Return about how long a path takes from rest to rest: that of the joint that needs longest for its travel.
+
+    Args:
+        model: the arm.
+        path: configurations, shape (points, joints).
+        speed: share of the velocity limits; accelerations are limited to its square.
+    """
+    travel = np.abs(np.diff(path, axis=0)).sum(axis=0)
+    velocity, acceleration = model.velocity * speed, model.acceleration * speed**2
+    ramp = velocity**2 / acceleration
+    times = np.where(travel < ramp, 2 * np.sqrt(travel / acceleration), travel / velocity + velocity / acceleration)
+    return float(times.max(initial=0.0))
+
+
+class BalanceGuide:
+    """Heuristic that keeps the shares of parts that are left near each robot alike, on top of another heuristic.
+
+    Each part counts for the robot that stands nearest to it. Robots then find work on their own sides at any time, far
+    from each other.
+    """
+
+    def __init__(self, base: Guide | None, cell: Cell, parts: PartShapes) -> None:
+        """Assign parts to robots; `base` is the other heuristic."""
+        self._base = base
+        bases = np.array([robot.base[:2, 3] for robot in cell.robots])
+        nearest = np.linalg.norm(parts.center[:, None, :2] - bases, axis=2).argmin(axis=1)
+        self._near = (nearest[:, None] == np.arange(cell.robot_count)) & ~parts.boundary[:, None]
+
+    def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float64]:
+        """As `Guide`."""
+        near = self._near.astype(np.float64)
+        left = (states != REMOVED).astype(np.float64) @ near
+        whole = near.sum(axis=0)
+        share = left / np.maximum(whole, 1.0)
+        ahead = (share - (left.sum(axis=1) / max(whole.sum(), 1.0))[:, None]) * whole
+        score = np.clip(ahead / 2, -1.0, 1.0) @ near.T
+        if direction is Direction.ASSEMBLY:
+            score = -score
+        found = np.concatenate([score, score], axis=1)
+        return found if self._base is None else found + self._base(states, actions, direction)

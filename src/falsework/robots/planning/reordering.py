@@ -1,0 +1,172 @@
+"""Another order of the steps of a plan, in which robots that move at the same time wait less for each other.
+
+Each robot keeps its own steps in their order. A schedule whose states may come in another order than planned, within
+limits, says which order is wanted; the plan is brought near it by exchanging neighbouring steps, each time with a
+verdict on the state between them. The motions are proven again in the new order, or planned again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, REMOVED, States
+from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Contact
+from falsework.robots.motion.path_planner import MotionSettings, plan_free, resolution_of
+from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, Node, PathSegment
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.timeline import event_times
+from falsework.robots.schedule.conflicts import choices, fixed_precedences
+from falsework.robots.schedule.itinerary import Itineraries
+from falsework.robots.schedule.solver import ScheduleSettings, solve
+from falsework.stability.oracle import Stability
+
+Array = NDArray[np.float64]
+
+SLACK = 6
+"""Places by which two steps may change their order."""
+_SOLVER = ScheduleSettings(seconds=4.0)
+_PINS = 12
+"""Steps that are left where they are, because their motions fail elsewhere, before the plan stays as it is."""
+_SAME_WAY = 1 - 1e-6
+"""Cosine between a line and the way out that it is."""
+_NODES = 1000
+
+
+def reorder(graph: KeyframeGraph, oracle: Stability, root: Node, chain: Sequence[Edge], plan: RobotPlan) -> list[Edge]:
+    """Return the edges of a plan in an order that makes a shorter schedule possible; as they are if there is none.
+
+    Args:
+        graph: keyframes of the structure in the cell.
+        oracle: decides stability.
+        root: the first keyframe.
+        chain: the edges.
+        plan: the plan that they make, timed.
+    """
+    rows = Itineraries(plan, graph.world, slack=SLACK)
+    wanted = solve(rows.nodes, fixed_precedences(rows), choices(rows), graph.cell.robot_count, _SOLVER)
+    rank = np.argsort(np.argsort(event_times(plan, wanted), kind="stable"))
+    ways = [_way_out(graph, root if k == 0 else chain[k - 1].node, edge) for k, edge in enumerate(chain)]
+    pinned: set[int] = set()
+    while len(pinned) < _PINS:
+        order, states = _towards(graph, oracle, root, chain, rank, ways, pinned)
+        if order == list(range(len(chain))):
+            break
+        found = _follow(graph, root, [chain[k] for k in order])
+        if isinstance(found, int):
+            pinned.add(order[found])
+            continue
+        replayer = oracle.replayer
+        if replayer is None or replayer.replay(states[::-1]).falls_at is None:
+            return found
+        break
+    return list(chain)
+
+
+def _way_out(graph: KeyframeGraph, before: Node, edge: Edge) -> Array | None:
+    """Return the direction in which a part is drawn out; None for a hold."""
+    if edge.action < graph.assembly.part_count:
+        return None
+    path = edge.segments[0].path
+    ends = tool_pose(graph.cell.robots[edge.robot], path[[0, -1]])[:, :3, 3]
+    return (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+
+
+def _towards(
+    graph: KeyframeGraph,
+    oracle: Stability,
+    root: Node,
+    chain: Sequence[Edge],
+    rank: NDArray[np.intp],
+    ways: Sequence[Array | None],
+    pinned: set[int],
+) -> tuple[list[int], States]:
+    """Exchange neighbouring steps of different robots while that brings the order nearer to the one wanted."""
+    order = list(range(len(chain)))
+    states = [root.state, *(edge.node.state for edge in chain)]
+    refused: set[tuple[int, int, bytes]] = set()
+    moved = True
+    while moved:
+        moved = False
+        for k in range(len(order) - 1):
+            first, second = order[k], order[k + 1]
+            if rank[first] < rank[second] or chain[first].robot == chain[second].robot or pinned & {first, second}:
+                continue
+            key = (first, second, states[k].tobytes())
+            if key in refused:
+                continue
+            between = _after(states[k], chain[second].action)
+            if not _leaves(graph, states[k], chain[second].action, ways[second]) or not oracle.stable(between[None])[0]:
+                refused.add(key)
+                continue
+            order[k], order[k + 1], states[k + 1] = second, first, between
+            moved = True
+    return order, np.array(states, dtype=np.uint8)
+
+
+def _after(state: States, action: int) -> States:
+    after = state.copy()
+    after[action % len(state)] = HELD if action < len(state) else REMOVED
+    return after
+
+
+def _leaves(graph: KeyframeGraph, state: States, action: int, way: Array | None) -> bool:
+    """Return whether nothing that is there blocks the line on which a part is drawn out."""
+    if way is None:
+        return True
+    free = graph.exits.free(action - len(state), state)
+    return bool(len(free) and (free @ way).max() >= _SAME_WAY)
+
+
+def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge]) -> list[Edge] | int:
+    """Return edges proven in their new order, or the first that cannot be carried out there."""
+    node, found = root, []
+    for k, edge in enumerate(edges):
+        segments = []
+        for segment, view in zip(edge.segments, _views(graph, node, edge), strict=True):
+            path = _proven(segment, view, k)
+            if path is None:
+                return k
+            segments.append(replace(segment, path=path, view=view if segment.kind == "free" else None))
+        holds = edge.action < len(node.state)
+        configurations, held = list(node.configurations), list(node.held)
+        configurations[edge.robot] = segments[-1].path[-1]
+        held[edge.robot] = edge.action if holds else None
+        node = Node(_after(node.state, edge.action), tuple(configurations), tuple(held))
+        found.append(replace(edge, segments=tuple(segments), node=node))
+    return found
+
+
+def _views(graph: KeyframeGraph, node: Node, edge: Edge) -> list[CollisionQuery]:
+    """Return for each segment of an edge the scene in which it is carried out, and what it may touch."""
+    parts, margins, robot = len(node.state), graph.cell.margins, edge.robot
+    scene, part = node.scene, edge.action % parts
+    contacts = [Contact(gripper=frozenset({part}))]
+    if edge.action >= parts:
+        here = node.configurations[robot]
+        tool = tool_pose(graph.cell.robots[robot], here)
+        scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
+        around = frozenset(np.flatnonzero(scene.present).tolist())
+        contacts = [Contact(carried=around, carried_floor=True), Contact(carried_floor=True)]
+    found = []
+    for segment in edge.segments:
+        line = segment.kind == "line"
+        contact = contacts.pop(0) if line else NO_CONTACT
+        found.append(graph.cache.view(scene, robot, contact, margins.line if line else margins.free))
+    return found
+
+
+def _proven(segment: PathSegment, view: CollisionQuery, seed: int) -> Array | None:
+    """Return the path of a segment if it is free, another if it may be another, or None."""
+    path = np.ascontiguousarray(segment.path)
+    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
+    if edges_free(path, resolution_of(view), *arrays, np.empty((2, INTERVALS), np.int64)) == len(path) - 1:
+        return path
+    if segment.kind == "line":
+        return None
+    return plan_free(view, path[0], path[-1], seed=seed, settings=MotionSettings(nodes=_NODES)).path

@@ -1,0 +1,139 @@
+"""Shorter free motions for a plan that is found: other trees, shortcuts of single joints, and rounded corners.
+
+A motion is planned for any path; where arms move at the same time, the longest row of motions is what the plan takes.
+Every path is proven free again, in the scene that it was planned for. Shortcuts of single joints: Geraerts and
+Overmars, Creating high-quality paths for motion planning (2007).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
+from falsework.robots.motion.collision_world import CollisionQuery
+from falsework.robots.motion.path_planner import MotionSettings, plan_free, resolution_of
+from falsework.robots.motion.timing import time_path
+from falsework.robots.planning.expected_times import expected_seconds
+from falsework.robots.planning.keyframe_graph import Edge, PathSegment
+
+Array = NDArray[np.float64]
+
+_TREES = 4
+"""Other pairs of trees that are grown for one motion."""
+_NODES = 1000
+_SHORTCUTS = 60
+"""Shortcuts of some of the joints that are tried."""
+_CORNER = 0.1
+"""What a corner costs in the choice of a path, seconds."""
+_EXCESS = 0.05
+"""Motions that take no longer than this over the straight one are left alone, seconds."""
+_ROUNDINGS = (0.48, 0.3, 0.15, 0.07)
+"""Shares of the edges at a corner that its rounding takes, largest first."""
+_ARC = 10
+"""Edges of a rounded corner."""
+
+
+def shorten_motions(chain: list[Edge], speed: float, seed: int) -> list[Edge]:
+    """Return the edges of a plan with free motions that take less time where such are found.
+
+    Args:
+        chain: the edges.
+        speed: share of the velocity limits of the cell.
+        seed: of the trees and shortcuts.
+    """
+    return [
+        replace(edge, segments=tuple(_shorter(segment, speed, [seed, k, j]) for j, segment in enumerate(edge.segments)))
+        for k, edge in enumerate(chain)
+    ]
+
+
+def _shorter(segment: PathSegment, speed: float, seed: list[int]) -> PathSegment:
+    view, path = segment.view, segment.path
+    if view is None or len(path) < 3:
+        return segment
+    if _cost(view, path, speed) < expected_seconds(view.model, path[[0, -1]], speed) + _EXCESS:
+        return segment
+    rng, opened = np.random.default_rng(seed), np.empty((2, INTERVALS), np.int64)
+    paths = [path]
+    for _ in range(_TREES):
+        other = plan_free(
+            view, path[0], path[-1], seed=int(rng.integers(2**31)), settings=MotionSettings(nodes=_NODES)
+        ).path
+        if other is not None:
+            paths.append(other)
+    best = min(paths, key=lambda candidate: _cost(view, candidate, speed))
+    best = _by_joints(view, best, speed, rng, opened)
+    best = _rounded(view, best, opened)
+    if time_path(view.model, best, speed).duration < time_path(view.model, path, speed).duration:
+        return replace(segment, path=best)
+    return segment
+
+
+def _cost(view: CollisionQuery, path: Array, speed: float) -> float:
+    return expected_seconds(view.model, path, speed) + _CORNER * (len(path) - 2)
+
+
+def _free(view: CollisionQuery, path: Array, opened: NDArray[np.int64]) -> bool:
+    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
+    return edges_free(np.ascontiguousarray(path), resolution_of(view), *arrays, opened) == len(path) - 1
+
+
+def _by_joints(
+    view: CollisionQuery, path: Array, speed: float, rng: np.random.Generator, opened: NDArray[np.int64]
+) -> Array:
+    """Return a path in which stretches of some joints run straight, and points that are not needed are left out."""
+    cost = _cost(view, path, speed)
+    for _ in range(_SHORTCUTS):
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+        first, second = np.sort(rng.random(2)) * along[-1]
+        joints = rng.random(path.shape[1]) < rng.choice([0.3, 0.6, 1.0])
+        inner = (along > first) & (along < second)
+        where = np.concatenate([[first], along[inner], [second]])
+        middle = np.stack([np.interp(where, along, column) for column in path.T], axis=1)
+        share = (where - first)[:, None] / max(second - first, 1e-12)
+        straight = middle[0] + share * (middle[-1] - middle[0])
+        middle = np.where(joints, straight, middle)
+        if joints.all():
+            middle = middle[[0, -1]]
+        made = np.concatenate([path[along <= first], middle, path[along >= second]])
+        made = _needed(made)
+        if _cost(view, made, speed) < cost - 1e-3 and _free(view, made, opened):
+            path, cost = made, _cost(view, made, speed)
+    k = 1
+    while k < len(path) - 1:
+        made = np.delete(path, k, axis=0)
+        if _cost(view, made, speed) < cost and _free(view, made[k - 1 : k + 1], opened):
+            path, cost = made, _cost(view, made, speed)
+        else:
+            k += 1
+    return path
+
+
+def _needed(path: Array) -> Array:
+    """Return a path without points that repeat the one before or lie on the edge between their neighbours."""
+    path = path[np.concatenate([[True], np.abs(np.diff(path, axis=0)).sum(axis=1) > 1e-9])]
+    if len(path) < 3:
+        return path
+    before, after = np.diff(path, axis=0)[:-1], np.diff(path, axis=0)[1:]
+    product = (before * after).sum(axis=1)
+    bent = product < (1 - 1e-9) * np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+    return path[np.concatenate([[True], bent, [True]])]
+
+
+def _rounded(view: CollisionQuery, path: Array, opened: NDArray[np.int64]) -> Array:
+    """Return a path with its corners rounded by parabolas, as far as these are free."""
+    found = [path[:1]]
+    u = np.linspace(0.0, 1.0, _ARC + 1)[:, None]
+    for before, corner, after in zip(path[:-2], path[1:-1], path[2:], strict=True):
+        arc = corner[None]
+        for share in _ROUNDINGS:
+            start, stop = corner + share * (before - corner), corner + share * (after - corner)
+            tried = (1 - u) ** 2 * start + 2 * u * (1 - u) * corner + u**2 * stop
+            if _free(view, tried, opened):
+                arc = tried
+                break
+        found.append(arc)
+    return np.concatenate([*found, path[-1:]])

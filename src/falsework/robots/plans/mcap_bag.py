@@ -1,0 +1,191 @@
+"""MCAP bags of robot plans: ROS 2 messages at the times of the schedule, readable without falsework.
+
+Topics, for each robot: `/NAME/joint_trajectory` (`trajectory_msgs/JointTrajectory`) and `/NAME/robot_trajectory`
+(`moveit_msgs/RobotTrajectory`), a message at the start of each motion; and `/attached_collision_object`
+(`moveit_msgs/AttachedCollisionObject`) for parts that grippers take and put down, as MoveIt's planning scene monitor
+reads them. Messages are CDR, their definitions are in the bag.
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from falsework.errors import DependencyError
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.timeline import nodes_of
+from falsework.utils.archive import write_whole
+
+_NANO = 1_000_000_000
+_ADD, _REMOVE = 0, 1
+_DEFINITIONS = {
+    "object_recognition_msgs/msg/ObjectType": "string key\nstring db\n",
+    "moveit_msgs/msg/RobotTrajectory": (
+        "trajectory_msgs/JointTrajectory joint_trajectory\n"
+        "trajectory_msgs/MultiDOFJointTrajectory multi_dof_joint_trajectory\n"
+    ),
+    "moveit_msgs/msg/CollisionObject": (
+        "std_msgs/Header header\ngeometry_msgs/Pose pose\nstring id\nobject_recognition_msgs/ObjectType type\n"
+        "shape_msgs/SolidPrimitive[] primitives\ngeometry_msgs/Pose[] primitive_poses\n"
+        "shape_msgs/Mesh[] meshes\ngeometry_msgs/Pose[] mesh_poses\n"
+        "shape_msgs/Plane[] planes\ngeometry_msgs/Pose[] plane_poses\n"
+        "string[] subframe_names\ngeometry_msgs/Pose[] subframe_poses\n"
+        "byte ADD=0\nbyte REMOVE=1\nbyte APPEND=2\nbyte MOVE=3\nbyte operation\n"
+    ),
+    "moveit_msgs/msg/AttachedCollisionObject": (
+        "string link_name\nmoveit_msgs/CollisionObject object\nstring[] touch_links\n"
+        "trajectory_msgs/JointTrajectory detach_posture\nfloat64 weight\n"
+    ),
+}
+
+
+class _Bag:
+    """A bag in memory."""
+
+    def __init__(self) -> None:
+        try:
+            from mcap.writer import Writer  # pyright: ignore[reportMissingImports]
+            from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # pyright: ignore[reportMissingImports]
+        except ImportError:
+            raise DependencyError("an MCAP bag needs mcap and rosbags: pip install 'falsework[schedule]'") from None
+        self.store = get_typestore(Stores.ROS2_HUMBLE)
+        for name, text in _DEFINITIONS.items():
+            self.store.register(get_types_from_msg(text, name))
+        self.data = io.BytesIO()
+        self.writer = Writer(self.data)
+        self.writer.start(profile="ros2", library="falsework")
+        self.schemas: dict[str, int] = {}
+        self.channels: dict[str, int] = {}
+
+    def make(self, name: str, **fields: Any) -> Any:
+        """Return a message."""
+        return self.store.types[name](**fields)
+
+    def write(self, topic: str, message: Any, seconds: float) -> None:
+        """Add a message at a time of the plan."""
+        kind = message.__msgtype__
+        if kind not in self.schemas:
+            text, _ = self.store.generate_msgdef(kind, ros_version=2)
+            self.schemas[kind] = self.writer.register_schema(kind, "ros2msg", text.encode())
+        if topic not in self.channels:
+            self.channels[topic] = self.writer.register_channel(topic, "cdr", self.schemas[kind])
+        stamp, data = round(seconds * _NANO), bytes(self.store.serialize_cdr(message, kind))
+        self.writer.add_message(self.channels[topic], log_time=stamp, publish_time=stamp, data=data)
+
+    def header(self, frame: str, seconds: float) -> Any:
+        """Return a `std_msgs/Header`."""
+        whole = round(seconds * _NANO)
+        stamp = self.make("builtin_interfaces/msg/Time", sec=whole // _NANO, nanosec=whole % _NANO)
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+    def finish(self) -> bytes:
+        """Return the file."""
+        self.writer.finish()
+        return self.data.getvalue()
+
+
+def write_bag(plan: RobotPlan, path: Path) -> int:
+    """Write the motions of a robot plan as an MCAP bag, and return the number of messages.
+
+    Args:
+        plan: with a schedule, or without one, then one motion after the other.
+        path: file to write.
+
+    Raises:
+        DependencyError: mcap or rosbags is missing.
+        InputError: the file cannot be written.
+    """
+    bag, count = _Bag(), 0
+    nodes, _ = nodes_of(plan)
+    if plan.schedule is None:
+        starts = np.concatenate([[0.0], np.cumsum([node.seconds for node in nodes])[:-1]])
+    else:
+        starts = plan.schedule.starts()
+    parts = len(plan.plan.boundary)
+    for index in np.argsort(starts, kind="stable").tolist():
+        node, now = nodes[index], float(starts[index])
+        step, action = plan.steps[node.step], int(plan.plan.actions[node.step])
+        name, last = plan.robots[node.robot].name, len(step.trajectories) - 1
+        if node.trajectory is None:
+            continue
+        carries = action >= parts
+        if carries and node.trajectory == 0:
+            bag.write("/attached_collision_object", _attached(bag, plan, node.step, _ADD, now), now)
+            count += 1
+        message = _trajectory(bag, plan, node.robot, step.trajectories[node.trajectory], now)
+        whole = bag.make(
+            "moveit_msgs/msg/RobotTrajectory",
+            joint_trajectory=message,
+            multi_dof_joint_trajectory=bag.make(
+                "trajectory_msgs/msg/MultiDOFJointTrajectory", header=bag.header(name, now), joint_names=[], points=[]
+            ),
+        )
+        bag.write(f"/{name}/joint_trajectory", message, now)
+        bag.write(f"/{name}/robot_trajectory", whole, now)
+        count += 2
+        if carries and node.trajectory == last:
+            end = now + node.seconds
+            bag.write("/attached_collision_object", _attached(bag, plan, node.step, _REMOVE, end), end)
+            count += 1
+    data = bag.finish()
+    write_whole(path, lambda file: file.write(data))
+    return count
+
+
+def _trajectory(bag: _Bag, plan: RobotPlan, robot: int, trajectory: Trajectory, now: float) -> Any:
+    record = plan.robots[robot]
+    points = []
+    for moment, positions, velocities in zip(
+        trajectory.times.tolist(), trajectory.positions, trajectory.velocities, strict=True
+    ):
+        whole = round(moment * _NANO)
+        points.append(
+            bag.make(
+                "trajectory_msgs/msg/JointTrajectoryPoint",
+                positions=np.array(positions, dtype=np.float64),
+                velocities=np.array(velocities, dtype=np.float64),
+                accelerations=np.zeros(0),
+                effort=np.zeros(0),
+                time_from_start=bag.make("builtin_interfaces/msg/Duration", sec=whole // _NANO, nanosec=whole % _NANO),
+            )
+        )
+    names = [f"{record.name}_{joint}" for joint in record.joint_names]
+    return bag.make(
+        "trajectory_msgs/msg/JointTrajectory", header=bag.header(record.name, now), joint_names=names, points=points
+    )
+
+
+def _attached(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: float) -> Any:
+    """Return the difference of the planning scene when a gripper takes a part or puts it down."""
+    record = plan.robots[plan.steps[step].robot]
+    part = plan.plan.part_names[int(plan.plan.actions[step]) % len(plan.plan.boundary)]
+    still = bag.make(
+        "geometry_msgs/msg/Pose",
+        position=bag.make("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
+        orientation=bag.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+    )
+    flange = f"{record.name}_tool0"
+    lists = ("primitives", "primitive_poses", "meshes", "mesh_poses", "planes", "plane_poses")
+    thing = bag.make(
+        "moveit_msgs/msg/CollisionObject",
+        header=bag.header(flange, now),
+        pose=still,
+        id=part,
+        type=bag.make("object_recognition_msgs/msg/ObjectType", key=part, db=""),
+        **{name: [] for name in lists},
+        subframe_names=[],
+        subframe_poses=[],
+        operation=operation,
+    )
+    empty = bag.make("trajectory_msgs/msg/JointTrajectory", header=bag.header(flange, now), joint_names=[], points=[])
+    return bag.make(
+        "moveit_msgs/msg/AttachedCollisionObject",
+        link_name=flange,
+        object=thing,
+        touch_links=[flange],
+        detach_posture=empty,
+        weight=0.0,
+    )

@@ -1,0 +1,166 @@
+"""Temporal plan graph: the motions of all arms, and which of them may begin only after what.
+
+Nodes are motions from rest to rest, and moments at which a gripper takes hold of a part or lets go of it. A precedence
+lets one node begin only when another has come so far; an arm that is late delays those that wait for it, and nothing
+else changes. Hönig et al., Multi-agent path finding with kinematic constraints (ICAPS 2016), for arms as in Huang et
+al., APEX-MR (RSS 2025).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.errors import InputError, PlanError
+
+Array = NDArray[np.float64]
+Reason = Literal["arm", "state", "part", "volume"]
+
+
+@dataclass(frozen=True)
+class MotionNode:
+    """Motion of one arm from rest to rest, or, without a trajectory, the moment at which a gripper closes or opens."""
+
+    robot: int
+    step: int
+    """Step of the plan that it is of."""
+    trajectory: int | None
+    """Number of its trajectory in the step."""
+    seconds: float
+    """Nominal duration."""
+
+
+@dataclass(frozen=True)
+class Precedence:
+    """`after` begins only when `before` has come to `offset`."""
+
+    before: int
+    offset: float
+    """Seconds into the nominal motion of `before`, from 0 to its duration."""
+    after: int
+    why: Reason
+    """`arm`: the same arm; `state`: the structure must be in the state that the step needs; `part`: a part must have
+    left its place or must not have come there; `volume`: another arm must have left the way."""
+
+
+@dataclass(frozen=True, eq=False)
+class TemporalPlanGraph:
+    """Motions and precedences of a robot plan, with the times that they give."""
+
+    nodes: tuple[MotionNode, ...]
+    """In an order in which they can be carried out one by one; those of an arm in its own order."""
+    edges: tuple[Precedence, ...]
+    robots: int
+    lower_bound: float
+    """No order of these motions takes less time, seconds, as far as it is proven."""
+
+    def __post_init__(self) -> None:
+        for edge in self.edges:
+            if not (0 <= edge.before < len(self.nodes) and 0 <= edge.after < len(self.nodes)):
+                raise PlanError(
+                    f"a precedence names motion {max(edge.before, edge.after)}, there are {len(self.nodes)}"
+                )
+            if not 0 <= edge.offset <= self.nodes[edge.before].seconds + 1e-6:
+                raise PlanError(f"a precedence waits {edge.offset:g} s into a motion that is shorter; plan again")
+        self.order  # noqa: B018 - raises where there is a circle
+
+    @cached_property
+    def order(self) -> tuple[int, ...]:
+        """Return the nodes so that each comes after all that it waits for.
+
+        Raises:
+            PlanError: motions wait for each other in a circle.
+        """
+        waits = np.bincount([edge.after for edge in self.edges], minlength=len(self.nodes))
+        ready = [index for index in range(len(self.nodes)) if not waits[index]]
+        found = []
+        while ready:
+            node = ready.pop()
+            found.append(node)
+            for edge in self._after[node]:
+                waits[edge.after] -= 1
+                if not waits[edge.after]:
+                    ready.append(edge.after)
+        if len(found) < len(self.nodes):
+            node = self.nodes[int(np.flatnonzero(waits)[0])]
+            raise PlanError(f"motions wait for each other in a circle, one of them in step {node.step + 1}; plan again")
+        return tuple(found)
+
+    @cached_property
+    def _after(self) -> tuple[tuple[Precedence, ...], ...]:
+        found: list[list[Precedence]] = [[] for _ in self.nodes]
+        for edge in self.edges:
+            found[edge.before].append(edge)
+        return tuple(tuple(edges) for edges in found)
+
+    def starts(self, stretch: ArrayLike | None = None) -> Array:
+        """Return when each node begins if every arm moves as soon as it may, seconds, shape (nodes,).
+
+        Args:
+            stretch: by what factor each motion takes longer than nominal, shape (nodes,); 1 if not given.
+
+        Raises:
+            InputError: factors below 1 or not finite: no motion is faster than nominal.
+        """
+        factor = np.ones(len(self.nodes)) if stretch is None else np.asarray(stretch, dtype=np.float64)
+        if factor.shape != (len(self.nodes),) or not (factor >= 1).all() or not np.isfinite(factor).all():
+            raise InputError("delays must be finite and not negative: give one factor of at least 1 for each motion")
+        found = np.zeros(len(self.nodes))
+        for node in self.order:
+            for edge in self._after[node]:
+                found[edge.after] = max(found[edge.after], found[node] + factor[node] * edge.offset)
+        return found
+
+    def finish(self, stretch: ArrayLike | None = None) -> float:
+        """Return when the last motion ends, seconds; arguments as those of `starts`."""
+        factor = np.ones(len(self.nodes)) if stretch is None else np.asarray(stretch, dtype=np.float64)
+        ends = self.starts(stretch) + factor * self.durations
+        return float(ends.max(initial=0.0))
+
+    @cached_property
+    def durations(self) -> Array:
+        """Nominal durations, seconds, shape (nodes,)."""
+        return np.array([node.seconds for node in self.nodes])
+
+    @cached_property
+    def makespan(self) -> float:
+        """When the last motion ends without delays, seconds."""
+        return self.finish()
+
+    @property
+    def sequential(self) -> float:
+        """How long the same motions take one after the other, seconds."""
+        return float(self.durations.sum())
+
+    def of_robot(self, robot: int) -> list[int]:
+        """Return the nodes of one arm in their order."""
+        return [index for index, node in enumerate(self.nodes) if node.robot == robot]
+
+    def reverse(self) -> TemporalPlanGraph:
+        """Return the graph of the reverse plan: what waited for a part of a motion is now waited for as a whole.
+
+        It is as safe, and may be slower than a graph made for that direction.
+        """
+        last = len(self.nodes) - 1
+        steps = max((node.step for node in self.nodes), default=0)
+        lots = [0] * (steps + 1)
+        for node in self.nodes:
+            lots[node.step] += node.trajectory is not None
+        nodes = tuple(
+            MotionNode(
+                node.robot,
+                steps - node.step,
+                None if node.trajectory is None else lots[node.step] - 1 - node.trajectory,
+                node.seconds,
+            )
+            for node in reversed(self.nodes)
+        )
+        edges = tuple(
+            Precedence(last - edge.after, self.nodes[edge.after].seconds, last - edge.before, edge.why)
+            for edge in reversed(self.edges)
+        )
+        return TemporalPlanGraph(nodes, edges, self.robots, self.lower_bound)

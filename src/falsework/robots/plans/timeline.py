@@ -1,0 +1,92 @@
+"""Motions and moments of a robot plan in time: nodes of its temporal plan graph, its states, and what each arm does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.temporal_graph import MotionNode, TemporalPlanGraph
+from falsework.search.problem.task import Direction
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ArmShares:
+    """Shares of the makespan that one arm spends in each way."""
+
+    robot: str
+    moves: float
+    holds: float
+    """Rests and holds a part at its place."""
+    waits: float
+
+
+def arm_shares(plan: RobotPlan, graph: TemporalPlanGraph) -> list[ArmShares]:
+    """Return what every arm of a plan does with its time."""
+    total, starts = max(graph.makespan, 1e-12), graph.starts()
+    parts, apart = len(plan.plan.boundary), plan.direction is Direction.DISASSEMBLY
+    held = [part is not None for part in plan.keyframes[0].held]
+    moves, holds, free = np.zeros(graph.robots), np.zeros(graph.robots), np.zeros(graph.robots)
+    for index, node in enumerate(graph.nodes):
+        robot = node.robot
+        last = index + 1 == len(graph.nodes) or graph.nodes[index + 1].step != node.step
+        removes = int(plan.plan.actions[node.step]) >= parts
+        holds[robot] += held[robot] * (starts[index] - free[robot])
+        moves[robot] += node.seconds
+        free[robot] = starts[index] + node.seconds
+        # A removal ends a hold as it begins, an insertion begins one as it ends; holds change at their own moment.
+        if node.trajectory is None or last:
+            held[robot] = plan.keyframes[node.step + 1].held[robot] is not None
+        elif removes and apart:
+            held[robot] = False
+    holds += np.array(held) * (graph.makespan - free)
+    return [
+        ArmShares(record.name, float(m / total), float(h / total), max(0.0, float(1 - (m + h) / total)))
+        for record, m, h in zip(plan.robots, moves, holds, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class Event:
+    """Moment at which the structure changes its state: the beginning or the end of a node."""
+
+    node: int
+    at_end: bool
+
+
+def nodes_of(plan: RobotPlan) -> tuple[tuple[MotionNode, ...], tuple[Event, ...]]:
+    """Return the nodes of a plan in its own order, and the event of each of its steps.
+
+    A part leaves its place when the motion that carries it begins, and is at its place when that motion ends. A hold
+    begins, and ends, at a moment of its own: an arm may wait with its gripper at the part.
+    """
+    nodes: list[MotionNode] = []
+    events = []
+    apart, parts = plan.direction is Direction.DISASSEMBLY, len(plan.plan.boundary)
+    for index, step in enumerate(plan.steps):
+        moves = [MotionNode(step.robot, index, k, t.seconds) for k, t in enumerate(step.trajectories)]
+        grips = int(plan.plan.actions[index]) < parts or not moves
+        if grips:
+            moves.insert(len(moves) if apart else 0, MotionNode(step.robot, index, None, 0.0))
+        at_end = not apart and not grips
+        events.append(Event(len(nodes) + (0 if grips != apart else len(moves) - 1), at_end))
+        nodes += moves
+    return tuple(nodes), tuple(events)
+
+
+def event_times(plan: RobotPlan, graph: TemporalPlanGraph, stretch: ArrayLike | None = None) -> Array:
+    """Return when the structure comes to each state but the first, seconds, shape (steps,).
+
+    Args:
+        plan: the robot plan.
+        graph: its schedule.
+        stretch: as `TemporalPlanGraph.starts` takes it.
+    """
+    factor = np.ones(len(graph.nodes)) if stretch is None else np.asarray(stretch, dtype=np.float64)
+    starts = graph.starts(stretch)
+    ends = starts + factor * graph.durations
+    return np.array([(ends if event.at_end else starts)[event.node] for event in nodes_of(plan)[1]])

@@ -1,0 +1,1 @@
+"""Schedules of robot plans: motions of several arms at the same time."""

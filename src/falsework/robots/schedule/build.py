@@ -1,0 +1,45 @@
+"""Schedule of a robot plan: from motions one after the other to motions at the same time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from falsework.assembly.model import Assembly
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import PartShapes, place_parts
+from falsework.robots.motion.collision_world import CollisionWorld
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.schedule.conflicts import choices, fixed_precedences
+from falsework.robots.schedule.itinerary import Itineraries
+from falsework.robots.schedule.solver import ScheduleSettings, solve
+
+
+def schedule_plan(
+    plan: RobotPlan,
+    assembly: Assembly,
+    cell: Cell,
+    settings: ScheduleSettings = ScheduleSettings(),
+    *,
+    parts: PartShapes | None = None,
+) -> RobotPlan:
+    """Return a robot plan with a schedule in which its arms move at the same time.
+
+    Paths and the order of the states stay as they are. Two arms are never in stretches of their motions at the same
+    time unless all of one is proven to keep its distance from all of the other, whatever the delays.
+
+    Args:
+        plan: motions, one after the other.
+        assembly: the structure.
+        cell: the robots.
+        settings: limits of the search for the shortest schedule.
+        parts: the parts as bodies in the cell, if they are at hand.
+
+    Raises:
+        PlanError: the plan is for another structure or cell.
+        DependencyError: OR-Tools is missing.
+    """
+    plan.check_identity(assembly, cell)
+    world = CollisionWorld(cell, parts or place_parts(assembly, cell.placement))
+    rows = Itineraries(plan, world)
+    graph = solve(rows.nodes, fixed_precedences(rows), choices(rows), cell.robot_count, settings)
+    return replace(plan, schedule=graph)

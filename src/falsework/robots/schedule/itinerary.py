@@ -1,0 +1,191 @@
+"""Itineraries: the motions of every arm of a plan in a row, cut into cells for the test of what may coincide."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import REMOVED
+from falsework.robots.kernels.coordination import SPLIT, Swept, still, sweep
+from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.motion.collision_world import CollisionWorld, Scene
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.timeline import nodes_of
+from falsework.search.problem.task import Direction
+
+Array = NDArray[np.float64]
+
+CELL = 0.05
+"""Longest cell, seconds."""
+_SAME = 1e-5
+"""Joint values that differ by no more are the same, rad or m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Motion or rest of one arm, with when in the plan it can take place and what it sweeps."""
+
+    node: int | None
+    """None: a rest."""
+    first: int
+    """First cell in the row of the arm."""
+    cells: int
+    after: int
+    """It takes place after this event, -1 for the beginning."""
+    before: int
+    """It takes place before this event."""
+    ends: Array
+    """Nominal seconds into the motion at which each cell ends, shape (cells,)."""
+    swept: tuple[Swept, Swept]
+    """In cells and in finer cells."""
+    line: bool
+    """Whether it keeps the margin of straight lines only."""
+    frames: frozenset[int]
+    """Keyframes around which a motion was planned, or in which the arm rests there."""
+
+
+class Itineraries:
+    """All arms of a plan."""
+
+    def __init__(self, plan: RobotPlan, world: CollisionWorld, *, slack: int = 0) -> None:
+        """Cut motions into cells and place the bodies.
+
+        Args:
+            plan: the motions.
+            world: the cell and the parts.
+            slack: events whose numbers differ by no more than this may come in another order.
+        """
+        self.plan, self.world, self.slack = plan, world, slack
+        self.nodes, self.events = nodes_of(plan)
+        self._standing: dict[int, Swept] = {}
+        self.rows = [list(self._row(robot)) for robot in range(len(plan.robots))]
+
+    def _row(self, robot: int) -> Iterator[Stretch]:
+        """Yield rests and motions of one arm in turn, a rest first and last."""
+        starts = {event.node: k for k, event in enumerate(self.events) if not event.at_end}
+        ends = {event.node: k for k, event in enumerate(self.events) if event.at_end}
+        own = sorted(k for k, event in enumerate(self.events) if self.nodes[event.node].robot == robot)
+        values, first, after = self.plan.keyframes[0].configurations[robot], 0, -1
+        last: int | None = None
+        for index in (*self.of_robot(robot), None):
+            ahead = next((k for k in own if k > after), len(self.events))
+            yield self._rest(robot, values, first, after, ahead, last, index)
+            first += 1
+            if index is None:
+                return
+            if self.nodes[index].trajectory is None:  # rests before and after it are told apart
+                after = starts[index]
+                continue
+            after = starts.get(index, after)
+            ahead = next((k for k in own if k > after), len(self.events))
+            stretch = self._motion(index, first, after, ahead)
+            yield stretch
+            first += stretch.cells
+            after = ends.get(index, after)
+            values, last = self._trajectory(index).positions[-1], index
+
+    def of_robot(self, robot: int) -> list[int]:
+        """Return the nodes of one arm in their order."""
+        return [index for index, node in enumerate(self.nodes) if node.robot == robot]
+
+    def _trajectory(self, index: int) -> Trajectory:
+        node = self.nodes[index]
+        assert node.trajectory is not None
+        return self.plan.steps[node.step].trajectories[node.trajectory]
+
+    def _rest(
+        self, robot: int, values: Array, first: int, after: int, before: int, last: int | None, following: int | None
+    ) -> Stretch:
+        cell = np.asarray(values, dtype=np.float64)[None]
+        step = None if last is None else self.nodes[last].step
+        part = None
+        frames = {
+            k
+            for k, frame in enumerate(self.plan.keyframes)
+            if np.abs(frame.configurations[robot] - cell[0]).max() <= _SAME
+        }
+        if step is not None and following is not None and self.nodes[following].step == step:  # on the way
+            frames.add(step)
+            part = self._load(following) if self.nodes[following].trajectory is not None else None
+        found = self._swept(robot, cell, np.zeros_like(cell), part)
+        return Stretch(None, first, 1, after, before, np.zeros(1), (found, found), False, frozenset(frames))
+
+    def _load(self, index: int) -> tuple[int, Array] | None:
+        """Return the part that a motion carries, and the configuration in which the part is at its place."""
+        node, trajectory = self.nodes[index], self._trajectory(index)
+        if trajectory.part is None:
+            return None
+        apart = self.plan.direction is Direction.DISASSEMBLY
+        return trajectory.part, self.plan.keyframes[node.step + (0 if apart else 1)].configurations[node.robot]
+
+    def _motion(self, index: int, first: int, after: int, before: int) -> Stretch:
+        node, trajectory = self.nodes[index], self._trajectory(index)
+        count = max(int(np.ceil(node.seconds / CELL)), 1)
+        part = self._load(index)
+        coarse = self._swept(node.robot, *reach_of(trajectory, count), part)
+        fine = self._swept(node.robot, *reach_of(trajectory, SPLIT * count), part)
+        ends = node.seconds * np.arange(1, count + 1) / count
+        line = trajectory.kind == "line"
+        return Stretch(index, first, count, after, before, ends, (coarse, fine), line, frozenset({node.step}))
+
+    def _swept(self, robot: int, values: Array, spread: Array, part: tuple[int, Array] | None) -> Swept:
+        entry = self.world.cell.robots[robot]
+        carried = None
+        if part is not None:
+            number, grip = part
+            scene = self._nowhere.with_attached(robot, number, tool_pose(entry, grip))
+            carried = self.world.carried(robot, scene)
+        bodies, _, _ = make_bodies(entry, carried, self.world.parts.names)
+        return sweep(values, spread, make_chain(entry.model, entry.base), bodies)
+
+    @cached_property
+    def _nowhere(self) -> Scene:
+        return Scene.at_home(self.world.cell, self.world.parts)
+
+    def present(self, node: int) -> NDArray[np.bool_]:
+        """Return the parts at their places for which a motion was planned, shape (parts,)."""
+        entry = self.nodes[node]
+        state = self.plan.plan.states[entry.step] != REMOVED
+        action, parts = int(self.plan.plan.actions[entry.step]), len(state)
+        if action >= parts:
+            state = state.copy()
+            state[action - parts] = False
+        return state
+
+    def moved(self, event: int) -> int | None:
+        """Return the part that leaves its place, or comes to it, at an event; None for a hold."""
+        action, parts = int(self.plan.plan.actions[event]), len(self.plan.plan.boundary)
+        return action - parts if action >= parts else None
+
+    def standing(self, part: int) -> Swept:
+        """Return a part at its place."""
+        if part not in self._standing:
+            self._standing[part] = still(self.world.parts.pieces[part])
+        return self._standing[part]
+
+
+def reach_of(trajectory: Trajectory, cells: int) -> tuple[Array, Array]:
+    """Return joint values in the middle of each cell of a trajectory, and how far each joint is from there at most.
+
+    The bound is exact: a cubic lies within the control points of its Bézier form. Both shapes are (cells, joints).
+    """
+    seconds = trajectory.seconds
+    bounds = seconds * np.arange(cells + 1) / cells
+    middle = trajectory.sample((bounds[:-1] + bounds[1:]) / 2)
+    cuts = np.union1d(bounds, trajectory.times)
+    cuts = cuts[np.concatenate([[True], np.diff(cuts) > 1e-12])]
+    positions, rates = trajectory.sample(cuts), trajectory.rates(cuts)
+    third = np.diff(cuts)[:, None] / 3
+    control = np.stack(
+        [positions[:-1], positions[:-1] + third * rates[:-1], positions[1:] - third * rates[1:], positions[1:]]
+    )
+    owner = np.clip(np.searchsorted(bounds, (cuts[:-1] + cuts[1:]) / 2, side="right") - 1, 0, cells - 1)
+    far = np.abs(control - middle[owner]).max(axis=0)
+    spread = np.zeros_like(middle)
+    np.maximum.at(spread, owner, far)
+    return middle, spread

@@ -1,0 +1,123 @@
+"""Order of the conflicts of a plan: a schedule with least makespan, by constraint programming."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from falsework.errors import DependencyError, InputError
+from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
+from falsework.robots.schedule.conflicts import Choice
+
+_TICKS = 10_000
+"""Units of time of the solver in a second."""
+_SEED = 1
+
+
+@dataclass(frozen=True)
+class ScheduleSettings:
+    """Limits of the search for a schedule."""
+
+    seconds: float = 5.0
+    """Time that the solver has at most."""
+    workers: int = 2
+    """Threads of the solver."""
+
+    def __post_init__(self) -> None:
+        if not self.seconds > 0 or self.workers < 1:
+            raise InputError("a schedule needs time and a thread; give seconds above 0 and workers from 1 on")
+
+
+def import_ortools():
+    """Return the CP-SAT module of OR-Tools.
+
+    Raises:
+        DependencyError: not installed; the message names the extra.
+    """
+    try:
+        from ortools.sat.python import cp_model  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise DependencyError(
+            "scheduling arms that move at the same time needs OR-Tools; install it: pip install 'falsework[schedule]'"
+        ) from None
+    return cp_model
+
+
+def solve(
+    nodes: Sequence[MotionNode],
+    fixed: Sequence[Precedence],
+    choices: Sequence[Choice],
+    robots: int,
+    settings: ScheduleSettings = ScheduleSettings(),
+) -> TemporalPlanGraph:
+    """Return the graph of a schedule with the least makespan found.
+
+    Args:
+        nodes: the motions, in the order of the sequential plan.
+        fixed: precedences that every schedule keeps.
+        choices: conflicts of two arms.
+        robots: number of arms.
+        settings: limits.
+
+    Raises:
+        DependencyError: OR-Tools is missing.
+    """
+    cp = import_ortools()
+    model = cp.CpModel()
+    horizon = round(sum(node.seconds for node in nodes) * _TICKS) + len(nodes)
+    begin = [model.new_int_var(0, horizon, "") for _ in nodes]
+    makespan = model.new_int_var(0, horizon, "")
+    for node, start in zip(nodes, begin, strict=True):
+        model.add(makespan >= start + round(node.seconds * _TICKS))
+    for edge in fixed:
+        model.add(begin[edge.after] >= begin[edge.before] + round(edge.offset * _TICKS))
+    flags = []
+    for choice in choices:
+        second = model.new_bool_var("")
+        flags.append(second)
+        for edges, literal in zip(choice.ways, (second.negated(), second), strict=True):
+            if edges is None:
+                model.add_bool_or([literal.negated()])
+                continue
+            for edge in edges:
+                ready = begin[edge.before] + round(edge.offset * _TICKS)
+                model.add(begin[edge.after] >= ready).only_enforce_if(literal)
+        model.add_hint(second, bool(choice.planned))
+    planned = _chosen(nodes, fixed, choices, [choice.planned for choice in choices], robots, 0.0)
+    for start, seconds in zip(begin, planned.starts().tolist(), strict=True):
+        model.add_hint(start, round(seconds * _TICKS))
+    model.minimize(makespan)
+    solver = cp.CpSolver()
+    solver.parameters.max_time_in_seconds = settings.seconds
+    solver.parameters.num_workers = settings.workers
+    solver.parameters.random_seed = _SEED
+    status = solver.solve(model)
+    bound = max(solver.best_objective_bound / _TICKS, 0.0)
+    if status not in (cp.OPTIMAL, cp.FEASIBLE):
+        return _chosen(nodes, fixed, choices, [choice.planned for choice in choices], robots, bound)
+    return _chosen(nodes, fixed, choices, [int(solver.value(flag)) for flag in flags], robots, bound)
+
+
+def _chosen(
+    nodes: Sequence[MotionNode],
+    fixed: Sequence[Precedence],
+    choices: Sequence[Choice],
+    ways: Sequence[int],
+    robots: int,
+    bound: float,
+) -> TemporalPlanGraph:
+    edges = list(fixed)
+    for choice, way in zip(choices, ways, strict=True):
+        edges += choice.ways[way] or ()
+    graph = TemporalPlanGraph(tuple(nodes), tuple(_needed(edges)), robots, 0.0)
+    return TemporalPlanGraph(graph.nodes, graph.edges, robots, min(bound, graph.makespan))
+
+
+def _needed(edges: Sequence[Precedence]) -> list[Precedence]:
+    """Return of the precedences between two nodes the one that waits longest."""
+    longest: dict[tuple[int, int], Precedence] = {}
+    for edge in edges:
+        kept = longest.get((edge.before, edge.after))
+        if kept is None or edge.offset > kept.offset:
+            longest[edge.before, edge.after] = edge
+    return [longest[key] for key in sorted(longest)]

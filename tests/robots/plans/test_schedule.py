@@ -1,0 +1,179 @@
+"""Schedules: arms that move at the same time, in closed-form cases and against an independent check."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
+pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
+
+from falsework.assembly.model import Assembly
+from falsework.errors import InputError, PlanError
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.planning.hybrid_planner import HybridSettings, plan_robots
+from falsework.robots.planning.keyframe_graph import KeyframeSettings
+from falsework.robots.plans.check import check_robot_plan
+from falsework.robots.plans.check_schedule import check_schedule
+from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan_file import load_robot_plan, robot_plan_to_dict, save_robot_plan
+from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
+from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
+from falsework.robots.schedule.build import schedule_plan
+from falsework.robots.schedule.simulation import simulate
+from falsework.search.problem.task import Direction
+
+
+@pytest.fixture(scope="module")
+def row(make_boxes: Callable[..., Assembly]) -> Assembly:
+    """Four cubes, two on each side."""
+    return make_boxes((-0.45, -0.1, 0.0), (-0.2, -0.1, 0.0), (0.05, -0.1, 0.0), (0.3, -0.1, 0.0))
+
+
+@pytest.fixture(scope="module")
+def wide(cell_of: Callable[..., Cell]) -> Cell:
+    """Two arms at its ends."""
+    return cell_of(2, 1.3)
+
+
+@pytest.fixture(scope="module")
+def planned(row: Assembly, wide: Cell) -> RobotPlan:
+    """A plan for them that lets both arms work, one after the other."""
+    settings = HybridSettings(keyframes=KeyframeSettings(haste=1.0))
+    plan = plan_robots(row, wide, settings=settings).plan
+    assert plan is not None
+    return plan
+
+
+@pytest.fixture(scope="module")
+def scheduled(planned: RobotPlan, row: Assembly, wide: Cell) -> RobotPlan:
+    """The same with both at once."""
+    return schedule_plan(planned, row, wide)
+
+
+def graph_of(plan: RobotPlan) -> TemporalPlanGraph:
+    """Its schedule."""
+    assert plan.schedule is not None
+    return plan.schedule
+
+
+def test_both_arms_work_and_the_makespan_shrinks(planned: RobotPlan, scheduled: RobotPlan) -> None:
+    graph = graph_of(scheduled)
+    assert {step.robot for step in planned.steps} == {0, 1}
+    assert graph.sequential == pytest.approx(planned.seconds)
+    assert graph.lower_bound <= graph.makespan + 1e-3 < 0.9 * planned.seconds
+    busiest = max(sum(graph.nodes[k].seconds for k in graph.of_robot(robot)) for robot in (0, 1))
+    assert graph.makespan >= busiest - 1e-9
+
+
+def test_states_come_in_their_order(scheduled: RobotPlan) -> None:
+    events = event_times(scheduled, graph_of(scheduled))
+    assert len(events) == len(scheduled)
+    assert (np.diff(events) >= 0).all()
+
+
+def test_the_independent_check_agrees(scheduled: RobotPlan, row: Assembly, wide: Cell) -> None:
+    report = check_robot_plan(scheduled, row, wide)
+    assert report.good, report.problems
+    assert report.timed_samples > 100 * scheduled.makespan
+    judge = PinocchioCollisionChecker(wide, place_parts(row), 0.001)
+    nodes = len(graph_of(scheduled).nodes)
+    for seed in range(3):
+        problems, _ = check_schedule(scheduled, wide, judge, stretch=1 + np.random.default_rng(seed).random(nodes))
+        assert not problems
+
+
+def test_the_check_finds_arms_that_do_not_wait(scheduled: RobotPlan, row: Assembly, wide: Cell) -> None:
+    graph, nodes = graph_of(scheduled), nodes_of(scheduled)[0]
+    late, early = graph.of_robot(0)[0], graph.of_robot(1)[-1]
+    arms = [edge for edge in graph.edges if edge.why == "arm"]
+    arms.append(Precedence(early, nodes[early].seconds, late, "volume"))
+    careless = replace(scheduled, schedule=TemporalPlanGraph(nodes, tuple(arms), 2, 0.0))
+    report = check_robot_plan(careless, row, wide)
+    assert any("comes before" in problem.what or "meets" in problem.what for problem in report.problems)
+
+
+def test_assembly_is_scheduled_as_well(planned: RobotPlan, scheduled: RobotPlan, row: Assembly, wide: Cell) -> None:
+    judge = PinocchioCollisionChecker(wide, place_parts(row), 0.001)
+    for plan in (schedule_plan(planned.reverse(), row, wide), scheduled.reverse()):
+        assert plan.direction is Direction.ASSEMBLY
+        assert plan.makespan <= planned.seconds + 1e-6
+        assert not check_schedule(plan, wide, judge)[0]
+        assert simulate(plan, runs=20).good
+
+
+def test_delays_change_neither_order_nor_safety(scheduled: RobotPlan) -> None:
+    report = simulate(scheduled, runs=200)
+    assert report.good
+    assert (report.makespans >= scheduled.makespan).all()
+    assert (report.makespans <= 2 * scheduled.makespan + 1e-9).all()
+
+
+@pytest.mark.parametrize("most", [-0.1, np.nan, np.inf])
+def test_delays_that_are_none(scheduled: RobotPlan, most: float) -> None:
+    with pytest.raises(InputError, match="finite numbers above 0"):
+        simulate(scheduled, most=most)
+
+
+def test_a_plan_without_a_schedule(planned: RobotPlan) -> None:
+    assert planned.makespan == planned.seconds
+    with pytest.raises(PlanError, match="no schedule to simulate"):
+        simulate(planned)
+
+
+def test_arms_spend_all_their_time_somehow(scheduled: RobotPlan) -> None:
+    for share in arm_shares(scheduled, graph_of(scheduled)):
+        assert share.moves > 0
+        assert share.moves + share.holds + share.waits == pytest.approx(1.0)
+
+
+def test_one_arm_stays_sequential(column: Assembly, cell_of: Callable[..., Cell]) -> None:
+    cell = cell_of(1)
+    plan = plan_robots(column, cell).plan
+    assert plan is not None
+    graph = graph_of(schedule_plan(plan, column, cell))
+    assert graph.makespan == pytest.approx(plan.seconds)
+    assert graph.lower_bound == pytest.approx(plan.seconds, abs=0.1)
+
+
+def test_files_keep_the_schedule(scheduled: RobotPlan, tmp_path: Path) -> None:
+    save_robot_plan(scheduled, tmp_path / "plan.json")
+    loaded = load_robot_plan(tmp_path / "plan.json")
+    assert graph_of(loaded).starts() == pytest.approx(graph_of(scheduled).starts(), abs=1e-6)
+
+
+def test_files_of_the_first_format(planned: RobotPlan, tmp_path: Path) -> None:
+    data = robot_plan_to_dict(planned)
+    del data["schedule"]
+    data["format"] = "falsework.robot-plan/1"
+    (tmp_path / "old.json").write_text(json.dumps(data))
+    loaded = load_robot_plan(tmp_path / "old.json")
+    assert loaded.schedule is None
+    assert len(loaded) == len(planned)
+
+
+@pytest.mark.parametrize(
+    ("key", "entry", "message"),
+    [
+        ("precedences", {"before": 3, "offset": 0.0, "after": 2, "why": "volume"}, "in a circle"),
+        ("precedences", {"before": 0, "offset": -1.0, "after": 2, "why": "volume"}, "offset is -1.0"),
+        ("precedences", {"before": 0, "offset": 0.0, "after": 999, "why": "volume"}, "after is 999"),
+        ("precedences", {"before": 0, "offset": 0.0, "after": 2, "why": "luck"}, "why is 'luck'"),
+        ("motions", {"robot": 0, "step": 0, "trajectory": 0, "start": 0.0, "seconds": 1.0}, "motions, its steps have"),
+    ],
+)
+def test_damaged_schedules(scheduled: RobotPlan, tmp_path: Path, key: str, entry: dict, message: str) -> None:
+    data = json.loads(json.dumps(robot_plan_to_dict(scheduled)))
+    data["schedule"][key].append(entry)
+    (tmp_path / "bad.json").write_text(json.dumps(data))
+    with pytest.raises(PlanError) as caught:
+        load_robot_plan(tmp_path / "bad.json")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)

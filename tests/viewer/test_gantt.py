@@ -1,0 +1,79 @@
+"""Gantt charts of robot plans."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from falsework.cli.main import main
+from falsework.errors import InputError
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep, Trajectory
+from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
+from falsework.robots.plans.timeline import nodes_of
+from falsework.search import plan_from_dict
+from falsework.search.problem.task import Direction
+from falsework.viewer.pictures.gantt import bars_of, draw_gantt
+
+pytest.importorskip("matplotlib", reason="charts need matplotlib; pip install 'falsework[picture]'")
+
+
+def motion(seconds: float, part: int | None = None) -> Trajectory:
+    still = np.zeros((2, 1))
+    return Trajectory("free", np.array([0.0, seconds]), still, still, part)
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> RobotPlan:
+    """Two blocks on each other that two arms take away."""
+    file = tmp_path_factory.mktemp("plan") / "plan.json"
+    assert main(["plan", "stack:blocks=2", "--robots", "1", "--out", str(file)]) == 0
+    abstract = plan_from_dict(json.loads(file.read_text()))
+    abstract = abstract if abstract.direction is Direction.DISASSEMBLY else abstract.reverse()
+    parts, robot, held, frames, steps = len(abstract.boundary), 0, [None, None], [], []
+    values = (np.zeros(1), np.zeros(1))
+    frames.append(Keyframe(values, tuple(held)))
+    for action in abstract.actions.tolist():
+        part = action % parts
+        removes = action >= parts
+        held[robot] = None if removes else part
+        steps.append(RobotStep(robot, (motion(2.0, part if removes else None),)))
+        frames.append(Keyframe(values, tuple(held)))
+        robot = (robot + removes) % 2
+    record = RobotRecord("arm", "model", ("joint",), np.eye(4), "cup", np.eye(4))
+    return RobotPlan(abstract, tuple(frames), tuple(steps), (record, record), "cell", "0")
+
+
+def test_bars_of_a_plan_one_by_one(plan: RobotPlan) -> None:
+    bars = bars_of(plan)
+    assert [bar.does for bar in bars if bar.robot == 0][:2] == ["moves", "carries"]
+    assert max(bar.end for bar in bars) == pytest.approx(plan.seconds)
+
+
+def test_an_arm_that_holds_is_shown_holding(plan: RobotPlan) -> None:
+    nodes, _ = nodes_of(plan)
+    first = [k for k, node in enumerate(nodes) if node.robot == 0]
+    arms = [Precedence(a, nodes[a].seconds, b, "arm") for a, b in pairwise(first)]
+    other = next(k for k, node in enumerate(nodes) if node.robot == 1)
+    late = Precedence(other, nodes[other].seconds, first[-1], "volume")
+    graph = TemporalPlanGraph(nodes, (*arms, late), 2, 0.0)
+    scheduled = replace(plan, schedule=graph)
+    assert scheduled.makespan < plan.seconds
+    assert len(bars_of(scheduled)) >= len(nodes) // 2
+
+
+@pytest.mark.parametrize("name", ["chart.png", "chart.svg"])
+def test_charts_are_drawn(plan: RobotPlan, tmp_path: Path, name: str) -> None:
+    assert draw_gantt(plan, tmp_path / name) == len(bars_of(plan))
+    assert (tmp_path / name).stat().st_size > 1000
+
+
+def test_charts_that_cannot_be_drawn(plan: RobotPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match="neither PNG nor SVG"):
+        draw_gantt(plan, tmp_path / "chart.txt")
+    assert main(["picture", "stack:blocks=2", "--gantt", "--out", str(tmp_path / "none.png")]) == 2
+    assert "has no arms" in capsys.readouterr().err
