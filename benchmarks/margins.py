@@ -15,6 +15,7 @@ import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from record import report, spread, write_to
@@ -146,6 +147,7 @@ def plans(names: list[str], robots: int) -> None:
         after = best.plans[0].margins
         assert after is not None
         weakest = after.weakest("friction")
+        bound: dict[str, Any] = {} if after.bound is None else {"bound": after.bound}
         report(
             "margins plans",
             structure=name,
@@ -154,7 +156,7 @@ def plans(names: list[str], robots: int) -> None:
             friction=assembly.friction,
             first=None if before is None else before[1],
             maximised=None if weakest is None else weakest[1],
-            **({} if after.bound is None else {"bound": after.bound}),
+            **bound,
             first_s=first_s,
             maximise_s=seconds,
         )

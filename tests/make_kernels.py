@@ -83,10 +83,10 @@ define internal void @NRT_MemInfo_call_dtor(ptr %block) {
 
 def record() -> dict[str, tuple[Any, ...]]:
     """Return the arguments of each kernel, as a small structure has them."""
-    arguments: dict[str, tuple[Any, ...]] = {}
+    recorded: dict[str, tuple[Any, ...]] = {}
 
-    def note(kernel: Kernel, *given: Any) -> int:
-        arguments.setdefault(f"{kernel.__module__}.{kernel.__name__}", given)
+    def note(self: Kernel, *arguments: Any) -> int:
+        recorded.setdefault(f"{self.__module__}.{self.__name__}", arguments)
         return 1  # states are left for the next kernel
 
     real, Kernel.__call__ = Kernel.__call__, note
@@ -105,7 +105,7 @@ def record() -> dict[str, tuple[Any, ...]]:
         table._ways_out(words, np.zeros((states.shape[1], 1), np.uint64), ways, np.zeros(states.shape, np.int32))
     finally:
         Kernel.__call__ = real
-    return arguments
+    return recorded
 
 
 def translate(kernel: Kernel, entry: str, given: tuple[Any, ...]) -> str:

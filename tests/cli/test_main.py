@@ -13,7 +13,8 @@ import pytest
 
 from falsework import __version__
 from falsework.cli import main as entry
-from falsework.cli.command import Command, Exit
+from falsework.cli.command import Command
+from falsework.cli.exit_code import Exit
 from falsework.errors import InputError
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -143,7 +144,7 @@ def test_numba_without_a_folder_compiles_with_a_warning(fresh: Kernel, monkeypat
 
 
 def test_failure_in_portable_code_is_an_error(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kernel_code.ctypes, "CFUNCTYPE", lambda *_: lambda _: lambda words, result: -1)
+    monkeypatch.setattr(ctypes, "CFUNCTYPE", lambda *_: lambda _: lambda words, result: -1)
     with pytest.raises(RuntimeError, match="_intersect failed"):
         meets(fresh)
 

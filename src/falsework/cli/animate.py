@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.command import Exit, JudgingCommand
+from falsework.cli.command import JudgingCommand
+from falsework.cli.exit_code import Exit
 from falsework.cli.planning import writable
 from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError

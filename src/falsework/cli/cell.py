@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from falsework.cli.command import UNSET, Command, Exit, StructureOptions
+from falsework.cli.command import UNSET, Command, StructureOptions
+from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

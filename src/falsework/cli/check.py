@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from falsework.cli.command import CONE_HINT, UNSET, Exit, JudgingCommand, LoadOptions
+from falsework.cli.command import CONE_HINT, UNSET, JudgingCommand, LoadOptions
+from falsework.cli.exit_code import Exit
 from falsework.errors import InputError
 
 if TYPE_CHECKING:

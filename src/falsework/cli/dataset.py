@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, Exit, JudgingCommand, StructureOptions
+from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
+from falsework.cli.exit_code import Exit
 from falsework.cli.planning import refuse_unstable, writable
 
 if TYPE_CHECKING:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from falsework.cli.command import UNSET, Command, Exit
+from falsework.cli.command import UNSET, Command
+from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
     from falsework.assembly.doctor import Diagnosis

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from falsework.cli.command import UNSET, Command, Exit
+from falsework.cli.command import UNSET, Command
+from falsework.cli.exit_code import Exit
 from falsework.errors import InputError
 
 if TYPE_CHECKING:

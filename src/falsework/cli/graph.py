@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, Exit, JudgingCommand, StructureOptions
+from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
+from falsework.cli.exit_code import Exit
 from falsework.cli.planning import SearchOptions, TaskOptions, refuse_unstable, writable
 from falsework.errors import InputError
 

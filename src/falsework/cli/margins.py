@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, UNSET, Command, Exit, StructureOptions
+from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
+from falsework.cli.exit_code import Exit
 from falsework.errors import InputError
 
 if TYPE_CHECKING:

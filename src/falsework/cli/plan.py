@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, UNSET, Command, Exit, StructureOptions
+from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
+from falsework.cli.exit_code import Exit
 from falsework.cli.planning import RuleOptions, refuse_unstable, writable
 from falsework.errors import InputError
 

@@ -11,7 +11,8 @@ import numpy as np
 from tyro.conf import arg
 
 from falsework.cli.arguments import parse_parts, parse_state
-from falsework.cli.command import UNSET, Exit, JudgingCommand, StructureOptions
+from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
+from falsework.cli.exit_code import Exit
 from falsework.cli.planning import writable
 from falsework.errors import InputError
 

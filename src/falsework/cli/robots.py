@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from tyro.conf import Positional, arg
 
 from falsework.cli.arguments import parse_parts, parse_state
-from falsework.cli.command import UNSET, Command, Exit, LoadOptions, StructureOptions
+from falsework.cli.command import UNSET, Command, LoadOptions, StructureOptions
+from falsework.cli.exit_code import Exit
 from falsework.cli.planning import writable
 from falsework.cli.robot_arguments import parse_holding, parse_joints
 from falsework.errors import InputError

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, Exit, JudgingCommand, StructureOptions
+from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
+from falsework.cli.exit_code import Exit
 from falsework.errors import DependencyError, InputError
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from falsework.cli.command import UNSET, Command, Exit, LoadOptions
+from falsework.cli.command import UNSET, Command, LoadOptions
+from falsework.cli.exit_code import Exit
 from falsework.errors import InputError
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, UNSET, Exit, JudgingCommand, StructureOptions
+from falsework.cli.command import CONE_HINT, UNSET, JudgingCommand, StructureOptions
+from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from falsework.cli.command import Command, Exit
+from falsework.cli.command import Command
+from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output

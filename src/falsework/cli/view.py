@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, Exit, JudgingCommand
+from falsework.cli.command import UNSET, JudgingCommand
+from falsework.cli.exit_code import Exit
 from falsework.cli.subject import ViewableOptions
 
 if TYPE_CHECKING:

@@ -162,7 +162,7 @@ class Stability:
             beside = self.check(neighbour)
             if verdict.stable[0] or not beside.stable[0] or beside.displacement is None:
                 continue
-            guess = np.require(beside.displacement, requirements="CW").copy()
+            guess = beside.displacement.copy()
             found = self._cpu.check(state[None], parents=neighbour[None], guess=guess)
             if found.stable[0] and self._accept(state[None], found)[0]:
                 verdict = found

@@ -115,6 +115,7 @@ def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly) -> 
 def test_a_policy_that_numbers_parts_learns_from_images_of_states(dome: Assembly) -> None:
     """They stand, and none of them is an image of a state that is held out."""
     oracle = Stability(dome)
+    chosen: tuple[tuple[Any, Any], ...] = (("transformer", "wide"), ("resmlp", "width64"), ("resmlp", "wide"))
     plain, alone, turned = (
         collect_training_data(
             RunContext(
@@ -124,7 +125,7 @@ def test_a_policy_that_numbers_parts_learns_from_images_of_states(dome: Assembly
                 CPU,
             )
         )
-        for kind, data in (("transformer", "wide"), ("resmlp", "width64"), ("resmlp", "wide"))
+        for kind, data in chosen
     )
     count = len(plain.starts)
     images = symmetries(dome)

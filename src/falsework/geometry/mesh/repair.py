@@ -54,8 +54,8 @@ def thicken_supports(
     others = [vertices for part, (_, vertices, _) in enumerate(solids) if part not in sheets and len(vertices)]
     whole, most = list(solids), 0.0
     for part in sheets:
-        name, *surface = solids[part]
-        vertices, faces, thickness = thickened(*surface, others)
+        name, vertices, faces = solids[part]
+        vertices, faces, thickness = thickened(vertices, faces, others)
         whole[part] = name, vertices, faces
         most = max(most, thickness)
     warnings.warn(

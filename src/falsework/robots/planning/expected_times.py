@@ -87,5 +87,5 @@ class BalanceGuide:
         score = np.clip(ahead / 2, -1.0, 1.0) @ near.T
         if direction is Direction.ASSEMBLY:
             score = -score
-        found = np.concatenate([score, score], axis=1)
+        found: NDArray[np.float64] = np.concatenate([score, score], axis=1)
         return found if self._base is None else found + self._base(states, actions, direction)

@@ -17,7 +17,7 @@ from falsework.assembly.state import HELD, REMOVED, States
 from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Contact
-from falsework.robots.motion.path_planner import MotionSettings, plan_free, resolution_of
+from falsework.robots.motion.path_planner import plan_free, resolution_of
 from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, Node, PathSegment
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import event_times
@@ -169,4 +169,4 @@ def _proven(segment: PathSegment, view: CollisionQuery, seed: int) -> Array | No
         return path
     if segment.kind == "line":
         return None
-    return plan_free(view, path[0], path[-1], seed=seed, settings=MotionSettings(nodes=_NODES)).path
+    return plan_free(view, path[0], path[-1], seed=seed, nodes=_NODES).path

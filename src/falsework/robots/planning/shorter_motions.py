@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
 from falsework.robots.motion.collision_world import CollisionQuery
-from falsework.robots.motion.path_planner import MotionSettings, plan_free, resolution_of
+from falsework.robots.motion.path_planner import plan_free, resolution_of
 from falsework.robots.motion.timing import time_path
 from falsework.robots.planning.expected_times import expected_seconds
 from falsework.robots.planning.keyframe_graph import Edge, PathSegment
@@ -59,9 +59,7 @@ def _shorter(segment: PathSegment, speed: float, seed: list[int]) -> PathSegment
     rng, opened = np.random.default_rng(seed), np.empty((2, INTERVALS), np.int64)
     paths = [path]
     for _ in range(_TREES):
-        other = plan_free(
-            view, path[0], path[-1], seed=int(rng.integers(2**31)), settings=MotionSettings(nodes=_NODES)
-        ).path
+        other = plan_free(view, path[0], path[-1], seed=int(rng.integers(2**31)), nodes=_NODES).path
         if other is not None:
             paths.append(other)
     best = min(paths, key=lambda candidate: _cost(view, candidate, speed))

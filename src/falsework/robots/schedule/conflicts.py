@@ -77,7 +77,9 @@ def choices(rows: Itineraries) -> list[Choice]:
 
 
 def _of_pair(rows: Itineraries, one: int, other: int) -> list[Choice]:
-    labels, count = ndimage.label(conflict_table(rows, one, other), np.ones((3, 3)))
+    table = conflict_table(rows, one, other)
+    labels = np.zeros(table.shape, dtype=np.int32)
+    count = int(ndimage.label(table, np.ones((3, 3)), output=labels))  # type: ignore[arg-type]
     found = []
     for label, box in enumerate(ndimage.find_objects(labels, count), 1):
         cells = np.argwhere(labels[box] == label) + [box[0].start, box[1].start]

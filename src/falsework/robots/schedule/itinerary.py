@@ -70,7 +70,8 @@ class Itineraries:
         starts = {event.node: k for k, event in enumerate(self.events) if not event.at_end}
         ends = {event.node: k for k, event in enumerate(self.events) if event.at_end}
         own = sorted(k for k, event in enumerate(self.events) if self.nodes[event.node].robot == robot)
-        values, first, after = self.plan.keyframes[0].configurations[robot], 0, -1
+        values, first = self.plan.keyframes[0].configurations[robot], 0
+        after: int = -1
         last: int | None = None
         for index in (*self.of_robot(robot), None):
             ahead = next((k for k in own if k > after), len(self.events))
@@ -81,12 +82,12 @@ class Itineraries:
             if self.nodes[index].trajectory is None:  # rests before and after it are told apart
                 after = starts[index]
                 continue
-            after = starts.get(index, after)
+            after = int(starts.get(index, after))
             ahead = next((k for k in own if k > after), len(self.events))
             stretch = self._motion(index, first, after, ahead)
             yield stretch
             first += stretch.cells
-            after = ends.get(index, after)
+            after = int(ends.get(index, after))
             values, last = self._trajectory(index).positions[-1], index
 
     def of_robot(self, robot: int) -> list[int]:
