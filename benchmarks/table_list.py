@@ -62,6 +62,18 @@ TABLES = {
         benchmark="contact verdicts",
         where=quiet,
     ),
+    "contact-steps": Table(
+        "contact",
+        STRUCTURE,
+        (
+            ("parts", "{parts}"),
+            ("states", "{states}"),
+            ("from the state before, ms of processor time", "{ms_each.beside}"),
+            ("from rest, ms", "{ms_each.from rest}"),
+            ("same verdict", "{agree}"),
+        ),
+        benchmark="contact steps",
+    ),
     "replays": Table(
         "contact",
         STRUCTURE,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import subprocess
 import sys
@@ -52,7 +53,7 @@ def test_portable_code_is_made_of_the_present_sources() -> None:
         for group, content in kernel_code._index().items()
         if kernel_code.digest(content["sources"]) != content["digest"]
     ]
-    assert sorted(kernel_code._index()) == ["contact", "equilibrium", "sets"]
+    assert sorted(kernel_code._index()) == ["contact", "equilibrium", "margins", "sets"]
     assert not stale, "run `make kernels`"
 
 
@@ -64,6 +65,15 @@ def test_code_is_compiled_once_and_kept(fresh: Kernel, tmp_path: Path, monkeypat
     monkeypatch.setattr(kernel_code, "compile_code", lambda *_: pytest.fail("compiled again"))
     assert meets(Kernel(bits._intersect.py_func, {})) == MEET
     assert kept.name.startswith("sets-")
+
+
+def test_code_stays_as_long_as_a_kernel_may_call_it(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would be freed with the engine that owns it."""
+    without_numba(fresh, monkeypatch)
+    assert meets(fresh) == MEET
+    kernel_code._library.cache_clear()
+    gc.collect()
+    assert meets(fresh) == MEET
 
 
 def test_a_folder_that_cannot_be_written_costs_one_warning(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,6 +35,8 @@ class Code:
     """Kinds of its arguments, as `kernels.flatten` names them."""
     run: Callable[[bytes], int]
     """Call with the words of all arguments, without the interpreter's lock."""
+    library: Any
+    """Engine that owns the code, which is freed with it."""
 
 
 def load(module: str, name: str) -> Code | None:
@@ -56,7 +58,7 @@ def load(module: str, name: str) -> Code | None:
             raise RuntimeError(f"{entry} failed: its arguments do not fit together, or there is no memory left")
         return result.value
 
-    return Code(_index()[group]["entries"][entry], run)
+    return Code(_index()[group]["entries"][entry], run, library)
 
 
 def digest(sources: Iterable[str]) -> str:
