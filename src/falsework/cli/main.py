@@ -152,7 +152,11 @@ def _spell_unions_out(kind: Any) -> None:
 
 
 def _command_class(name: str) -> type[Command]:
-    return getattr(importlib.import_module(f"falsework.cli.{name.split()[0].replace('-', '_')}"), COMMANDS[name])
+    return getattr(importlib.import_module(f"falsework.cli.{_module(name)}"), COMMANDS[name])
+
+
+def _module(name: str) -> str:
+    return name.split()[0].replace("-", "_")
 
 
 @cache
@@ -164,7 +168,7 @@ def _first_lines(module: str) -> dict[str, str]:
 
 
 def _first_line(name: str) -> str:
-    return _first_lines(name.split()[0]).get(COMMANDS[name], "")
+    return _first_lines(_module(name)).get(COMMANDS[name], "")
 
 
 def _overview() -> str:
