@@ -16,7 +16,7 @@ from falsework.robots.model.shapes import block, pose
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory, records_of
 from falsework.search import Direction, Plan
 from falsework.viewer.appearance import appearance_at, bounds_of
-from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms, wxyz_of
+from falsework.viewer.arms import ArmPoses, Arms, bounds_with_arms, look_with_arms, solids_of_arms, wxyz_of
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.timeline import NO_ROBOT, Timeline
 
@@ -73,6 +73,10 @@ def to_structure(cell: Cell, points: np.ndarray) -> np.ndarray:
     return (points - cell.placement.pose[:3, 3]) @ turn / cell.placement.scale
 
 
+def carried_parts(arm_poses: ArmPoses) -> list[int]:
+    return [carried.part for carried in arm_poses.carried]
+
+
 def test_links_are_where_forward_kinematics_puts_them(robot_plan: RobotPlan, cell: Cell) -> None:
     arms = Arms(robot_plan, cell, Direction.DISASSEMBLY)
     arm_poses = arms.at(3.0)
@@ -103,25 +107,26 @@ def test_a_carried_part_goes_with_the_gripper(
     parts = len(plan.plan.boundary)
     for index, action in enumerate(plan.plan.actions.tolist()):
         if action < parts:
-            assert all(arms.at(index + share).carried is None for share in (0.2, 0.8))
+            assert not any(arms.at(index + share).carried for share in (0.2, 0.8))
             continue
         part, step = action % parts, plan.steps[index]
         robot = cell.robots[step.robot]
         point = arch[0].mass.center[part]
         in_tool = []
-        carrying = [share for share in (0.1, 0.25, 0.4, 0.6, 0.75, 0.9) if arms.at(index + share).carried == part]
+        shares = (0.1, 0.25, 0.4, 0.6, 0.75, 0.9)
+        carrying = [share for share in shares if carried_parts(arms.at(index + share)) == [part]]
         assert len(carrying) == 3
         for share in carrying:
-            arm_poses = arms.at(index + share)
-            assert arm_poses.carrier == step.robot
-            seen = arm_poses.carried_pose[:3, :3] @ point + arm_poses.carried_pose[:3, 3]
+            (carried,) = arms.at(index + share).carried
+            assert carried.robot == step.robot
+            seen = carried.pose[:3, :3] @ point + carried.pose[:3, 3]
             world = cell.placement.pose[:3, :3] @ (seen * SCALE) + cell.placement.pose[:3, 3]
             number, left = int(share >= 0.5), (share % 0.5) * step.seconds
             values = step.trajectories[number].sample(np.array([left]))[0]
             in_tool.append(np.linalg.inv(tool_pose(robot, values)) @ [*world, 1.0])
         np.testing.assert_allclose(in_tool, np.broadcast_to(in_tool[0], (3, 4)), atol=1e-9)
         edge = index + 1e-9 if direction is Direction.DISASSEMBLY else index + 1 - 1e-9
-        np.testing.assert_allclose(arms.at(edge).carried_pose, np.eye(4), atol=1e-6)
+        np.testing.assert_allclose(arms.at(edge).carried[0].pose, np.eye(4), atol=1e-6)
 
 
 def test_the_part_is_seen_once(robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]) -> None:
@@ -135,14 +140,14 @@ def test_the_part_is_seen_once(robot_plan: RobotPlan, cell: Cell, arch: tuple[As
         arm_poses = arms.at(step + share)
         appearance = look_with_arms(appearance_at(timeline, step + share, travelling=False), arm_poses)
         assert bool(appearance.opacity[part] > 0) is there, share
-        assert (arm_poses.carried == part) is carried, share
+        assert carried_parts(arm_poses) == [part] * carried, share
     backwards, turned = timeline.turned(Direction.ASSEMBLY), arms.turned(Direction.ASSEMBLY)
     place = len(plan) - step - 1
     for share, there, carried in ((0.0, False, False), (0.3, False, False), (0.7, False, True), (1.0, True, False)):
         arm_poses = turned.at(place + share)
         appearance = look_with_arms(appearance_at(backwards, place + share, travelling=False), arm_poses)
         assert bool(appearance.opacity[part] > 0) is there, share
-        assert (arm_poses.carried == part) is carried, share
+        assert carried_parts(arm_poses) == [part] * carried, share
 
 
 def test_holders_are_those_of_the_keyframes(robot_plan: RobotPlan, cell: Cell) -> None:
