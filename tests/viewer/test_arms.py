@@ -10,61 +10,14 @@ import pytest
 from falsework.assembly import Assembly
 from falsework.robots import save_robot_plan
 from falsework.robots.kinematics.forward import link_poses, tool_pose
-from falsework.robots.model.builtin_robots import builtin_robot
-from falsework.robots.model.cell import Cell, CellRobot, Gripper, Placement, cell_identity
-from falsework.robots.model.shapes import block, pose
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory, records_of
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.shapes import pose
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search import Direction, Plan
 from falsework.viewer.appearance import appearance_at, bounds_of
 from falsework.viewer.arms import ArmPoses, Arms, bounds_with_arms, look_with_arms, solids_of_arms, wxyz_of
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.timeline import NO_ROBOT, Timeline
-
-SCALE = 0.25
-
-
-def trajectory(start: np.ndarray, end: np.ndarray, part: int | None = None) -> Trajectory:
-    still = np.zeros_like(start)
-    return Trajectory("free", np.array([0.0, 2.0]), np.stack([start, end]), np.stack([still, still]), part)
-
-
-@pytest.fixture
-def cell() -> Cell:
-    """Two arms on either side of a structure that is built at a quarter of its size, turned and moved."""
-    tool = np.eye(4)
-    tool[2, 3] = 0.1
-    gripper = Gripper("cup", "suction", (block((-0.02, -0.02, 0.0), (0.02, 0.02, 0.1)),), tool, 5.0)
-    model = builtin_robot("ur10e")
-    robots = tuple(
-        CellRobot(f"arm {k}", model, pose((0.9 * side, 0, 0), 0.3 * side), gripper, model.home, np.eye(4)[None])
-        for k, side in enumerate((-1, 1))
-    )
-    return Cell("test", robots, placement=Placement((0.1, 0.2, 0.3), 0.7, SCALE))
-
-
-@pytest.fixture
-def robot_plan(arch: tuple[Assembly, Plan], cell: Cell) -> RobotPlan:
-    """Motions that join, with no claim to avoid anything."""
-    _, plan = arch
-    rng = np.random.default_rng(0)
-    who = Timeline.of(plan, arch[0]).holders
-    home = [robot.home for robot in cell.robots]
-    frames, steps = [], []
-    now = list(home)
-    for state in range(len(plan) + 1):
-        held = tuple(next((int(part) for part in np.flatnonzero(who[state] == robot)), None) for robot in range(2))
-        frames.append(Keyframe(tuple(now), held))
-        if state == len(plan):
-            break
-        action = int(plan.actions[state])
-        part, removes = action % len(plan.boundary), action >= len(plan.boundary)
-        robot = int(who[state if removes else state + 1, part])
-        middle, end = (home[robot] + rng.normal(scale=0.3, size=len(home[robot])) for _ in range(2))
-        parts = (part, None) if removes else (None, None)
-        motions = (trajectory(now[robot], middle, parts[0]), trajectory(middle, end, parts[1]))
-        steps.append(RobotStep(robot, motions))
-        now[robot] = end
-    return RobotPlan(plan, tuple(frames), tuple(steps), records_of(cell), cell.name, cell_identity(cell))
 
 
 def to_structure(cell: Cell, points: np.ndarray) -> np.ndarray:
@@ -120,7 +73,7 @@ def test_a_carried_part_goes_with_the_gripper(
             (carried,) = arms.at(index + share).carried
             assert carried.robot == step.robot
             seen = carried.pose[:3, :3] @ point + carried.pose[:3, 3]
-            world = cell.placement.pose[:3, :3] @ (seen * SCALE) + cell.placement.pose[:3, 3]
+            world = cell.placement.pose[:3, :3] @ (seen * cell.placement.scale) + cell.placement.pose[:3, 3]
             number, left = int(share >= 0.5), (share % 0.5) * step.seconds
             values = step.trajectories[number].sample(np.array([left]))[0]
             in_tool.append(np.linalg.inv(tool_pose(robot, values)) @ [*world, 1.0])
@@ -167,7 +120,7 @@ def test_meshes_and_bounds(robot_plan: RobotPlan, cell: Cell, arch: tuple[Assemb
     assert len(solids_of_arms(arms, arms.at(removal + 0.2), arch[0])) == len(arms.links) + 1
     box = bounds_with_arms(arms, bounds_of(arch[0]))
     assert (box[0] <= bounds_of(arch[0])[0]).all()
-    assert (box[1] - box[0]).max() > 1.5 / SCALE  # the arms stand 1.8 m apart
+    assert (box[1] - box[0]).max() > 1.5 / cell.placement.scale  # the arms stand 1.8 m apart
     assert arms.seconds(0) == pytest.approx(4.0)
 
 

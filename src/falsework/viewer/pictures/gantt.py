@@ -25,6 +25,8 @@ _WIDTH, _ROW = 12.0, 0.55
 """Of the chart and of the row of an arm, inches."""
 _STRIP_ROW = 0.26
 """Of the row of an arm in a strip below a picture, inches."""
+_KEY_FROM = 5.0
+"""Width of a strip that has its key below, inches."""
 _DOTS = 100
 """Pixels an inch."""
 KEY = "high: carries a part; low: moves without one; pale: holds a part at its place; gap: waits"
@@ -109,7 +111,7 @@ class GanttChart:
             raise DependencyError("a Gantt chart needs matplotlib: pip install 'falsework[picture]'") from None
         bars, strip = bars_of(plan), title is None
         rows = len(plan.robots)
-        height = 0.35 + _STRIP_ROW * rows if strip else 1.3 + _ROW * rows
+        height = (0.55 if width > _KEY_FROM else 0.35) + _STRIP_ROW * rows if strip else 1.3 + _ROW * rows
         figure = Figure(figsize=(width, height), layout="constrained")
         axes = figure.add_subplot()
         for bar in bars:
@@ -124,6 +126,8 @@ class GanttChart:
             axes.spines[side].set_visible(False)
         if strip:
             axes.tick_params(labelsize=7)
+            if width > _KEY_FROM:
+                axes.set_xlabel(f"seconds; {KEY}", fontsize=7)
         else:
             axes.set_xlabel(f"seconds; {KEY}")
             times = f"{plan.makespan:.1f} s, one after the other {plan.seconds:.1f} s"

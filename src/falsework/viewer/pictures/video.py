@@ -66,7 +66,7 @@ def frames_of(
             position,
             camera,
             bounds=box,
-            words=caption(timeline, step, proof),
+            words=caption(timeline, step, proof) if time is None else f"{time:.1f} s, {caption(timeline, step, proof)}",
             key=legend(timeline, sliding),
             arms=arms,
             time=time,
