@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -190,6 +191,15 @@ def test_a_page_has_seconds_and_a_chart_as_long_as_there_is_a_schedule(
         assert model.seconds == 5.0
         assert "<svg" in chart.content
         assert chart.content != first
+        page._speed.value = 8.0
+        page._toggle_play()
+        end = time.monotonic() + 60
+        while page._playing.is_set():
+            assert time.monotonic() < end, "the plan is not played to its end"
+            time.sleep(0.05)
+        assert model.seconds == scheduled.makespan
+        assert slider.value == slider.max
+        assert page._where.content.startswith(f"{scheduled.makespan:.1f} s of {scheduled.makespan:.1f} s")
         model.arms = Arms(replace(scheduled, schedule=None), cell, Direction.DISASSEMBLY)
         page._plan_changed()
         assert (slider.label, slider.max, chart.content) == ("Step", len(scheduled), "")

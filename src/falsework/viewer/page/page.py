@@ -320,6 +320,8 @@ class Page:
                 self.refresh()
             else:
                 with self._lock, self.server.atomic():
+                    if model.clock is not None:  # the words tell the time
+                        self._where.content = where_text(model, ask=bool(self._shown()))
                     self._draw()
             if model.reading >= model.last_reading:
                 self._playing.clear()
