@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
 from falsework.assembly import Assembly, load_structure
+from falsework.robots.model.builtin_robots import builtin_robot
+from falsework.robots.model.cell import Cell, CellRobot, Gripper, Placement, cell_identity
+from falsework.robots.model.shapes import block, pose
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory, records_of
+from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
+from falsework.robots.plans.timeline import nodes_of
 from falsework.search import Plan, find_plans, task_of
 from falsework.viewer.timeline import Timeline
 
@@ -31,6 +39,63 @@ def timeline(arch: tuple[Assembly, Plan]) -> Timeline:
     """The plan of the arch in the order of assembly."""
     assembly, plan = arch
     return Timeline.of(plan.reverse(), assembly)
+
+
+def trajectory(start: np.ndarray, end: np.ndarray, part: int | None = None) -> Trajectory:
+    still = np.zeros_like(start)
+    return Trajectory("free", np.array([0.0, 2.0]), np.stack([start, end]), np.stack([still, still]), part)
+
+
+@pytest.fixture
+def cell() -> Cell:
+    """Two arms on either side of a structure that is built at a quarter of its size, turned and moved."""
+    tool = np.eye(4)
+    tool[2, 3] = 0.1
+    gripper = Gripper("cup", "suction", (block((-0.02, -0.02, 0.0), (0.02, 0.02, 0.1)),), tool, 5.0)
+    model = builtin_robot("ur10e")
+    robots = tuple(
+        CellRobot(f"arm {k}", model, pose((0.9 * side, 0, 0), 0.3 * side), gripper, model.home, np.eye(4)[None])
+        for k, side in enumerate((-1, 1))
+    )
+    return Cell("test", robots, placement=Placement((0.1, 0.2, 0.3), 0.7, 0.25))
+
+
+@pytest.fixture
+def robot_plan(arch: tuple[Assembly, Plan], cell: Cell) -> RobotPlan:
+    """Motions that join, with no claim to avoid anything."""
+    _, plan = arch
+    rng = np.random.default_rng(0)
+    who = Timeline.of(plan, arch[0]).holders
+    home = [robot.home for robot in cell.robots]
+    frames, steps = [], []
+    now = list(home)
+    for state in range(len(plan) + 1):
+        held = tuple(next((int(part) for part in np.flatnonzero(who[state] == robot)), None) for robot in range(2))
+        frames.append(Keyframe(tuple(now), held))
+        if state == len(plan):
+            break
+        action = int(plan.actions[state])
+        part, removes = action % len(plan.boundary), action >= len(plan.boundary)
+        robot = int(who[state if removes else state + 1, part])
+        middle, end = (home[robot] + rng.normal(scale=0.3, size=len(home[robot])) for _ in range(2))
+        parts = (part, None) if removes else (None, None)
+        motions = (trajectory(now[robot], middle, parts[0]), trajectory(middle, end, parts[1]))
+        steps.append(RobotStep(robot, motions))
+        now[robot] = end
+    return RobotPlan(plan, tuple(frames), tuple(steps), records_of(cell), cell.name, cell_identity(cell))
+
+
+@pytest.fixture
+def scheduled(robot_plan: RobotPlan) -> RobotPlan:
+    """The same motions, each as soon as its arm is free and the structure has come to the state before."""
+    nodes, events = nodes_of(robot_plan)
+    edges = [
+        Precedence(before, nodes[before].seconds, after, "arm")
+        for robot in range(2)
+        for before, after in pairwise(k for k, node in enumerate(nodes) if node.robot == robot)
+    ]
+    edges += [Precedence(before.node, 0.0, after.node, "state") for before, after in pairwise(events)]
+    return replace(robot_plan, schedule=TemporalPlanGraph(nodes, tuple(edges), 2, 0.0))
 
 
 @pytest.fixture(scope="session")

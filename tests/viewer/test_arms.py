@@ -10,67 +10,24 @@ import pytest
 from falsework.assembly import Assembly
 from falsework.robots import save_robot_plan
 from falsework.robots.kinematics.forward import link_poses, tool_pose
-from falsework.robots.model.builtin_robots import builtin_robot
-from falsework.robots.model.cell import Cell, CellRobot, Gripper, Placement, cell_identity
-from falsework.robots.model.shapes import block, pose
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory, records_of
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.shapes import pose
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search import Direction, Plan
 from falsework.viewer.appearance import appearance_at, bounds_of
-from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms, wxyz_of
+from falsework.viewer.arms import ArmPoses, Arms, bounds_with_arms, look_with_arms, solids_of_arms, wxyz_of
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.timeline import NO_ROBOT, Timeline
-
-SCALE = 0.25
-
-
-def trajectory(start: np.ndarray, end: np.ndarray, part: int | None = None) -> Trajectory:
-    still = np.zeros_like(start)
-    return Trajectory("free", np.array([0.0, 2.0]), np.stack([start, end]), np.stack([still, still]), part)
-
-
-@pytest.fixture
-def cell() -> Cell:
-    """Two arms on either side of a structure that is built at a quarter of its size, turned and moved."""
-    tool = np.eye(4)
-    tool[2, 3] = 0.1
-    gripper = Gripper("cup", "suction", (block((-0.02, -0.02, 0.0), (0.02, 0.02, 0.1)),), tool, 5.0)
-    model = builtin_robot("ur10e")
-    robots = tuple(
-        CellRobot(f"arm {k}", model, pose((0.9 * side, 0, 0), 0.3 * side), gripper, model.home, np.eye(4)[None])
-        for k, side in enumerate((-1, 1))
-    )
-    return Cell("test", robots, placement=Placement((0.1, 0.2, 0.3), 0.7, SCALE))
-
-
-@pytest.fixture
-def robot_plan(arch: tuple[Assembly, Plan], cell: Cell) -> RobotPlan:
-    """Motions that join, with no claim to avoid anything."""
-    _, plan = arch
-    rng = np.random.default_rng(0)
-    who = Timeline.of(plan, arch[0]).holders
-    home = [robot.home for robot in cell.robots]
-    frames, steps = [], []
-    now = list(home)
-    for state in range(len(plan) + 1):
-        held = tuple(next((int(part) for part in np.flatnonzero(who[state] == robot)), None) for robot in range(2))
-        frames.append(Keyframe(tuple(now), held))
-        if state == len(plan):
-            break
-        action = int(plan.actions[state])
-        part, removes = action % len(plan.boundary), action >= len(plan.boundary)
-        robot = int(who[state if removes else state + 1, part])
-        middle, end = (home[robot] + rng.normal(scale=0.3, size=len(home[robot])) for _ in range(2))
-        parts = (part, None) if removes else (None, None)
-        motions = (trajectory(now[robot], middle, parts[0]), trajectory(middle, end, parts[1]))
-        steps.append(RobotStep(robot, motions))
-        now[robot] = end
-    return RobotPlan(plan, tuple(frames), tuple(steps), records_of(cell), cell.name, cell_identity(cell))
 
 
 def to_structure(cell: Cell, points: np.ndarray) -> np.ndarray:
     """The placement undone, written out by hand."""
     turn = cell.placement.pose[:3, :3]
     return (points - cell.placement.pose[:3, 3]) @ turn / cell.placement.scale
+
+
+def carried_parts(arm_poses: ArmPoses) -> list[int]:
+    return [carried.part for carried in arm_poses.carried]
 
 
 def test_links_are_where_forward_kinematics_puts_them(robot_plan: RobotPlan, cell: Cell) -> None:
@@ -103,25 +60,26 @@ def test_a_carried_part_goes_with_the_gripper(
     parts = len(plan.plan.boundary)
     for index, action in enumerate(plan.plan.actions.tolist()):
         if action < parts:
-            assert all(arms.at(index + share).carried is None for share in (0.2, 0.8))
+            assert not any(arms.at(index + share).carried for share in (0.2, 0.8))
             continue
         part, step = action % parts, plan.steps[index]
         robot = cell.robots[step.robot]
         point = arch[0].mass.center[part]
         in_tool = []
-        carrying = [share for share in (0.1, 0.25, 0.4, 0.6, 0.75, 0.9) if arms.at(index + share).carried == part]
+        shares = (0.1, 0.25, 0.4, 0.6, 0.75, 0.9)
+        carrying = [share for share in shares if carried_parts(arms.at(index + share)) == [part]]
         assert len(carrying) == 3
         for share in carrying:
-            arm_poses = arms.at(index + share)
-            assert arm_poses.carrier == step.robot
-            seen = arm_poses.carried_pose[:3, :3] @ point + arm_poses.carried_pose[:3, 3]
-            world = cell.placement.pose[:3, :3] @ (seen * SCALE) + cell.placement.pose[:3, 3]
+            (carried,) = arms.at(index + share).carried
+            assert carried.robot == step.robot
+            seen = carried.pose[:3, :3] @ point + carried.pose[:3, 3]
+            world = cell.placement.pose[:3, :3] @ (seen * cell.placement.scale) + cell.placement.pose[:3, 3]
             number, left = int(share >= 0.5), (share % 0.5) * step.seconds
             values = step.trajectories[number].sample(np.array([left]))[0]
             in_tool.append(np.linalg.inv(tool_pose(robot, values)) @ [*world, 1.0])
         np.testing.assert_allclose(in_tool, np.broadcast_to(in_tool[0], (3, 4)), atol=1e-9)
         edge = index + 1e-9 if direction is Direction.DISASSEMBLY else index + 1 - 1e-9
-        np.testing.assert_allclose(arms.at(edge).carried_pose, np.eye(4), atol=1e-6)
+        np.testing.assert_allclose(arms.at(edge).carried[0].pose, np.eye(4), atol=1e-6)
 
 
 def test_the_part_is_seen_once(robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]) -> None:
@@ -135,14 +93,14 @@ def test_the_part_is_seen_once(robot_plan: RobotPlan, cell: Cell, arch: tuple[As
         arm_poses = arms.at(step + share)
         appearance = look_with_arms(appearance_at(timeline, step + share, travelling=False), arm_poses)
         assert bool(appearance.opacity[part] > 0) is there, share
-        assert (arm_poses.carried == part) is carried, share
+        assert carried_parts(arm_poses) == [part] * carried, share
     backwards, turned = timeline.turned(Direction.ASSEMBLY), arms.turned(Direction.ASSEMBLY)
     place = len(plan) - step - 1
     for share, there, carried in ((0.0, False, False), (0.3, False, False), (0.7, False, True), (1.0, True, False)):
         arm_poses = turned.at(place + share)
         appearance = look_with_arms(appearance_at(backwards, place + share, travelling=False), arm_poses)
         assert bool(appearance.opacity[part] > 0) is there, share
-        assert (arm_poses.carried == part) is carried, share
+        assert carried_parts(arm_poses) == [part] * carried, share
 
 
 def test_holders_are_those_of_the_keyframes(robot_plan: RobotPlan, cell: Cell) -> None:
@@ -162,7 +120,7 @@ def test_meshes_and_bounds(robot_plan: RobotPlan, cell: Cell, arch: tuple[Assemb
     assert len(solids_of_arms(arms, arms.at(removal + 0.2), arch[0])) == len(arms.links) + 1
     box = bounds_with_arms(arms, bounds_of(arch[0]))
     assert (box[0] <= bounds_of(arch[0])[0]).all()
-    assert (box[1] - box[0]).max() > 1.5 / SCALE  # the arms stand 1.8 m apart
+    assert (box[1] - box[0]).max() > 1.5 / cell.placement.scale  # the arms stand 1.8 m apart
     assert arms.seconds(0) == pytest.approx(4.0)
 
 

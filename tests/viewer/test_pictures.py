@@ -244,6 +244,7 @@ def test_what_a_policy_thinks_and_covers(
         (("picture", "PLAN", "--out", "no/such/folder/x.png"), "folder"),
         (("animate", "PLAN", "--out", "x.avi"), ".mp4 or .gif"),
         (("animate", "PLAN", "--seconds", "0"), "above zero"),
+        (("animate", "PLAN", "--speed", "0"), "above zero"),
         (("animate", "PLAN", "--rate", "0"), "pictures a second"),
         (("animate", "PLAN", "--width", "9"), "80 to 4000"),
         (("animate", "arch:blocks=5"), "no steps to animate"),

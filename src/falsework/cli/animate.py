@@ -35,9 +35,11 @@ class Animate(JudgingCommand):
     out: Annotated[Path, arg(metavar="FILE")] = Path("plan.mp4")
     """File to write; it ends in .mp4 or .gif."""
     seconds: float = 0.4
-    """Duration of a step."""
+    """Duration of a step; a robot plan with a schedule plays by its own clock instead."""
     rate: float = 10.0
     """Frame rate."""
+    speed: float = 1.0
+    """Seconds of a schedule that pass in a second of the video."""
     verdicts: bool = False
     """Evaluate the stability of every state, and mark unstable parts."""
     width: int = 800
@@ -54,7 +56,7 @@ class Animate(JudgingCommand):
 
         if self.out.suffix.lower() not in KINDS:
             raise InputError(f"{self.out}: videos are written as {' or '.join(KINDS)}; name such a file")
-        check_film(self.width, self.seconds, self.rate)
+        check_film(self.width, self.seconds, self.rate, self.speed)
         writable(self.out)
         subject = self.subject.open()
         with output.bar("drawing") as show:
@@ -63,6 +65,7 @@ class Animate(JudgingCommand):
                 self.out,
                 seconds=self.seconds,
                 rate=self.rate,
+                speed=self.speed,
                 verdicts=self.verdicts,
                 criterion=self.criterion,
                 width=self.width,

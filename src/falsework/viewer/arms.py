@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.robots.plans.timeline import activities_at
 from falsework.search.problem.task import Direction
 from falsework.viewer.appearance import Appearance
+from falsework.viewer.clock import Clock
 from falsework.viewer.palette import robot_color, unit_rgb
 from falsework.viewer.pictures.render import ColoredSolid
 from falsework.viewer.timeline import NO_ROBOT
@@ -50,17 +52,23 @@ class Link:
 
 
 @dataclass(frozen=True, eq=False)
+class CarriedPart:
+    """Part on its way in a gripper."""
+
+    part: int
+    robot: int
+    """Robot that carries it."""
+    pose: Array
+    """From the place of the part to where it is, shape (4, 4)."""
+
+
+@dataclass(frozen=True, eq=False)
 class ArmPoses:
     """Poses of all arms at one time."""
 
     poses: Array
     """Of every link in the frame of the structure, rotation and translation, shape (links, 4, 4)."""
-    carried: int | None
-    """Part that is on its way in a gripper."""
-    carried_pose: Array
-    """From the place of the carried part to where it is, shape (4, 4)."""
-    carrier: int = NO_ROBOT
-    """Robot that carries it."""
+    carried: tuple[CarriedPart, ...] = ()
     arrived: int | None = None
     """Part that has come to its place in this step, before the step is over."""
     gone: int | None = None
@@ -84,6 +92,8 @@ class Arms:
         scale = cell.placement.scale
         self._to_structure = _similar(cell.placement.pose, scale)
         self.scale = scale
+        self.clock = Clock.of(self._plan)
+        """Times of the schedule, in the order shown; None if one motion comes after the other."""
         self.links = [link for number, robot in enumerate(cell.robots) for link in _links(number, robot, 1 / scale)]
 
     @property
@@ -109,8 +119,19 @@ class Arms:
         """Return the duration of a step, counted from 0 in the order shown."""
         return self._plan.steps[step].seconds
 
+    def at_time(self, seconds: float) -> ArmPoses:
+        """Return the poses at a time of the schedule, in the order shown."""
+        assert self.clock is not None
+        configurations, carried = [], []
+        for arm in activities_at(self._plan, self.clock.starts, seconds):
+            values = arm.at(np.array([seconds]))[0]
+            configurations.append(values)
+            if arm.load is not None:
+                carried.append(self._carried(arm.load[0], arm.robot, values, arm.load[1]))
+        return ArmPoses(self._poses(configurations), tuple(carried))
+
     def at(self, position: float) -> ArmPoses:
-        """Return the poses at a position, in steps in the order shown."""
+        """Return the poses at a position, in steps in the order shown, one motion after the other."""
         steps = len(self._plan)
         position = min(max(position, 0.0), float(steps))
         step = min(int(position), steps - 1) if steps else 0
@@ -119,12 +140,9 @@ class Arms:
         return self._moving(step, position - step)
 
     def _still(self, state: int) -> ArmPoses:
-        return ArmPoses(self._poses(self._plan.keyframes[state].configurations), None, np.eye(4))
+        return ArmPoses(self._poses(self._plan.keyframes[state].configurations))
 
     def _moving(self, index: int, share: float) -> ArmPoses:
-        from falsework.robots.kinematics.forward import tool_pose
-        from falsework.robots.model.shapes import inverse_pose
-
         step = self._plan.steps[index]
         before, after = self._plan.keyframes[index], self._plan.keyframes[index + 1]
         left = share * step.seconds
@@ -145,19 +163,25 @@ class Arms:
         removing = moves and self.direction is Direction.DISASSEMBLY
         poses = self._poses(configurations)
         if not moves:
-            return ArmPoses(poses, None, np.eye(4))
+            return ArmPoses(poses)
         carrying = current is not None and current.part is not None
         if carrying:
-            robot = self.cell.robots[step.robot]
             home = (before if removing else after).configurations[step.robot]
-            way = tool_pose(robot, configurations[step.robot]) @ inverse_pose(tool_pose(robot, home))
-            back = self._to_structure
-            # From the structure into the cell, along with the tool, and back again.
-            return ArmPoses(poses, part, back @ way @ np.linalg.inv(back), step.robot)
+            return ArmPoses(poses, (self._carried(part, step.robot, configurations[step.robot], home),))
         was = any(trajectory.part is not None for trajectory in done)
         arrived = part if was and not removing else None
         gone = part if was and removing else None
-        return ArmPoses(poses, None, np.eye(4), arrived=arrived, gone=gone)
+        return ArmPoses(poses, arrived=arrived, gone=gone)
+
+    def _carried(self, part: int, robot: int, values: Array, home: Array) -> CarriedPart:
+        """Return a carried part; `home` is the configuration in which the part is at its place, shape (joints,)."""
+        from falsework.robots.kinematics.forward import tool_pose
+        from falsework.robots.model.shapes import inverse_pose
+
+        arm, back = self.cell.robots[robot], self._to_structure
+        way = tool_pose(arm, values) @ inverse_pose(tool_pose(arm, home))
+        # From the structure into the cell, along with the tool, and back again.
+        return CarriedPart(part, robot, back @ way @ np.linalg.inv(back))
 
     def _poses(self, configurations: Sequence[Array]) -> Array:
         from falsework.robots.kinematics.forward import link_poses
@@ -174,16 +198,16 @@ class Arms:
 def look_with_arms(look: Appearance, arm_poses: ArmPoses) -> Appearance:
     """Return the parts without the one that is carried, and with those that have come or gone within the step."""
     opacity = look.opacity.copy()
-    for part in (arm_poses.carried, arm_poses.gone):
-        if part is not None:
-            opacity[part] = 0.0
+    opacity[[carried.part for carried in arm_poses.carried]] = 0.0
+    if arm_poses.gone is not None:
+        opacity[arm_poses.gone] = 0.0
     if arm_poses.arrived is not None:
         opacity[arm_poses.arrived] = 1.0
     return replace(look, opacity=opacity)
 
 
 def solids_of_arms(arms: Arms, arm_poses: ArmPoses, assembly: Assembly) -> list[ColoredSolid]:
-    """Return arms, and the part that they carry, as meshes.
+    """Return arms, and the parts that they carry, as meshes.
 
     Args:
         arms: the robots.
@@ -194,10 +218,10 @@ def solids_of_arms(arms: Arms, arm_poses: ArmPoses, assembly: Assembly) -> list[
         ColoredSolid(link.vertices @ pose[:3, :3].T + pose[:3, 3], link.faces, link.color)
         for link, pose in zip(arms.links, arm_poses.poses, strict=True)
     ]
-    if arm_poses.carried is not None:
-        mesh, pose = assembly.meshes[arm_poses.carried], arm_poses.carried_pose
+    for carried in arm_poses.carried:
+        mesh, pose = assembly.meshes[carried.part], carried.pose
         vertices = mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
-        solids.append(ColoredSolid(vertices, mesh.faces, unit_rgb(robot_color(arm_poses.carrier))))
+        solids.append(ColoredSolid(vertices, mesh.faces, unit_rgb(robot_color(carried.robot))))
     return solids
 
 

@@ -23,7 +23,7 @@ from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.pictures.contact_sheet import caption, check_places, contact_sheet, legend, one_state, write_png
 from falsework.viewer.pictures.drawing import drawing, write_svg
 from falsework.viewer.pictures.render import Camera
-from falsework.viewer.pictures.video import frame_places, write_film
+from falsework.viewer.pictures.video import frame_places, frame_times, write_film
 from falsework.viewer.proof import StateProof
 from falsework.viewer.timeline import interesting
 from falsework.viewer.viewable import Showable, Viewable, viewable_of
@@ -247,6 +247,7 @@ def animate(
     *,
     seconds: float = 0.4,
     rate: float = 10.0,
+    speed: float = 1.0,
     verdicts: bool = False,
     criterion: Criterion = "contact",
     width: int = 800,
@@ -261,8 +262,9 @@ def animate(
         subject: an object or a file as `open_file` takes it, with steps to animate.
         path: file to write; it ends in .mp4 or .gif.
         structure: structure of a plan or graph that does not name it.
-        seconds: length of a step.
+        seconds: length of a step; a robot plan with a schedule plays by its own clock instead.
         rate: pictures a second.
+        speed: seconds of a schedule that pass in a second.
         verdicts: decide the stability of every state, and mark those that are not stable.
         criterion: what stable means.
         width: pixels across.
@@ -275,7 +277,7 @@ def animate(
         InputError: nothing to animate, another kind of file, invalid sizes, or a file that cannot be written.
         DependencyError: Pillow or imageio-ffmpeg is not installed.
     """
-    check_film(width, seconds, rate)
+    check_film(width, seconds, rate, speed)
     shown = viewable_of(subject, structure, **options)
     timeline = shown.timeline
     if len(timeline) == 0:
@@ -288,6 +290,7 @@ def animate(
         timeline,
         seconds=seconds,
         rate=rate,
+        speed=speed,
         camera=camera,
         arms=shown.arms,
         proofs=proofs,
@@ -299,7 +302,7 @@ def animate(
     return PictureReport(shows, places, fallen if verdicts else None, pictures=count)
 
 
-def check_film(width: int, seconds: float, rate: float) -> None:
+def check_film(width: int, seconds: float, rate: float, speed: float) -> None:
     """Refuse sizes of a video before anything is loaded.
 
     Raises:
@@ -308,6 +311,7 @@ def check_film(width: int, seconds: float, rate: float) -> None:
     if not 80 <= width <= 4000:
         raise InputError(f"a video {width} pixels across cannot be drawn; give 80 to 4000")
     frame_places(0, seconds, rate)
+    frame_times(0.0, rate, speed)
 
 
 def _picture_graph(shown: Viewable, path: Path, title: str) -> PictureReport:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -13,10 +12,8 @@ from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker, PreparedQuery
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
-from falsework.robots.plans.temporal_graph import TemporalPlanGraph
-from falsework.robots.plans.timeline import event_times
-from falsework.search.problem.task import Direction
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.timeline import ArmActivity, activities_at, event_times
 
 Array = NDArray[np.float64]
 
@@ -36,28 +33,6 @@ class ScheduleProblem:
     seconds: float
     """From the start of the schedule."""
     pair: tuple[str, str] | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class _Doing:
-    """One arm during an interval."""
-
-    robot: int
-    step: int
-    trajectory: Trajectory | None
-    """None: it rests."""
-    begin: float
-    stretch: float
-    rest: Array
-    """Where it rests, shape (joints,)."""
-    load: tuple[int, Array] | None
-    """The part that it carries, and the configuration in which the part is at its place."""
-
-    def at(self, seconds: Array) -> Array:
-        """Return joint values at some times, shape (samples, joints)."""
-        if self.trajectory is None:
-            return np.repeat(self.rest[None], len(seconds), axis=0)
-        return self.trajectory.sample((seconds - self.begin) / self.stretch)
 
 
 def check_schedule(
@@ -99,7 +74,7 @@ def check_schedule(
         middle = (begin + end) / 2
         state = int((events < middle).sum())
         present = plan.plan.states[state] != REMOVED
-        doing = list(_doing(plan, graph, starts, factor, middle))
+        doing = list(activities_at(plan, starts, middle, factor))
         moments = _moments(doing, begin, end, step)
         values = np.concatenate([arm.at(moments) for arm in doing], axis=1)
         samples += len(moments)
@@ -118,35 +93,7 @@ def check_schedule(
     return problems, samples
 
 
-def _doing(plan: RobotPlan, graph: TemporalPlanGraph, starts: Array, factor: Array, moment: float) -> Iterator[_Doing]:
-    """Yield what each arm does at a moment."""
-    apart = plan.direction is Direction.DISASSEMBLY
-    for robot in range(graph.robots):
-        mine = graph.of_robot(robot)
-        past = [k for k in mine if starts[k] <= moment]
-        rest = plan.keyframes[0].configurations[robot]
-        for k in past:
-            number = graph.nodes[k].trajectory
-            if number is not None:
-                rest = plan.steps[graph.nodes[k].step].trajectories[number].positions[-1]
-        last = past[-1] if past else None
-        running = last is not None and moment < starts[last] + factor[last] * graph.nodes[last].seconds
-        following = next((k for k in mine if starts[k] > moment), None)
-        # An arm that rests carries its part if it rests between two motions of one step.
-        on_way = last is not None and following is not None and graph.nodes[last].step == graph.nodes[following].step
-        source = last if running else following if on_way else None
-        load, trajectory, at = None, None, 0 if last is None else graph.nodes[last].step
-        if source is not None:
-            at, number = graph.nodes[source].step, graph.nodes[source].trajectory
-            moved = None if number is None else plan.steps[at].trajectories[number]
-            if moved is not None and moved.part is not None:
-                load = (moved.part, plan.keyframes[at + (0 if apart else 1)].configurations[robot])
-            trajectory = moved if running else None
-        begin, late = (0.0, 1.0) if last is None else (float(starts[last]), float(factor[last]))
-        yield _Doing(robot, at, trajectory, begin, late, rest, load)
-
-
-def _moments(doing: list[_Doing], begin: float, end: float, step: float) -> Array:
+def _moments(doing: list[ArmActivity], begin: float, end: float, step: float) -> Array:
     """Return times from begin to end, so close that no joint moves farther than a step from one to the next."""
     count = max(int(np.ceil((end - begin) / INTERVAL)), 1)
     while True:
@@ -160,7 +107,7 @@ def _moments(doing: list[_Doing], begin: float, end: float, step: float) -> Arra
 def _prepare(
     plan: RobotPlan,
     judge: PinocchioCollisionChecker,
-    arm: _Doing,
+    arm: ArmActivity,
     present: NDArray[np.bool_],
     loads: dict[int, tuple[int, Array]],
 ) -> PreparedQuery:

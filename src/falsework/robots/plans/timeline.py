@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.temporal_graph import MotionNode, TemporalPlanGraph
 from falsework.search.problem.task import Direction
 
@@ -90,3 +91,63 @@ def event_times(plan: RobotPlan, graph: TemporalPlanGraph, stretch: ArrayLike | 
     starts = graph.starts(stretch)
     ends = starts + factor * graph.durations
     return np.array([(ends if event.at_end else starts)[event.node] for event in nodes_of(plan)[1]])
+
+
+@dataclass(frozen=True, eq=False)
+class ArmActivity:
+    """Motion or rest of one arm at a moment of a schedule."""
+
+    robot: int
+    step: int
+    trajectory: Trajectory | None
+    """None: it rests."""
+    begin: float
+    stretch: float
+    rest: Array
+    """Where it rests, shape (joints,)."""
+    load: tuple[int, Array] | None
+    """The part that it carries, and the configuration in which the part is at its place."""
+
+    def at(self, seconds: Array) -> Array:
+        """Return joint values at some times, shape (samples, joints)."""
+        if self.trajectory is None:
+            return np.repeat(self.rest[None], len(seconds), axis=0)
+        return self.trajectory.sample((seconds - self.begin) / self.stretch)
+
+
+def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array | None = None) -> Iterator[ArmActivity]:
+    """Yield what each arm does at a moment of the schedule of a plan.
+
+    Args:
+        plan: with a schedule.
+        starts: when each node begins, as `TemporalPlanGraph.starts` returns it.
+        moment: seconds from the start of the schedule.
+        factor: by what factor each motion takes longer, shape (nodes,); 1 if not given.
+    """
+    graph = plan.schedule
+    assert graph is not None
+    factor = np.ones(len(graph.nodes)) if factor is None else factor
+    apart = plan.direction is Direction.DISASSEMBLY
+    for robot in range(graph.robots):
+        mine = graph.of_robot(robot)
+        past = [k for k in mine if starts[k] <= moment]
+        rest = plan.keyframes[0].configurations[robot]
+        for k in past:
+            number = graph.nodes[k].trajectory
+            if number is not None:
+                rest = plan.steps[graph.nodes[k].step].trajectories[number].positions[-1]
+        last = past[-1] if past else None
+        running = last is not None and moment < starts[last] + factor[last] * graph.nodes[last].seconds
+        following = next((k for k in mine if starts[k] > moment), None)
+        # An arm that rests carries its part if it rests between two motions of one step.
+        on_way = last is not None and following is not None and graph.nodes[last].step == graph.nodes[following].step
+        source = last if running else following if on_way else None
+        load, trajectory, at = None, None, 0 if last is None else graph.nodes[last].step
+        if source is not None:
+            at, number = graph.nodes[source].step, graph.nodes[source].trajectory
+            moved = None if number is None else plan.steps[at].trajectories[number]
+            if moved is not None and moved.part is not None:
+                load = (moved.part, plan.keyframes[at + (0 if apart else 1)].configurations[robot])
+            trajectory = moved if running else None
+        begin, late = (0.0, 1.0) if last is None else (float(starts[last]), float(factor[last]))
+        yield ArmActivity(robot, at, trajectory, begin, late, rest, load)

@@ -19,6 +19,8 @@ from falsework.viewer.arms import bounds_with_arms
 from falsework.viewer.arrows import KINDS
 from falsework.viewer.margin_strip import margin_strip
 from falsework.viewer.page.disruption import ClickMode
+from falsework.viewer.page.gantt_strip import GanttStrip
+from falsework.viewer.page.graph_tab import add_graph_tab
 from falsework.viewer.page.origin_guard import LOCAL, WILDCARDS, OriginGuard, start_server
 from falsework.viewer.page.page_text import about_text, legend_text, marked_text, where_text
 from falsework.viewer.page.scene import SIZE, ViserScene
@@ -125,6 +127,7 @@ class Page:
         appearance = model.appearance()
         self.scene.show(appearance, missing=model.disruption.missing, pale=model.pale, labels=model.labels(appearance))
         self.scene.show_arms(model.arms, model.arm_poses())
+        self._gantt.show(model.arms, model.seconds)
 
     # What the page is made of.
 
@@ -158,15 +161,15 @@ class Page:
         gui, model = self.server.gui, self.model
         self._where = gui.add_markdown("")
         steps = len(model.timeline)
-        self._slider = gui.add_slider("Step", min=0, max=max(steps, 1), step=1, initial_value=0, disabled=steps == 0)
+        self._slider = gui.add_slider("Step", min=0.0, max=1.0, step=1.0, initial_value=0.0)
         self._slider.on_update(lambda event: self._guard(event, self._moved))
+        self._gantt = GanttStrip(gui)
         self._margins = gui.add_html("")
         with gui.add_folder("Play"):
             self._play_button = gui.add_button("Play", disabled=steps == 0)
             self._play_button.on_click(lambda event: self._guard(event, self._toggle_play))
-            self._speed = gui.add_slider(
-                "Steps a second", min=0.5, max=8.0, step=0.5, initial_value=2.0 if model.arms is None else 0.5
-            )
+            speed = 2.0 if model.arms is None else 0.5 if model.clock is None else 1.0
+            self._speed = gui.add_slider("Steps a second", min=0.5, max=8.0, step=0.5, initial_value=speed)
             words = {Direction.ASSEMBLY: "assembly", Direction.DISASSEMBLY: "disassembly"}
             self._order = gui.add_dropdown("Order", tuple(words.values()), initial_value=words[model.direction])
             self._order.on_update(lambda event: self._guard(event, self._turned))
@@ -199,38 +202,7 @@ class Page:
             self._answer = gui.add_markdown("")
         if model.graph is not None:
             with tabs.add_tab("Graph"):
-                self._graph_tab()
-
-    def _graph_tab(self) -> None:
-        gui, model = self.server.gui, self.model
-        graph = model.graph
-        assert graph is not None
-        gui.add_markdown(
-            f"{len(graph)} states, {len(graph.source)} actions; {int((graph.solvable & graph.reachable).sum())} states "
-            "lie on a way through."
-        )
-        self._graph_image = gui.add_image(self._graph_pixels(None), label="State graph", format="png")
-        if model.policy is not None:
-            cover = gui.add_button("What the policy covers")
-            words = gui.add_markdown("")
-
-            def show() -> None:
-                from falsework.viewer.pictures.graph_picture import covered
-
-                visited = model.visited()
-                share = covered(graph, visited)
-                self._graph_image.image = self._graph_pixels(visited)
-                words.content = f"{int(share.sum())} of {len(graph)} states ({100 * share.mean():.1f} %)."
-
-            cover.on_click(lambda event: self._guard(event, show))
-
-    def _graph_pixels(self, visited: Any) -> Any:
-        from falsework.viewer.pictures.graph_picture import figure_pixels, graph_figure
-
-        model = self.model
-        assert model.graph is not None
-        route = model.timeline.states if len(model.timeline) else None
-        return figure_pixels(graph_figure(model.graph, model.assembly, route=route, visited=visited), dpi=90)
+                add_graph_tab(gui, model, self._guard)
 
     # What happens when something is touched.
 
@@ -257,7 +229,7 @@ class Page:
         self._guard(event, act)
 
     def _moved(self) -> None:
-        self.model.go_to(self._slider.value)
+        self.model.go_to_reading(self._slider.value)
         self.refresh()
 
     def _turned(self) -> None:
@@ -269,7 +241,7 @@ class Page:
         if self._playing.is_set():
             self._playing.clear()
         else:
-            if self.model.position >= len(self.model.timeline):
+            if self.model.reading >= self.model.last_reading:
                 self.model.go_to(0)
             self._playing.set()
         self._play_button.label = "Pause" if self._playing.is_set() else "Play"
@@ -311,11 +283,8 @@ class Page:
     def _plan_changed(self) -> None:
         self.scene.order(self.model.timeline)
         self._back.disabled = not self.model.can_go_back
-        steps = len(self.model.timeline)
         self._quiet = True
         try:
-            self._slider.max = max(steps, 1)
-            self._slider.disabled = self._play_button.disabled = steps == 0
             self._order.value = self.model.direction.value
         finally:
             self._quiet = False
@@ -323,9 +292,17 @@ class Page:
         self.refresh()
 
     def _set_slider(self) -> None:
+        """Bring the slider up to date: steps, or seconds of a schedule."""
+        model, slider = self.model, self._slider
+        unit, step = ("Step", 1) if model.clock is None else ("Seconds", 0.1)
         self._quiet = True
         try:
-            self._slider.value = round(self.model.position)
+            if slider.label != unit:
+                slider.label, slider.step, slider.precision = unit, step, int(step < 1)
+                self._speed.label = "Steps a second" if model.clock is None else "Seconds a second"
+            slider.max = max(np.ceil(model.last_reading / step) * step, 1)
+            slider.disabled = self._play_button.disabled = len(model.timeline) == 0
+            slider.value = min(round(model.reading / step) * step, slider.max)
         finally:
             self._quiet = False
 
@@ -336,14 +313,17 @@ class Page:
             begun = time.perf_counter()
             model = self.model
             before = int(model.position)
-            model.go_to(model.position + float(self._speed.value) / FRAMES)
-            if int(model.position) != before:
+            model.go_to_reading(model.reading + float(self._speed.value) / FRAMES)
+            if int(model.position) != before or model.clock is not None:
                 self._set_slider()
+            if int(model.position) != before:
                 self.refresh()
             else:
                 with self._lock, self.server.atomic():
+                    if model.clock is not None:  # the words tell the time
+                        self._where.content = where_text(model, ask=bool(self._shown()))
                     self._draw()
-            if model.position >= len(model.timeline):
+            if model.reading >= model.last_reading:
                 self._playing.clear()
                 self._play_button.label = "Play"
             time.sleep(max(1 / FRAMES - (time.perf_counter() - begun), 0.005))
@@ -369,7 +349,9 @@ class Page:
         model, shown = self.model, self._shown()
         self._where.content = where_text(model, ask=bool(shown))
         self._marked.content = marked_text(model)
-        self._margins.content = margin_strip(model.plan, model.direction, round(model.position))
+        self._margins.content = margin_strip(
+            model.plan, model.direction, round(model.position) if model.clock is None else model.step
+        )
         self._about.content = about_text(model)
         self._legend.content = legend_text(model, shown)
 

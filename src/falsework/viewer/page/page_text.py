@@ -5,8 +5,6 @@ from __future__ import annotations
 import html
 from collections.abc import Collection
 
-import numpy as np
-
 from falsework.viewer.arrows import KINDS
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, SLIDING, robot_color
@@ -21,9 +19,11 @@ def where_text(model: ViewerState, *, ask: bool) -> str:
         ask: say also whether the state is stable; it is said anyway where no plan has proven it.
     """
     steps = len(model.timeline)
-    position = int(np.ceil(model.position))  # between two states the step that is under way
+    position = model.step
     doing = f": **{model.timeline.words(position - 1)}**" if position and steps else ""
     lines = [f"step {position} of {steps}{doing}" if steps else f"**{model.assembly.name}**"]
+    if model.clock is not None:
+        lines[0] = f"{model.seconds:.1f} s of {model.clock.makespan:.1f} s, {lines[0]}"
     # A plan has proven its states; what is marked on top has not been asked about yet.
     if ask or not model.disruption.empty or not steps:
         lines.append(f"*{model.proof().words}*")

@@ -67,7 +67,7 @@ class ViserScene:
         self._labels: dict[int, tuple[str, Any]] = {}
         self._opacity: float | None = None
         self._arms: list[Any] = []
-        self._carried: list[tuple[int, Any]] = []
+        self._carried: dict[int, Any] = {}
         self._robots: Any = None
         self.order(timeline)
 
@@ -166,16 +166,16 @@ class ViserScene:
             self._keep("/motion", key, node)
 
     def show_arms(self, arms: Arms | None, arm_poses: ArmPoses | None) -> None:
-        """Bring the arms, and the part that one of them carries, up to date.
+        """Bring the arms, and the parts that they carry, up to date.
 
         Args:
             arms: the robots; None if there are none any more.
             moment: where they are.
         """
         if arms is None or arm_poses is None:
-            for node in (*self._arms, *(node for _, node in self._carried)):
+            for node in (*self._arms, *self._carried.values()):
                 node.remove()
-            self._arms, self._carried, self._robots = [], [], None
+            self._arms, self._carried, self._robots = [], {}, None
             return
         if self._robots is not arms.cell:
             self.show_arms(None, None)
@@ -191,23 +191,20 @@ class ViserScene:
         for node, pose in zip(self._arms, arm_poses.poses, strict=True):
             node.position = self.place(pose[:3, 3])
             node.wxyz = wxyz_of(pose[:3, :3])
-        if self._carried and self._carried[0][0] != arm_poses.carried:
-            self._carried.pop()[1].remove()
-        if arm_poses.carried is None:
-            return
-        if not self._carried:
-            part = arm_poses.carried
-            node = self._scene.add_mesh_simple(
-                "/carried",
-                self._vertices[part],
-                self._faces[part],
-                color=rgb(robot_color(arm_poses.carrier)),
-                flat_shading=True,
-            )
-            self._carried.append((part, node))
-        turn, shift = arm_poses.carried_pose[:3, :3], arm_poses.carried_pose[:3, 3]
-        self._carried[0][1].wxyz = wxyz_of(turn)
-        self._carried[0][1].position = self.place(turn @ self.origin + shift)
+        for part in self._carried.keys() - {carried.part for carried in arm_poses.carried}:
+            self._carried.pop(part).remove()
+        for carried in arm_poses.carried:
+            part, turn = carried.part, carried.pose[:3, :3]
+            if part not in self._carried:
+                self._carried[part] = self._scene.add_mesh_simple(
+                    f"/carried/{part}",
+                    self._vertices[part],
+                    self._faces[part],
+                    color=rgb(robot_color(carried.robot)),
+                    flat_shading=True,
+                )
+            self._carried[part].wxyz = wxyz_of(turn)
+            self._carried[part].position = self.place(turn @ self.origin + carried.pose[:3, 3])
 
     def see_through(self, wanted: bool) -> None:
         """Make the parts see-through, so that arrows inside them are seen, or solid again."""

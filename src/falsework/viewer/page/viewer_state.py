@@ -19,6 +19,7 @@ from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 from falsework.viewer.appearance import Appearance, appearance_at, pick
 from falsework.viewer.arms import ArmPoses, Arms, look_with_arms
+from falsework.viewer.clock import Clock
 from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
 from falsework.viewer.palette import FIXED, SELECTED
 from falsework.viewer.proof import StateProof, proof_of_state
@@ -79,6 +80,7 @@ class ViewerState:
         self.graph = graph
         self.arms = arms
         self.position = 0.0
+        self.seconds = 0.0
         self.tool = ClickMode.LOOK
         self.selected: int | None = None
         self.disruption = Disruption(robots=timeline.robots)
@@ -119,10 +121,40 @@ class ViewerState:
         """State as it is marked to be on site, shape (parts,)."""
         return self.disruption.on(self.state)
 
+    @property
+    def clock(self) -> Clock | None:
+        """Times of the schedule; None where one motion comes after the other, or there are no motions."""
+        return None if self.arms is None else self.arms.clock
+
+    @property
+    def step(self) -> int:
+        """Step that is under way; with a schedule, where several are, the last that the structure has come to."""
+        return int(np.ceil(self.position)) if self.clock is None else int(self.position)
+
+    @property
+    def reading(self) -> float:
+        """Where the slider is: seconds of the schedule, or steps without one."""
+        return self.position if self.clock is None else self.seconds
+
+    @property
+    def last_reading(self) -> float:
+        """End of the slider, seconds or steps."""
+        return float(len(self.timeline)) if self.clock is None else self.clock.makespan
+
     def go_to(self, position: float) -> None:
-        """Show another place; beyond the ends is the end."""
+        """Show another place, in steps; beyond the ends is the end."""
         with self.lock:
             self.position = min(max(float(position), 0.0), float(len(self.timeline)))
+            self.seconds = 0.0 if self.clock is None else self.clock.seconds(self.position)
+
+    def go_to_reading(self, reading: float) -> None:
+        """Show another place, in seconds of the schedule, or steps without one; beyond the ends is the end."""
+        with self.lock:
+            if self.clock is None:
+                self.go_to(reading)
+            else:
+                self.seconds = min(max(float(reading), 0.0), self.clock.makespan)
+                self.position = self.clock.position(self.seconds)
 
     def turn(self, direction: Direction) -> None:
         """Show the other order; the state that is shown stays."""
@@ -130,7 +162,8 @@ class ViewerState:
             if direction is not self.direction:
                 self.timeline = self.timeline.turned(direction)
                 self.arms = None if self.arms is None else self.arms.turned(direction)
-                self.position = len(self.timeline) - self.position
+                shown = self.position if self.clock is None else self.step
+                self.go_to(len(self.timeline) - shown)
 
     def appearance(self) -> Appearance:
         """Return the present appearance of all parts."""
@@ -153,7 +186,9 @@ class ViewerState:
     def arm_poses(self) -> ArmPoses | None:
         """Return the present arm poses; None where there are no arms."""
         with self.lock:
-            return None if self.arms is None else self.arms.at(self.position)
+            if self.arms is None:
+                return None
+            return self.arms.at(self.position) if self.clock is None else self.arms.at_time(self.seconds)
 
     @property
     def pale(self) -> Sequence[int]:
@@ -329,7 +364,7 @@ class ViewerState:
             self.arms = None  # the new plan has no motions yet
             self.timeline = Timeline.of(answer.plan, self.assembly)
             self.plan = answer.plan
-            self.position = 0.0
+            self.go_to(0)
             # What has been planned around is no longer marked: the states of the new plan show it.
             self.disruption = Disruption(fixed=self.disruption.fixed, robots=self.disruption.robots)
         return NewPlan(True, words, seconds, decided, answer.plan)
@@ -343,7 +378,8 @@ class ViewerState:
         """Show the plan before the last one again, with the marks that were set then."""
         with self.lock:
             if self._before:
-                self.timeline, self.plan, self.disruption, self.position, self.arms = self._before.pop()
+                self.timeline, self.plan, self.disruption, position, self.arms = self._before.pop()
+                self.go_to(position)
 
     def _compare(self, old: Plan | None, new: Plan) -> str:
         if old is None:

@@ -138,6 +138,7 @@ def one_state(
     arrows: Sequence[Arrows] = (),
     key: Sequence[tuple[str, str]] | None = None,
     arms: Arms | None = None,
+    time: float | None = None,
     action_probabilities: NDArray[np.float64] | None = None,
     bounds: NDArray[np.float64] | None = None,
     words: str | None = None,
@@ -153,6 +154,7 @@ def one_state(
         arrows: drawn as well.
         key: the legend, colour and words; of the timeline if not given.
         arms: robots that carry the plan out.
+        time: of their schedule, seconds; None shows them one after the other.
         chances: probability of the action that concerns each part, NaN where none does, shape (parts,).
         bounds: what the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
         words: the line above; the step if not given.
@@ -166,7 +168,7 @@ def one_state(
     )
     box = bounds_with_ways(timeline) if bounds is None else bounds
     if arms is not None:
-        arm_poses = arms.at(position)
+        arm_poses = arms.at(position) if time is None else arms.at_time(time)
         appearance, extra = look_with_arms(appearance, arm_poses), solids_of_arms(arms, arm_poses, timeline.assembly)
         box = bounds_with_arms(arms, bounds_of(timeline.assembly)) if bounds is None else bounds
     tips = [some.ends.reshape(-1, 3) for some in arrows if len(some)]

@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
 from falsework.utils.archive import write_whole
-from falsework.viewer.palette import INK, robot_color
+from falsework.viewer.palette import INK, rgb, robot_color
+from falsework.viewer.pictures.graph_picture import figure_pixels
 
 _WIDTH, _ROW = 12.0, 0.55
 """Of the chart and of the row of an arm, inches."""
+_STRIP_ROW = 0.26
+"""Of the row of an arm in a strip below a picture, inches."""
+_KEY_FROM = 5.0
+"""Width of a strip that has its key below, inches."""
+_DOTS = 100
+"""Pixels an inch."""
+KEY = "high: carries a part; low: moves without one; pale: holds a part at its place; gap: waits"
+"""How the bars are read."""
 _ALPHA = {"moves": 1.0, "carries": 1.0, "holds": 0.35}
 
 
@@ -70,6 +85,104 @@ def _one_by_one(seconds: list[float]) -> Iterator[float]:
         now += length
 
 
+@dataclass(frozen=True, eq=False)
+class GanttChart:
+    """A chart as a figure, on which times can be marked."""
+
+    figure: Any
+    bars: int
+    makespan: float
+
+    @classmethod
+    def of(cls, plan: RobotPlan, *, width: float = _WIDTH, title: str | None = "") -> GanttChart:
+        """Draw the chart.
+
+        Args:
+            plan: the robot plan.
+            width: of the figure, inches.
+            title: a line above, of the plan if empty; None for a low strip without one.
+
+        Raises:
+            DependencyError: matplotlib is not installed.
+        """
+        try:
+            from matplotlib.figure import Figure
+        except ImportError:
+            raise DependencyError("a Gantt chart needs matplotlib: pip install 'falsework[picture]'") from None
+        bars, strip = bars_of(plan), title is None
+        rows = len(plan.robots)
+        height = (0.55 if width > _KEY_FROM else 0.35) + _STRIP_ROW * rows if strip else 1.3 + _ROW * rows
+        figure = Figure(figsize=(width, height), layout="constrained")
+        axes = figure.add_subplot()
+        for bar in bars:
+            edge: dict[str, Any] = {"edgecolor": INK, "linewidth": 1.0 if bar.does == "carries" else 0.3}
+            color, alpha = robot_color(bar.robot), _ALPHA[bar.does]
+            thick = 0.4 if bar.does == "moves" else 0.7
+            axes.barh(bar.robot, bar.end - bar.begin, left=bar.begin, height=thick, color=color, alpha=alpha, **edge)
+        axes.set_yticks(range(rows), [robot.name for robot in plan.robots])
+        axes.set_ylim(rows - 0.5, -0.5)
+        axes.set_xlim(0.0, max(plan.makespan, 1e-3))
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+        if strip:
+            axes.tick_params(labelsize=7)
+            if width > _KEY_FROM:
+                axes.set_xlabel(f"seconds; {KEY}", fontsize=7)
+        else:
+            axes.set_xlabel(f"seconds; {KEY}")
+            times = f"{plan.makespan:.1f} s, one after the other {plan.seconds:.1f} s"
+            axes.set_title(title or f"{plan.plan.name}: {times}")
+        return cls(figure, len(bars), plan.makespan)
+
+    @cached_property
+    def box(self) -> tuple[float, float, float, float]:
+        """Left, top, width and height of the axes, as shares of the figure; the top is counted from above."""
+        self.figure.draw_without_rendering()
+        left, bottom, width, height = self.figure.axes[0].get_position().bounds
+        return left, 1 - bottom - height, width, height
+
+    def mark(self, seconds: float) -> float:
+        """Return where a time is, as a share of the width of the figure."""
+        return self.box[0] + self.box[2] * min(max(seconds / max(self.makespan, 1e-3), 0.0), 1.0)
+
+    @cached_property
+    def svg(self) -> str:
+        """The chart as an element for a page, as wide as what it is in."""
+        file = io.BytesIO()
+        self.figure.savefig(file, format="svg", metadata={"Date": None})
+        text = file.getvalue().decode()
+        # A style element would apply to the whole page.
+        text = re.sub(r"<style.*?</style>", "", text[text.index("<svg") :], flags=re.DOTALL)
+        return text.replace("<svg ", '<svg style="display:block;width:100%;height:auto" ', 1)
+
+    def html(self, seconds: float) -> str:
+        """Return the chart with a marker at a time, in HTML; it moves by half a percent of the width."""
+        _, top, _, height = self.box
+        line = (
+            f"left:{round(200 * self.mark(seconds)) / 2:g}%;top:{100 * top:.1f}%;height:{100 * height:.1f}%;"
+            f"width:2px;background:{INK}"
+        )
+        return (
+            f'<div style="margin:0 1em"><div style="position:relative">{self.svg}'
+            f'<div class="falsework-now" style="position:absolute;{line}"></div></div>'
+            f'<div style="font-size:11px">seconds; {KEY}</div></div>'
+        )
+
+    @cached_property
+    def pixels(self) -> NDArray[np.uint8]:
+        """The chart as an image of 100 pixels an inch and of even height, shape (height, width, 3)."""
+        image = figure_pixels(self.figure, _DOTS)
+        return np.pad(image, ((0, len(image) % 2), (0, 0), (0, 0)), constant_values=255)
+
+    def marked(self, seconds: float) -> NDArray[np.uint8]:
+        """Return the image with a marker, two pixels wide, at a time; shape (height, width, 3)."""
+        image, (_, top, _, high) = self.pixels.copy(), self.box
+        rows, columns = image.shape[:2]
+        column = min(round(self.mark(seconds) * columns), columns - 1)
+        image[round(top * rows) : round((top + high) * rows), max(column - 1, 0) : column + 1] = rgb(INK)
+        return image
+
+
 def draw_gantt(plan: RobotPlan, path: Path, *, width: int = 0, title: str = "") -> int:
     """Draw the chart as PNG or SVG, and return the number of bars.
 
@@ -86,27 +199,13 @@ def draw_gantt(plan: RobotPlan, path: Path, *, width: int = 0, title: str = "") 
     form = path.suffix.lower()[1:]
     if form not in ("png", "svg"):
         raise InputError(f"{path} is neither PNG nor SVG; name a file that ends in .png or .svg")
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise DependencyError("a Gantt chart needs matplotlib: pip install 'falsework[picture]'") from None
-    bars = bars_of(plan)
-    figure = Figure(figsize=(_WIDTH, 1.3 + _ROW * len(plan.robots)), layout="constrained")
-    axes = figure.add_subplot()
-    for bar in bars:
-        edge: dict[str, Any] = {"edgecolor": INK, "linewidth": 1.0 if bar.does == "carries" else 0.3}
-        color, alpha = robot_color(bar.robot), _ALPHA[bar.does]
-        height = 0.4 if bar.does == "moves" else 0.7
-        axes.barh(bar.robot, bar.end - bar.begin, left=bar.begin, height=height, color=color, alpha=alpha, **edge)
-    axes.set_yticks(range(len(plan.robots)), [robot.name for robot in plan.robots])
-    axes.invert_yaxis()
-    axes.set_xlim(0.0, max(plan.makespan, 1e-3))
-    axes.set_xlabel(
-        "seconds; high: carries a part; low: moves without one; pale: holds a part at its place; gap: waits"
-    )
-    axes.set_title(title or f"{plan.plan.name}: {plan.makespan:.1f} s, one after the other {plan.seconds:.1f} s")
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    dots = 100 if width == 0 else width / _WIDTH
-    write_whole(path, lambda file: figure.savefig(file, format=form, dpi=dots))
-    return len(bars)
+    chart = GanttChart.of(plan, title=title)
+    dots = _DOTS if width == 0 else width / _WIDTH
+    write_whole(path, lambda file: chart.figure.savefig(file, format=form, dpi=dots))
+    return chart.bars
+
+
+def strip_of(plan: RobotPlan, width: int) -> GanttChart:
+    """Return a low chart for below a picture that is `width` pixels across."""
+    # A quarter of a pixel more, since matplotlib rounds down.
+    return GanttChart.of(plan, width=(width + 0.25) / _DOTS, title=None)

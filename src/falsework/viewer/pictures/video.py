@@ -17,6 +17,7 @@ from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import Arms, bounds_with_arms
 from falsework.viewer.palette import BOUNDARY, INSTALLED, ROBOTS, SLIDING, rgb
 from falsework.viewer.pictures.contact_sheet import Pixels, bounds_with_ways, caption, import_pillow, legend, one_state
+from falsework.viewer.pictures.gantt import strip_of
 from falsework.viewer.pictures.render import Camera
 from falsework.viewer.proof import StateProof
 from falsework.viewer.timeline import Timeline
@@ -32,6 +33,7 @@ def frames_of(
     *,
     seconds: float,
     rate: float,
+    speed: float = 1.0,
     camera: Camera = FILM,
     arms: Arms | None = None,
     proofs: Mapping[int, StateProof] | None = None,
@@ -41,8 +43,9 @@ def frames_of(
 
     Args:
         timeline: what is shown, in its order.
-        seconds: length of a step.
+        seconds: length of a step; a plan with a schedule plays by its own clock instead.
         rate: pictures a second.
+        speed: seconds of a schedule that pass in a second.
         camera: how to look at it.
         arms: robots that carry the plan out.
         proofs: verdicts on states, by place; what slides is marked, and what does not stand is written above.
@@ -50,10 +53,12 @@ def frames_of(
     """
     box = bounds_with_ways(timeline) if arms is None else bounds_with_arms(arms, bounds_of(timeline.assembly))
     sliding = any(proof.slides for proof in (proofs or {}).values())
-    # The step is written as soon as it begins.
     still = max(round(HOLD * rate), 1)
-    for position in frame_places(len(timeline), seconds, rate):
-        step = int(np.ceil(position)) if position % 1 else int(position)
+    moments = _moments(timeline, arms, seconds, rate, speed)
+    chart = None if arms is None or arms.clock is None else strip_of(arms.plan, camera.width)
+    for number, (position, time) in enumerate(moments):
+        # One after the other, a step is written as soon as it begins; else the last that the structure has come to.
+        step = int(np.ceil(position)) if time is None else int(position)
         proof = (proofs or {}).get(step)
         marks = None if proof is None else proof.marks
         picture = one_state(
@@ -61,15 +66,45 @@ def frames_of(
             position,
             camera,
             bounds=box,
-            words=caption(timeline, step, proof),
+            words=caption(timeline, step, proof) if time is None else f"{time:.1f} s, {caption(timeline, step, proof)}",
             key=legend(timeline, sliding),
             arms=arms,
+            time=time,
             marks=marks,
             samples=samples,
         )
-        repeat = still if position in (0.0, float(len(timeline))) else 1
+        if chart is not None and time is not None:
+            picture = np.concatenate([picture, chart.marked(time)])
+        repeat = still if number in (0, len(moments) - 1) else 1
         for _ in range(repeat):
             yield picture
+
+
+def _moments(
+    timeline: Timeline, arms: Arms | None, seconds: float, rate: float, speed: float
+) -> list[tuple[float, float | None]]:
+    """Return the place of every picture, and its time of the schedule if there is one."""
+    if arms is None or arms.clock is None:
+        return [(place, None) for place in frame_places(len(timeline), seconds, rate)]
+    return [(arms.clock.position(time), time) for time in frame_times(arms.clock.makespan, rate, speed)]
+
+
+def frame_times(makespan: float, rate: float, speed: float) -> list[float]:
+    """Return times of a schedule that are shown, in seconds.
+
+    Raises:
+        InputError: no pictures a second, or a film that does not go on.
+    """
+    _check_rate(rate)
+    if not (np.isfinite(speed) and 0 < speed <= 1000):
+        raise InputError(f"a film at {speed:g} times the speed cannot be seen; give a number above zero, to 1000")
+    last = int(np.ceil(makespan * rate / speed - 1e-9))
+    return [min(number * speed / rate, makespan) for number in range(last)] + [makespan]
+
+
+def _check_rate(rate: float) -> None:
+    if not (np.isfinite(rate) and 1 <= rate <= 120):
+        raise InputError(f"{rate:g} pictures a second make no video; give 1 to 120")
 
 
 def frame_places(steps: int, seconds: float, rate: float) -> list[float]:
@@ -80,8 +115,7 @@ def frame_places(steps: int, seconds: float, rate: float) -> list[float]:
     """
     if not (np.isfinite(seconds) and seconds > 0):
         raise InputError(f"a step of {seconds:g} seconds cannot be seen; give a number above zero")
-    if not (np.isfinite(rate) and 1 <= rate <= 120):
-        raise InputError(f"{rate:g} pictures a second make no video; give 1 to 120")
+    _check_rate(rate)
     each = max(round(seconds * rate), 1)
     return [min(number / each, float(steps)) for number in range(steps * each + 1)]
 
@@ -92,6 +126,7 @@ def write_film(
     *,
     seconds: float = 0.5,
     rate: float = 12.0,
+    speed: float = 1.0,
     camera: Camera = FILM,
     arms: Arms | None = None,
     proofs: Mapping[int, StateProof] | None = None,
@@ -102,8 +137,9 @@ def write_film(
     Args:
         path: file that ends in .mp4 or .gif.
         timeline: what is shown.
-        seconds: length of a step.
+        seconds: length of a step; a plan with a schedule plays by its own clock instead.
         rate: pictures a second.
+        speed: seconds of a schedule that pass in a second.
         camera: how to look at it.
         arms: robots that carry the plan out.
         proofs: as for `frames_of`.
@@ -121,8 +157,8 @@ def write_film(
     if kind not in KINDS:
         raise InputError(f"{path} ends in {kind or 'nothing'}; videos are written as {' or '.join(KINDS)}")
     even = replace(camera, width=camera.width + camera.width % 2)
-    total = len(frame_places(len(timeline), seconds, rate)) + 2 * (max(round(HOLD * rate), 1) - 1)
-    pictures = frames_of(timeline, seconds=seconds, rate=rate, camera=even, arms=arms, proofs=proofs)
+    total = len(_moments(timeline, arms, seconds, rate, speed)) + 2 * (max(round(HOLD * rate), 1) - 1)
+    pictures = frames_of(timeline, seconds=seconds, rate=rate, speed=speed, camera=even, arms=arms, proofs=proofs)
 
     def counted() -> Iterator[Pixels]:
         for number, picture in enumerate(pictures):

@@ -1,0 +1,51 @@
+"""Time of a scheduled robot plan against the states that the structure comes to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.robots.plans.timeline import event_times
+
+if TYPE_CHECKING:
+    from falsework.robots.plans.robot_plan import RobotPlan
+
+_BEFORE = 1 - 1e-9
+"""Largest share of a step at which the state after it is not reached yet."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """Seconds from the start of a schedule, and positions in steps, of which whole numbers are states."""
+
+    starts: NDArray[np.float64]
+    """When each motion begins, seconds, shape (nodes,)."""
+    events: NDArray[np.float64]
+    """When the structure comes to each state but the first, seconds, ascending, shape (steps,)."""
+    makespan: float
+    """When the last motion ends, seconds."""
+
+    @classmethod
+    def of(cls, plan: RobotPlan) -> Clock | None:
+        """Return the clock of a plan; None without a schedule."""
+        if plan.schedule is None:
+            return None
+        events = np.maximum.accumulate(event_times(plan, plan.schedule))
+        return cls(plan.schedule.starts(), events, plan.makespan)
+
+    def position(self, seconds: float) -> float:
+        """Return the number of states that have been reached by a time, and the share of the way to the next."""
+        reached = int(np.searchsorted(self.events, seconds, side="right"))
+        if reached == len(self.events):
+            return float(reached)
+        before = self.events[reached - 1] if reached else 0.0
+        return reached + min(float((seconds - before) / (self.events[reached] - before)), _BEFORE)
+
+    def seconds(self, position: float) -> float:
+        """Return when a position is reached; the last one is the end of all motions."""
+        if position >= len(self.events):
+            return self.makespan
+        return float(np.interp(position, np.arange(len(self.events) + 1), [0.0, *self.events]))
