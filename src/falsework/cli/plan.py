@@ -43,7 +43,7 @@ class MakePlan(Command):
     out: Annotated[Path, arg(metavar="FILE")] = Path("plan.json")
     """File to write; alternatives get -2, -3, ... added to its name."""
     task: RuleOptions
-    robots: Annotated[int | Literal["auto"], arg(metavar="NUMBER")] = 2
+    robots: Annotated[str, arg(metavar="NUMBER")] = "2"
     """Number of robots: parts that can be held at a time; `auto` for the fewest with which a plan is found."""
     alternatives: int = 1
     """Number of plans wanted, as different from each other as possible."""
@@ -97,7 +97,7 @@ class MakePlan(Command):
             return self._with_fewest_robots(output)
         settings, checkpoint = self._settings(), self._checkpoint()
         assembly = self.structure.load()
-        task = task_of(assembly, self.robots, **self.task.rules(assembly))
+        task = task_of(assembly, self._robot_count(), **self.task.rules(assembly))
         stability = StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver)
         oracle = DemandingStability(assembly, stability, demands) if demands else Stability(assembly, stability)
         if refuse_unstable(assembly, oracle, task, output):
@@ -166,6 +166,12 @@ class MakePlan(Command):
         answer = ask(assembly, oracle, self.task, self._settings(), self.deadline, self.proofs, output)
         path = None if answer.plan is None else self._save([answer.plan])[0][0]
         return report(answer, path, output)
+
+    def _robot_count(self) -> int:
+        try:
+            return int(self.robots)
+        except ValueError:
+            raise InputError(f"--robots is {self.robots!r}; give a number, or auto") from None
 
     def _settings(self) -> PlannerSettings:
         from falsework.search.problem.task import Direction
