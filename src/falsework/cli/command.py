@@ -68,9 +68,7 @@ class LoadOptions:
     )
     """Contacts: found from the meshes, those that a COMPAS file stores, or found and compared with the stored ones."""
     # A tuple of texts; tyro would import typeguard to check the default of `tuple[str, ...]`.
-    loads: Annotated[
-        UseAppendAction[tuple], arg(name="load", metavar="PART=FX,FY,FZ", help_behavior_hint=UNSET)
-    ] = ()
+    loads: Annotated[UseAppendAction[tuple], arg(name="load", metavar="PART=FX,FY,FZ", help_behavior_hint=UNSET)] = ()
     """Force on a part in N, such as keystone=0,0,-1000, at its centre of mass or at a point: 7=0,0,-1000@0.2,0,1.
     May be repeated."""
     earthquake: Annotated[str | None, arg(metavar="SHARE", help_behavior_hint=UNSET)] = None
