@@ -20,10 +20,10 @@ from falsework.robots import (
     Precedence,
     RobotPlan,
     load_cell,
+    nodes_of,
     plan_robots,
     schedule_plan,
 )
-from falsework.robots.plans.timeline import nodes_of
 
 CELL = """
 format = "falsework.cell/1"

@@ -7,4 +7,3 @@ from falsework.replanning.request import Request as Request
 from falsework.replanning.result import ReplanResult as ReplanResult
 from falsework.replanning.result import Stage as Stage
 from falsework.replanning.session import ReplanSettings as ReplanSettings
-from falsework.search.problem.timed_replayer import Replayed as Replayed

@@ -43,6 +43,7 @@ from falsework.robots.plans.temporal_graph import TemporalPlanGraph as TemporalP
 from falsework.robots.plans.timeline import ArmShares as ArmShares
 from falsework.robots.plans.timeline import arm_shares as arm_shares
 from falsework.robots.plans.timeline import event_times as event_times
+from falsework.robots.plans.timeline import nodes_of as nodes_of
 from falsework.robots.schedule.build import schedule_plan as schedule_plan
 from falsework.robots.schedule.simulation import SimulationReport as SimulationReport
 from falsework.robots.schedule.simulation import simulate as simulate

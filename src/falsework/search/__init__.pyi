@@ -43,4 +43,5 @@ from falsework.search.problem.state_graph import load_state_graph as load_state_
 from falsework.search.problem.state_graph import save_state_graph as save_state_graph
 from falsework.search.problem.task import Direction as Direction
 from falsework.search.problem.task import Task as Task
+from falsework.search.problem.timed_replayer import Replayed as Replayed
 from falsework.search.settings import PlannerSettings as PlannerSettings
