@@ -39,6 +39,8 @@ _FIRST_BEAM_WIDTH = 256
 """Widest beam for the first plan."""
 _VARIED_BEAM_WIDTH = 16
 """Widest beam for another one."""
+_VARIED_VERDICTS = 2000
+"""Verdicts for another one from each end: a beam that needs more is stuck, and costs minutes under `contact`."""
 _ROLLOUTS = 16
 """Rollouts with random actions at once."""
 _MAX_FALLEN_REPLAYS = 40
@@ -112,9 +114,13 @@ class SolvabilityCheck:
             scores = np.asarray(self._guide(states, actions, direction), dtype=np.float64)
             return scores + rng.normal(scale=0.3 * (scores.std() + 1e-3), size=scores.shape)
 
-        direction = Direction.ASSEMBLY if seed % 2 else Direction.DISASSEMBLY
-        beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(direction, seed=seed), guide=disturbed)
-        self._follow(self._search(beam, _VARIED_BEAM_WIDTH))
+        directions = [Direction.DISASSEMBLY, Direction.ASSEMBLY]
+        for direction in reversed(directions) if seed % 2 else directions:
+            beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(direction, seed=seed), guide=disturbed)
+            routes = self._search(beam, _VARIED_BEAM_WIDTH, _VARIED_VERDICTS)
+            if routes:
+                self._follow(routes)
+                return
 
     def falls(self, route: Route) -> int | None:
         """Return the first state in the order of assembly in which the replay of a route falls; None if it stands.
@@ -158,12 +164,12 @@ class SolvabilityCheck:
         self._solvable = left
         self._preferred &= left
 
-    def _search(self, beam: AdaptiveBeam, widest: int) -> Sequence[Route]:
-        """Return routes of a beam whose replays stand; none if it finds none."""
+    def _search(self, beam: AdaptiveBeam, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
+        """Return routes of a beam whose replays stand; none if it finds none with so many verdicts."""
         for _ in range(_MAX_FALLEN_REPLAYS):
             if self._forbidden:
                 beam.search.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
-            routes = beam.run(widest).routes
+            routes = beam.run(widest, stop=lambda: beam.search.counters.asked >= verdicts).routes
             row = self.falls(routes[0]) if routes else None
             if row is None:
                 return routes
