@@ -485,5 +485,18 @@ TABLES = {
         ),
         where=lambda record: "checked_good" in record and quiet(record),
     ),
+    "robots-together": Table(
+        "robots",
+        (("cell", "{cell}"),),
+        (
+            ("plan found", "{found}"),
+            ("makespan over the plan of one arm at a time", "{makespan_share}"),
+            ("makespan, s", "{makespan}"),
+            ("lower bound, s", "{lower_bound}"),
+            ("more CPU time, s", "{extra_cpu_seconds}"),
+            ("passed the independent check", "{check}"),
+        ),
+        benchmark="robots together seed",
+    ),
     "viewer": Table("viewer", (("parts", "{parts}"),), (("one step of the page, ms", "{step_ms}"),), "viewer page"),
 }

@@ -109,6 +109,51 @@ def test_what_is_solvable_under_contact_has_been_asked_about(criterion: str) -> 
     assert held == [criterion == "contact"] * len(held)
 
 
+def test_a_hold_on_the_way_that_does_not_stand_is_gone_around() -> None:
+    def prepared(oracle: Stability) -> SolvabilityCheck:
+        solvability = SolvabilityCheck(ARCH, TASK, oracle)
+        assert solvability.prepare().found
+        return solvability
+
+    class Refusing(Stability):
+        refused = np.empty((0, ARCH.part_count), dtype=np.uint8)
+
+        def stable(self, states: Any, *, parents: Any = None) -> Any:
+            return super().stable(states, parents=parents) & ~(states[:, None] == self.refused).all(axis=2).any(axis=1)
+
+    state, tried = complete_state(ARCH.boundary), 0
+    for action in prepared(Stability(ARCH)).legal(state):
+        plain = prepared(Stability(ARCH))
+        after = state.copy()
+        after[action] = HELD
+        before = [later for later in plain.legal(after) if plain.known(after, later)]
+        if plain.known(state, action) or not plain.solvable(state, action):
+            continue
+        for later in plain.legal(after):
+            if later >= ARCH.part_count or later in before or not plain.known(after, later):
+                continue
+            oracle = Refusing(ARCH)
+            oracle.refused = after[None].copy()
+            oracle.refused[0, later] = HELD
+            solvability = prepared(oracle)
+            solvability.solvable(state, action)
+            assert not solvability.known(after, later)
+            tried += 1
+    assert tried
+
+
+def test_another_abstract_plan_costs_a_bounded_number_of_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
+    oracle = Stability(ARCH)
+    solvability = SolvabilityCheck(ARCH, TASK, oracle)
+    assert solvability.prepare().found
+    known = len(solvability)
+    monkeypatch.setattr("falsework.robots.planning.solvability._VARIED_VERDICTS", 0)
+    asked = oracle.counters.asked
+    solvability.perturb(1)
+    assert oracle.counters.asked == asked
+    assert len(solvability) == known
+
+
 def test_a_forbidden_state_takes_its_only_ways_with_it() -> None:
     """One part at a time on one way: whatever comes before the forbidden state is not solvable any more."""
     oracle = Stability(ARCH)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, Mask, States
+from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.planner import Planner
 from falsework.search.problem.guide import Guide, SupportGuide
@@ -39,6 +39,8 @@ _FIRST_BEAM_WIDTH = 256
 """Widest beam for the first plan."""
 _VARIED_BEAM_WIDTH = 16
 """Widest beam for another one."""
+_VARIED_VERDICTS = 2000
+"""Verdicts for another one from each end: a beam that needs more is stuck, and costs minutes under `contact`."""
 _ROLLOUTS = 16
 """Rollouts with random actions at once."""
 _MAX_FALLEN_REPLAYS = 40
@@ -112,9 +114,13 @@ class SolvabilityCheck:
             scores = np.asarray(self._guide(states, actions, direction), dtype=np.float64)
             return scores + rng.normal(scale=0.3 * (scores.std() + 1e-3), size=scores.shape)
 
-        direction = Direction.ASSEMBLY if seed % 2 else Direction.DISASSEMBLY
-        beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(direction, seed=seed), guide=disturbed)
-        self._follow(self._search(beam, _VARIED_BEAM_WIDTH))
+        directions = [Direction.DISASSEMBLY, Direction.ASSEMBLY]
+        for direction in reversed(directions) if seed % 2 else directions:
+            beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(direction, seed=seed), guide=disturbed)
+            routes = self._search(beam, _VARIED_BEAM_WIDTH, _VARIED_VERDICTS)
+            if routes:
+                self._follow(routes)
+                return
 
     def falls(self, route: Route) -> int | None:
         """Return the first state in the order of assembly in which the replay of a route falls; None if it stands.
@@ -158,12 +164,12 @@ class SolvabilityCheck:
         self._solvable = left
         self._preferred &= left
 
-    def _search(self, beam: AdaptiveBeam, widest: int) -> Sequence[Route]:
-        """Return routes of a beam whose replays stand; none if it finds none."""
+    def _search(self, beam: AdaptiveBeam, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
+        """Return routes of a beam whose replays stand; none if it finds none with so many verdicts."""
         for _ in range(_MAX_FALLEN_REPLAYS):
             if self._forbidden:
                 beam.search.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
-            routes = beam.run(widest).routes
+            routes = beam.run(widest, stop=lambda: beam.search.counters.asked >= verdicts).routes
             row = self.falls(routes[0]) if routes else None
             if row is None:
                 return routes
@@ -256,61 +262,75 @@ class SolvabilityCheck:
 
     def _join(self, start: States) -> bool:
         """Search forwards from a stable state until one is met that is solvable; all on the way then are."""
+        refused: set[bytes] = set()
+        while (way := self._way_to_solvable(start, refused)) is not None:
+            # Holds rarely fail, and most searches meet nothing: they are asked about where something was met.
+            holds = way[1:][(way[1:] != REMOVED).sum(axis=1) == (way[:-1] != REMOVED).sum(axis=1)]
+            if not self.oracle.holds_keep_stable and len(holds):
+                fallen = holds[~self.oracle.stable(holds)]
+                refused |= {state.tobytes() for state in fallen}
+                if len(fallen):
+                    continue
+            self._solvable |= {state.tobytes() for state in way}
+            return True
+        return False
+
+    def _way_to_solvable(self, start: States, refused: set[bytes]) -> States | None:
+        """Return states from a stable one to the last before one that is solvable; holds on the way are not judged.
+
+        Args:
+            start: where to begin, shape (parts,).
+            refused: states that are not stable.
+        """
         self._left = _JOIN_VERDICTS
-        levels: list[States] = [start[None]]
-        parents: list[np.ndarray] = []
+        ways: States = start[None, None]
+        judged: States = start[None]  # on each way, the last state that has a verdict
         for _ in range(_JOIN_LEVELS):
-            states = levels[-1]
+            states = ways[:, -1]
             rows, actions = np.nonzero(self.task.moves(states, Direction.DISASSEMBLY))
             if not len(rows):
-                return False
+                return None
             after = self.task.follow(states[rows], actions, Direction.DISASSEMBLY)
             first, after = _distinct(after)
             rows, actions = rows[first], actions[first]
             hit = next((k for k, state in enumerate(after) if state.tobytes() in self._solvable), None)
             if hit is not None:  # what is solvable is stable, so the step to it needs no verdict
-                self._remember(levels, parents, int(rows[hit]))
-                return True
-            kept = self._stable_few(states[rows], after, actions)
+                return ways[rows[hit]]
+            kept = self._stable_few(states[rows], judged[rows], after, actions, refused)
             if not len(kept):
-                return False
-            levels.append(after[kept])
-            parents.append(rows[kept])
-        return False
+                return None
+            removed = actions[kept] >= self.task.part_count
+            judged = np.where(removed[:, None], after[kept], judged[rows[kept]])
+            ways = np.concatenate([ways[rows[kept]], after[kept][:, None]], axis=1)
+        return None
 
-    def _stable_few(self, before: States, after: States, actions: np.ndarray) -> np.ndarray:
-        """Return the most promising successors that stand: few held, then the guide's score."""
+    def _stable_few(
+        self, before: States, judged: States, after: States, actions: NDArray[np.intp], refused: set[bytes]
+    ) -> NDArray[np.intp]:
+        """Return the most promising successors: few held, then the guide's score; after removals those that stand."""
         removal = actions >= self.task.part_count
-        asked = self.task.needs_verdict(actions, Direction.DISASSEMBLY)
         mask = np.zeros((len(before), 2 * self.task.part_count), dtype=bool)
         mask[np.arange(len(before)), actions] = True
         score = np.asarray(self._guide(before, mask, Direction.DISASSEMBLY))[np.arange(len(before)), actions]
         held = ((after == HELD) & ~self.task.boundary).sum(axis=1)
         order = np.lexsort((-score, held))
-        kept: list[int] = []
-        holds = 0
-        for k in order.tolist():
-            if after[k].tobytes() in self._forbidden:
-                continue
-            if removal[k]:
-                if self._left == 0:
-                    continue
-                self._left -= 1
-            elif holds < 2 * _JOIN_WIDTH:
-                holds += 1
-            else:
-                continue
-            if not asked[k] or self.oracle.stable(after[k][None], parents=before[k][None])[0]:
-                kept.append(k)
-            if len(kept) >= 3 * _JOIN_WIDTH:
-                break
-        return np.array(kept[: 3 * _JOIN_WIDTH], dtype=np.intp)
-
-    def _remember(self, levels: list[States], parents: list[np.ndarray], row: int) -> None:
-        for level in range(len(levels) - 1, -1, -1):
-            self._solvable.add(levels[level][row].tobytes())
-            if level:
-                row = int(parents[level - 1][row])
+        ruled_out = self._forbidden | refused
+        order = order[[after[k].tobytes() not in ruled_out for k in order]]
+        # What is beyond the limits on holds and verdicts is left out.
+        number = np.where(removal[order], removal[order].cumsum(), (~removal[order]).cumsum())
+        order = order[number <= np.where(removal[order], self._left, 2 * _JOIN_WIDTH)]
+        kept: list[NDArray[np.intp]] = []
+        room = 3 * _JOIN_WIDTH
+        while room and len(order):
+            batch, order = order[:room], order[room:]
+            asked = batch[removal[batch]]
+            self._left -= len(asked)
+            good = ~removal[batch]
+            if len(asked):
+                good[~good] = self.oracle.stable(after[asked], parents=judged[asked])
+            kept.append(batch[good])
+            room -= int(good.sum())
+        return np.concatenate([np.empty(0, np.intp), *kept])
 
 
 def _distinct(states: States) -> tuple[np.ndarray, States]:
