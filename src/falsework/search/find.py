@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
+from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.margins.demands import DemandingStability
 from falsework.search.margins.plan_margins import PlanMargins
@@ -32,6 +33,10 @@ from falsework.stability.verdict import Verdicts
 
 _PROVED_AT_ONCE = 64
 """States whose contact forces are in memory together, unless they are kept."""
+_LARGE = 100
+"""Parts from which states are proved from the displacement of the state before, which takes fewer iterations ..."""
+_PIECES = 8
+"""... in so many pieces of the route side by side, each begun from rest."""
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
 
@@ -132,7 +137,10 @@ def find_plans(
         return Planning(result, (), Alternatives.of([]), fallen, result.interrupted and clock.passed)
     late = result.interrupted and clock.passed
     chosen = choose_plans(planner, settings, assembly.name)
-    plans = tuple(plan_of(route, assembly, task, oracle, forces=forces) for route in chosen.routes)
+    plans = tuple(
+        plan_of(route, assembly, task, oracle, forces=forces, replay=planner.replays.get(route.states.tobytes()))
+        for route in chosen.routes
+    )
     standing = [k for k, plan in enumerate(plans) if plan.replay is None or plan.replay.stands]
     if len(standing) < len(plans):
         plans, chosen = tuple(plans[k] for k in standing), chosen.keep(standing)
@@ -167,7 +175,15 @@ def task_of(
     )
 
 
-def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, forces: bool = True) -> Plan:
+def plan_of(
+    route: Route,
+    assembly: Assembly,
+    task: Task,
+    oracle: Stability,
+    *,
+    forces: bool = True,
+    replay: PlanReplay | None = None,
+) -> Plan:
     """Plan along a route, each state proved stable anew with a proof that the certificate checker accepts.
 
     Under the criterion `contact` the plan is replayed as well; what came of it is in `Plan.replay`.
@@ -178,6 +194,7 @@ def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, 
         task: what the route was found for.
         oracle: proves the states.
         forces: keep the forces in the plan, under `contact` the displacements too.
+        replay: of the route by the oracle's replayer, where it is known already.
 
     Raises:
         PlanError: a state that cannot be proved stable.
@@ -189,9 +206,7 @@ def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, 
         parts=assembly.part_count if forces and contact else None,
         displaced=contact,
     )
-    for begin in range(0, len(route.states), _PROVED_AT_ONCE):
-        rows = np.arange(begin, min(begin + _PROVED_AT_ONCE, len(route.states)))
-        verdicts.put(rows, oracle.check(route.states[rows]))
+    _prove(route.states, oracle, verdicts)
     for row in np.flatnonzero(~verdicts.stable):
         beside = route.states[max(row - 1, 0) : row + 2]
         verdicts.put(np.array([row]), oracle.check_beside(route.states[row], beside))
@@ -200,7 +215,33 @@ def plan_of(route: Route, assembly: Assembly, task: Task, oracle: Stability, *, 
         plan = replace(plan, margins=PlanMargins.of(oracle, plan.states, oracle.demands))
     if oracle.replayer is None:
         return plan
-    return replace(plan, replay=PlanReplay.of(oracle.replayer.replay(plan.assembly_states)))
+    return replace(plan, replay=replay or PlanReplay.of(oracle.replayer.replay(plan.assembly_states)))
+
+
+def _prove(states: States, oracle: Stability, verdicts: Verdicts) -> None:
+    """Check the states of a route; those of a large structure from the displacement of the state before.
+
+    Args:
+        states: shape (states, parts).
+        oracle: checks them.
+        verdicts: out: verdicts on them, with what there is room for.
+    """
+    count, parts = states.shape
+    length = -(-count // _PIECES)
+    if oracle.settings.criterion != "contact" or oracle.settings.solver == "gpu" or parts < _LARGE:
+        length = 1
+    begins = np.arange(0, count, length)
+    at_once = _PIECES if length > 1 else _PROVED_AT_ONCE
+    for first in range(0, len(begins), at_once):
+        rows = begins[first : first + at_once]
+        found = oracle.check(states[rows])
+        verdicts.put(rows, found)
+        for offset in range(1, length):
+            inside = rows + offset < count
+            following = rows[inside] + offset
+            found = oracle.check_next(states[following], states[following - 1], found[inside])
+            verdicts.put(following, found)
+            rows = rows[inside]
 
 
 def choose_plans(planner: Planner, settings: PlannerSettings, name: str = "") -> Alternatives:

@@ -14,6 +14,7 @@ from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.beam.beam import BeamSearch
+from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.guide import Guide, NoveltyGuide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import (
@@ -70,6 +71,8 @@ class Planner:
         """States found by the searches for alternative plans, shape (count, parts)."""
         self.fallen: tuple[Route, int] | None = None
         """Route whose replay gets farthest before it fails, and the step of assembly at which it fails."""
+        self.replays: dict[bytes, PlanReplay] = {}
+        """Replays that come to rest in every state, by the states of the routes."""
         self._oracle = oracle
         self._replayer = getattr(oracle, "replayer", None)
         self._keeps = getattr(oracle, "keeps", None)
@@ -254,6 +257,7 @@ class Planner:
             return True
         replay = self._replayer.replay(route.states[::-1])
         if replay.good:
+            self.replays[route.states.tobytes()] = PlanReplay.of(replay)
             return True
         row, last = replay.falls_at or 0, len(route.states) - 1
         if self.fallen is None or row > self.fallen[1]:

@@ -156,17 +156,24 @@ class Stability:
             A batch of one: the first verdict of stable, else that from rest.
         """
         verdict = self.check(state)
-        if not isinstance(self._cpu, ContactSolver):
-            return verdict
         for neighbour in neighbours:
-            beside = self.check(neighbour)
-            if verdict.stable[0] or not beside.stable[0] or beside.displacement is None:
-                continue
-            guess = beside.displacement.copy()
-            found = self._cpu.check(state[None], parents=neighbour[None], guess=guess)
-            if found.stable[0] and self._accept(state[None], found)[0]:
-                verdict = found
+            if not verdict.stable[0]:
+                verdict = self.check_next(state[None], neighbour[None], self.check(neighbour))
         return verdict
+
+    def check_next(self, states: States, before: States, known: Verdicts) -> Verdicts:
+        """Check states `(batch, parts)`, under `contact` first from the displacements `known` of those before them."""
+        if not isinstance(self._cpu, ContactSolver) or known.displacement is None:
+            return self.check(states)
+        guess = np.where(known.stable[:, None, None], known.displacement, np.nan)
+        found = self._cpu.check(states, parents=before, guess=guess)
+        good = found.stable & self._accept(states, found)
+        self.counters.asked += int(good.sum())
+        self._count(found[good])
+        self._cache.store(states[good], found.verdict[good], found.residual[good])
+        if not good.all():
+            found.put(np.flatnonzero(~good), self.check(states[~good]))
+        return found
 
     def judge(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> Verdicts:
         """Check states without certificates, from the cache if possible.

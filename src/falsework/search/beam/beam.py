@@ -107,7 +107,7 @@ class BeamSearch(LevelSearch):
             score = score + preference[frontier.action % self.task.part_count]
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
         clustered = settings.diversity == "k-means"
-        selector = Selector(frontier, score, clustered, settings.pool, rng, self._failures)
+        selector = Selector(frontier, score, clustered, settings.pool, rng, self._standing(), self._failures)
         doubt = False
         if settings.lookahead > 0:
 
@@ -143,6 +143,19 @@ class BeamSearch(LevelSearch):
         if self._histories is not None:
             self._histories.keep(kept)
         return True
+
+    def _standing(self) -> States:
+        """Return for each state of the last level the nearest on the way to it that is known to be stable."""
+        states = self.levels[-1].states.copy()
+        at = np.arange(len(states))
+        left = at.copy()
+        for here, before in zip(self.levels[:0:-1], self.levels[-2::-1], strict=True):
+            left = left[here.grounded[at[left]] <= 0]
+            if not len(left):
+                break
+            at[left] = here.parent[at[left]]
+            states[left] = before.states[at[left]]
+        return states
 
     def _confirmed(self, frontier: Frontier, rows: NDArray[np.int64]) -> Mask:
         """Return whether each stable candidate is reached through stable states only. Shape (rows,)."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import Mask
+from falsework.assembly.state import Mask, States
 from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier
 from falsework.search.beam.k_means import k_means
@@ -51,6 +51,8 @@ class Selector:
     """Bound on candidates times parts that are clustered at once; beyond it, of a random sample only."""
     rng: np.random.Generator
     """Breaks ties and seeds the clusters."""
+    standing: States
+    """For each state of the level one near it that is known to be stable, shape (level, parts)."""
     failures: FailureMemory | None = None
     """Moves that failed before, which are tried last."""
 
@@ -80,7 +82,7 @@ class Selector:
         stable = frontier.free.copy()
         asked = np.flatnonzero(~stable)
         if len(asked):
-            stable[asked] = judge.stable(frontier.states(asked), frontier.parents(asked))
+            stable[asked] = judge.stable(frontier.states(asked), self.standing[frontier.parent[asked]])
         kept = self.order(np.flatnonzero(stable), self.score, width)[:width]
         return self._choice(kept, asked[~stable[asked]])
 
@@ -140,7 +142,7 @@ class Selector:
         position = 0
         while wanted > 0 and position < len(waiting):
             batch = waiting[position : position + (max(wanted, _VERDICT_BATCH) if position else wanted)]
-            stable = judge.stable(frontier.states(batch), frontier.parents(batch))
+            stable = judge.stable(frontier.states(batch), self.standing[frontier.parent[batch]])
             if stable.any():
                 stable[stable] = confirmed(batch[stable])
             kept.append(batch[stable])

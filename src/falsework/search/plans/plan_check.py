@@ -157,11 +157,14 @@ def validate_plan(
         return PlanReport(count, 0, weaker, claim=claim)
     broken = broken_rule(plan, assembly)
     solver = Stability(assembly, settings) if settings.criterion == "contact" else ExactSolver(assembly, settings)
-    largest = 0.0
+    largest, before = 0.0, None
     for row in range(count if broken is None else broken[0]):
         verdict = solver.check(plan.states[row : row + 1])
         if isinstance(solver, Stability) and not verdict.stable[0]:
             verdict = solver.check_beside(plan.states[row], plan.states[max(row - 1, 0) : row + 2])
+            if not verdict.stable[0] and before is not None:
+                verdict = solver.check_next(plan.states[row : row + 1], plan.states[row - 1 : row], before)
+        before = verdict
         if not (verdict.stable[0] and verify_certificates(assembly, plan.states[row : row + 1], verdict, claim)[0]):
             seconds = time.perf_counter() - begun
             return PlanReport(count, row, _unstable(plan, row, verdict), largest, claim, verdict, seconds)
