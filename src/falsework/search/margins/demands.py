@@ -50,9 +50,9 @@ class Demands:
     push: float | None = None
     """Force along the inward normal of any free face of an installed part, N."""
     load: float | None = None
-    """Force downwards on any installed part, at its centre of mass, N: a worker, a gripper."""
+    """Force downwards on any installed part at its centre of mass, such as a worker's or a gripper's, N."""
     placement: float | None = None
-    """Error of placement, m: states stand in each of some random placements with contacts found anew."""
+    """Error of placement in m; states stand in each of some random placements with contacts found anew."""
 
     @classmethod
     def parse(cls, text: str, option: str = "--margin") -> Demands:
