@@ -33,7 +33,7 @@ class MakePlan(Command):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework plan vault --robots 2 --out plan.json",
-        "falsework plan dome --robots auto --deadline 120 --out plan.json",
+        "falsework plan arch --robots auto --deadline 120 --out plan.json",
         "falsework plan my-folder --missing 3,4 --alternatives 5 --out plan.json",
         "falsework plan arch --margin friction=1.25,tilt=1deg --out safe.json",
         "falsework plan arch --maximise friction --out strong.json",

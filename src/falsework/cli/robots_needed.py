@@ -31,7 +31,7 @@ class AskRobotsNeeded(JudgingCommand):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots-needed vault",
-        "falsework robots-needed dome --deadline 300 --out plan.json",
+        "falsework robots-needed arch --deadline 300 --out plan.json",
     )
 
     structure: StructureOptions
