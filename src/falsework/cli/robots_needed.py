@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -31,7 +31,7 @@ class AskRobotsNeeded(JudgingCommand):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots-needed vault",
-        "falsework robots-needed arch --deadline 300 --out plan.json",
+        "falsework robots-needed arch --deadline 300 --out fewest.json",
     )
 
     structure: StructureOptions
@@ -55,7 +55,7 @@ class AskRobotsNeeded(JudgingCommand):
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
         answer = ask(assembly, oracle, self.task, PlannerSettings(seed=self.seed), self.deadline, False, output)
         if answer.plan is not None and self.out is not None:
-            save_plan(answer.plan, self.out)
+            save_plan(replace(answer.plan, source=self.structure.source(self.out)), self.out)
         return report(answer, self.out, output)
 
 
