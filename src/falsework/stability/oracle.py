@@ -156,7 +156,7 @@ class Stability:
             A batch of one: the first verdict of stable, else that from rest.
         """
         verdict = self.check(state)
-        for neighbour in neighbours:
+        for neighbour in neighbours[(neighbours != state).any(axis=1)]:
             if not verdict.stable[0]:
                 verdict = self.check_next(state[None], neighbour[None], self.check(neighbour))
         return verdict

@@ -159,8 +159,9 @@ def validate_plan(
     solver = Stability(assembly, settings) if settings.criterion == "contact" else ExactSolver(assembly, settings)
     largest, before = 0.0, None
     for row in range(count if broken is None else broken[0]):
-        verdict = solver.check(plan.states[row : row + 1])
-        if isinstance(solver, Stability) and not verdict.stable[0]:
+        if isinstance(solver, ExactSolver):
+            verdict = solver.check(plan.states[row : row + 1])
+        else:
             verdict = solver.check_beside(plan.states[row], plan.states[max(row - 1, 0) : row + 2])
             if not verdict.stable[0] and before is not None:
                 verdict = solver.check_next(plan.states[row : row + 1], plan.states[row - 1 : row], before)
