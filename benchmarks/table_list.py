@@ -74,6 +74,20 @@ TABLES = {
         ),
         benchmark="contact steps",
     ),
+    "judges": Table(
+        "judges",
+        STRUCTURE,
+        (
+            ("parts", "{parts}"),
+            ("states", "{states}"),
+            ("stand in the replay", "{replay.stands}"),
+            ("replays under other numbers", "{varied}"),
+            ("discrete elements, built state by state: stand / fall / open", "{built.stands} / {built.falls} / {built.open}"),
+            ("discrete elements, each state from rest", "{settled.stands} / {settled.falls} / {settled.open}"),
+            ("LMGC90: stand / fall / not judged", "{lmgc90.stands} / {lmgc90.falls} / {lmgc90.not judged}"),
+        ),
+        benchmark="judges plans",
+    ),
     "replays": Table(
         "contact",
         STRUCTURE,

@@ -31,6 +31,7 @@ SMOKE = {
     "search_compare": ["--structures", "arch:blocks=5", "--seeds", "1"],
     "stability": ["--structures", "arch:blocks=5", "--states", "8"],
     "contact": ["all", "--structures", "arch:blocks=5", "--seeds", "1", "--repeat", "1"],
+    "judges": ["plans", "--structures", "arch:blocks=5", "--draws", "1"],
     "margins": ["truth", "--cases", "1"],
     "first_minute": ["--commands", "help", "--before", "", "--repeats", "1"],
     "scaling": ["--alone", "--parts", "60", "--repeats", "1"],
