@@ -25,11 +25,11 @@ _RETREAT_FACTOR = 4
 _RETREAT_LEVELS = 8
 """... than so many levels; each trial of one width begins twice as far back as the last."""
 _LOOKAHEAD_STATES = 64
-"""States that need no verdict which the narrowest beam keeps, so that the next level has a choice."""
+"""States without a need for a verdict that the narrowest beam keeps, so that the next level has a choice."""
 _LOOKAHEAD_PER_WIDTH = 16
 """The same for wide beams, as a multiple of the width."""
 _PLACE = ("failures", "deaths", "farthest", "easy_from")
-"""What a beam remembers of the places where it died."""
+"""Fields of the memory of places where beams died."""
 
 
 @dataclass(frozen=True)
