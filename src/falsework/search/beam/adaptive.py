@@ -108,7 +108,7 @@ class AdaptiveBeam:
             elif not self._widen(widest):
                 if not result.undecided and not result.sliding:
                     limit = (
-                        f"beams of up to {self.search.settings.width} states a level died; wider ones may come through"
+                        f"beams up to a width of {self.search.settings.width} died; wider ones may come through"
                     )
                     result = replace(result, limit=limit)
                 return result
