@@ -5,8 +5,9 @@
     python benchmarks/judges.py scenes --scenes 1000
 
 `plans`: a plan under `contact`, its replay, the replay under other numbers (stiffness ratio, speed of release, damping,
-random friction at the start), the same building sequence by discrete elements, and each state from rest by discrete
-elements and, for `--lmgc90` states evenly spaced over the plan, by LMGC90. Discrete elements leave a state open that
+random friction at the start), the same building sequence by discrete elements, and each state by discrete elements:
+`settled` from nothing and `proven` from the contact forces of its verdict. For `--lmgc90` states evenly spaced over
+the plan, LMGC90. Discrete elements leave a state open that
 neither rests nor has fallen after their last step; LMGC90 does not judge a state whose contacts it cannot make.
 `scenes`: the random rows and stacks of the tests; the verdict of each beside the replay in which the robots let go.
 """
@@ -74,9 +75,11 @@ def plans(options: Options) -> Iterator[dict[str, Any]]:
             "states": len(states),
             "replay": _count(replayer.replay(states).stands),
             "varied": len(varied),
+            "varied_stands": sum(case.good for case in varied),
             "varied_falls": [f"{case.name}: state {case.falls_at}" for case in varied if not case.good],
             "built": _count(replay_by_discrete_elements(assembly, states).stands),
             "settled": _count(settle(assembly, states).stands),
+            "proven": _count(settle(assembly, states, forces=oracle.check(states).forces).stands),
         }
         if options.lmgc90:
             some = np.unique(np.linspace(0, len(states) - 1, options.lmgc90).round().astype(int))

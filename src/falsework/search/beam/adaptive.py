@@ -107,9 +107,7 @@ class AdaptiveBeam:
                 return result
             elif not self._widen(widest):
                 if not result.undecided and not result.sliding:
-                    limit = (
-                        f"beams up to a width of {self.search.settings.width} died; wider ones may come through"
-                    )
+                    limit = f"beams up to a width of {self.search.settings.width} died; wider ones may come through"
                     result = replace(result, limit=limit)
                 return result
 
