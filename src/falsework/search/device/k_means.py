@@ -88,8 +88,9 @@ def find_centers(
     mine, _ = shards.block(len(x))
     for _ in range(_LLOYD_ITERATIONS):
         sums = torch.zeros((clusters, dimensions + 1), dtype=torch.int32, device=x.device)
-        sums.index_add_(0, centers.nearest(x[mine]), rows[mine])
-        sums = shards.add(sums)
+        # Processes exchange labels, which are fewer bytes than sums.
+        labels = shards.gather_blocks(centers.nearest(x[mine]).int(), len(x))
+        sums.index_add_(0, labels, rows)
         size = sums[:, -1:]
         mean = (sums[:, :-1].double() * scale / size).round_().float()
         centers = Centers(torch.where(size > 0, mean, centers.scaled), scale)

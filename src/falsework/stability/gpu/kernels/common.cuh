@@ -25,6 +25,7 @@ typedef unsigned int uint32_t;
 #define METHOD __device__ __forceinline__
 #define KERNEL(bounds) extern "C" __global__ void __launch_bounds__ bounds
 #define POPCOUNT __popc
+#define RECIPROCAL_ROOT rsqrt
 template <class T>
 DEVICE T load(const T* p) {
   return __ldg(p);
@@ -44,6 +45,7 @@ extern __shared__ double2 dynamic_pool[];
 #define METHOD inline
 #define KERNEL(bounds) extern "C" void
 #define POPCOUNT __builtin_popcount
+#define RECIPROCAL_ROOT(x) (1 / sqrt(x))
 #define __shared__ static thread_local
 using std::copysign;
 using std::fabs;

@@ -54,10 +54,10 @@ DEVICE bool settle_state(const Structure& s, const Options& o, const Batch& b, i
   // What is kept of groups is on chip too where there is room.
   long long room = InShared ? b.pool_bytes - (top - POOL) - 64 : 0;
   bool wrenches = room >= a.groups * 96, both = room >= a.groups * 240;
-  q.wrench = take<double>(wrenches ? top : far, a.groups * 12);
-  q.local = take<float>(both ? top : far, a.groups * 36);
   q.trial = take<double>(far, a.groups * GROUP * 3);
   q.ahead_trial = take<double>(far, a.groups * GROUP * 3);
+  q.wrench = reinterpret_cast<double*>(wrenches ? top : far);
+  q.local = reinterpret_cast<float*>((both ? top : far) + a.groups * 96);
   double residual;
   int steps, found = find_rest(s, a, o, q, residual, steps);
   if (found != kUndecided) write_displaced(s, a, b, index, found == kStable, q.now);

@@ -67,7 +67,7 @@ DEVICE void add_general_row(
 
 // Sum of the groups' local matrices, (groups that act, 36), plus `shift` times the masses.
 PHASE void assemble_general(const Structure& s, const State& a, double shift, const float* local, General m) {
-  for (int t = TID; t < (a.nodes + 2 * a.blocks) * 6; t += THREADS) {
+  for (int t = TID; t < (a.nodes + 2 * a.storage) * 6; t += THREADS) {
     int item = t / 6, r = t % 6;
     float out[6] = {};
     float* row;
@@ -86,11 +86,10 @@ PHASE void assemble_general(const Structure& s, const State& a, double shift, co
         add_general_row<false>(s, local + slot * 36, a.group[slot], r, code & 1, code & 1, 1.0f, out);
       }
     } else {
-      bool above = item >= a.nodes + a.blocks;
-      int b = item - a.nodes - (above ? a.blocks : 0), place = a.at(b);
-      if (place < 0) continue;
+      bool above = item >= a.nodes + a.storage;
+      int place = item - a.nodes - (above ? a.storage : 0);
       row = (above ? m.upper : m.lower) + place * 36 + r * 6;
-      int e = a.block_pattern[b], last = load(s.block_start + e + 1);
+      int e = a.block_pattern[a.place_block[place]], last = load(s.block_start + e + 1);
       for (int k = load(s.block_start + e); k < last; k++) {
         int g = load(s.block_group + k), slot = a.group_slot[g];
         int side = load(s.position + load(s.group_part + s.groups + g)) == load(s.block_row + e);
@@ -110,10 +109,9 @@ DEVICE void swap_if(bool yes, float& x, float& y) {
   x = yes ? y : x, y = yes ? kept : y;
 }
 
-// Inverse of a 6 x 6 block in place by elimination, with row pivots or with the diagonal as it comes; false where a pivot
-// is less than `least` of the largest entry below it, and the block is then left as it was.
-template <bool Exchange>
-DEVICE bool eliminate_block(float* block, float least) {
+// Inverse of a 6 x 6 block in place by elimination with exchange of rows; false if it is singular, and then it is left as
+// it was.
+DEVICE bool eliminate_block(float* block) {
   float m[6][6];
 #pragma unroll
   for (int i = 0; i < 36; i++) m[i / 6][i % 6] = block[i];
@@ -121,19 +119,14 @@ DEVICE bool eliminate_block(float* block, float least) {
   bool good = true;
 #pragma unroll
   for (int k = 0; k < 6; k++) {
-    float largest = 0;
 #pragma unroll
     for (int i = k + 1; i < 6; i++) {
-      if (!Exchange) {
-        largest = fmax(largest, fabs(m[i][k]));
-        continue;
-      }
       bool yes = fabs(m[i][k]) > fabs(m[k][k]);
       swaps |= uint32_t(yes) << (k * 5 + i - 1 - k * (k + 1) / 2);
 #pragma unroll
       for (int j = 0; j < 6; j++) swap_if(yes, m[k][j], m[i][j]);
     }
-    good = good && fabs(m[k][k]) > 1e-30f && fabs(m[k][k]) >= least * largest;
+    good = good && fabs(m[k][k]) > 1e-30f;
     float inverse = 1.0f / m[k][k];
     m[k][k] = 1.0f;
 #pragma unroll
@@ -149,7 +142,7 @@ DEVICE bool eliminate_block(float* block, float least) {
   }
   if (!good) return false;
 #pragma unroll
-  for (int k = 4; Exchange && k >= 0; k--)
+  for (int k = 4; k >= 0; k--)
 #pragma unroll
     for (int i = 5; i > k; i--) {
       bool yes = swaps >> (k * 5 + i - 1 - k * (k + 1) / 2) & 1;
@@ -161,10 +154,40 @@ DEVICE bool eliminate_block(float* block, float least) {
   return true;
 }
 
-// Inverse of a 6 x 6 block in place; false if it is singular. Nearly all blocks need no exchange of rows, which takes as
-// long as the rest.
-DEVICE bool invert_block(float* block) {
-  return eliminate_block<false>(block, 0.1f) || eliminate_block<true>(block, 0.0f);
+// Inverts some 6 x 6 blocks in place; `bad` becomes 1 where one is singular. Nearly all need no exchange of rows, and
+// then six threads, one a row, invert a block.
+DEVICE void invert_blocks(float* blocks, int count, double& bad) {
+#ifdef __CUDACC__
+  int lane = TID & 31, i = lane % 8, warps = THREADS >> 5;
+  for (int first = (TID >> 5) * 4; first < count; first += warps * 4) {
+    float* block = blocks + (first + lane / 8) * 36;
+    bool in = first + lane / 8 < count && i < 6, good = true;
+    float row[6];
+#pragma unroll
+    for (int k = 0; k < 6; k++) row[k] = i == k ? 1.0f : 0.0f;
+    if (in) load_row(block + i * 6, row);
+#pragma unroll
+    for (int k = 0; k < 6; k++) {
+      float pivot = __shfl_sync(0xffffffffu, row[k], k, 8);
+      good = good && fabs(pivot) > 1e-30f && (i <= k || fabs(pivot) >= 0.1f * fabs(row[k]));
+      float inverse = 1.0f / pivot, share = i == k ? 0.0f : row[k];
+      row[k] = i == k ? 1.0f : 0.0f;
+#pragma unroll
+      for (int j = 0; j < 6; j++) {
+        float above = __shfl_sync(0xffffffffu, row[j], k, 8) * inverse;
+        row[j] = i == k ? above : row[j] - share * above;
+      }
+    }
+    bool all = (__ballot_sync(0xffffffffu, good || !in) >> (lane & 24) & 0xff) == 0xff;
+    if (in && all)
+      store_row(block + i * 6, row);
+    else if (in && i == 0 && !eliminate_block(block))
+      bad = 1;
+  }
+#else
+  for (int i = 0; i < count; i++)
+    if (!eliminate_block(blocks + i * 36)) bad = 1;
+#endif
 }
 
 // Replaces the matrix, level by level, by its factor; false where a pivot block is singular.
@@ -172,33 +195,35 @@ PHASE bool factor_general(const State& a, General m) {
   double bad[1] = {0};
   for (int level = 0; level < a.levels; level++) {
     int node0 = a.level_node[level], nodes = a.level_node[level + 1] - node0;
-    int block0 = a.column[node0], blocks = a.column[node0 + nodes] - block0;
+    int place0 = a.place_first[node0], blocks = a.place_first[node0 + nodes] - place0;
     int rows = level ? (nodes + 2 * blocks) * 6 : 0, bits = lane_bits(rows);
     for (int t0 = 0; t0 < rows << bits; t0 += THREADS) {
       int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), item = t / 6, r = t - item * 6;
       bool above = item >= nodes + blocks;
-      int b = block0 + item - nodes - (above ? blocks : 0), place = t >= rows ? -1 : item < nodes ? 0 : a.at(b);
+      int place = place0 + item - nodes - (above ? blocks : 0);
       float* row = nullptr;
       float sum[6] = {};
-      if (place >= 0) {
-        int j = item < nodes ? node0 + item : a.block_column[b];
-        int up = item < nodes ? 0 : a.depth[j] - a.depth[a.block_row[b]];
+      if (t < rows) {
+        int j = node0 + item, up = 0;
+        if (item >= nodes) {
+          int b = a.place_block[place];
+          j = a.block_column[b];
+          up = b - a.column[j] + 1;
+        }
         const float* mine = (above ? m.upper : m.lower) + r * 6;
         const float* other = above ? m.lower : m.upper;
         row = (item < nodes ? m.diagonal + j * 36 : (above ? m.upper : m.lower) + place * 36) + r * 6;
         for (int n = a.row[j] + lane, last = a.row[j + 1]; n < last; n += 1 << bits) {
-          int right = a.row_block[n];
-          if (right < 0) continue;
-          int left = a.at(right + up);
+          int right = a.row_block[n], left = a.stored[right + up];
           if (left < 0) continue;
           float x[6];
           load_row(mine + left * 36, x);
-          add_products(x, other + a.at(right) * 36, sum);
+          add_products(x, other + a.stored[right] * 36, sum);
         }
       }
 #pragma unroll
       for (int k = 0; k < 6; k++) sum[k] = sum_lanes(sum[k], bits);
-      if (row && lane == 0) {
+      if (t < rows && lane == 0) {
         float x[6];
         load_row(row, x);
 #pragma unroll
@@ -207,14 +232,12 @@ PHASE bool factor_general(const State& a, General m) {
       }
     }
     SYNC;
-    for (int i = TID; i < nodes; i += THREADS)
-      if (!invert_block(m.diagonal + (node0 + i) * 36)) bad[0] = 1;
+    invert_blocks(m.diagonal + node0 * 36, nodes, bad[0]);
     SYNC;
     for (int t = TID; t < blocks * 6; t += THREADS) {
-      int b = block0 + t / 6, place = a.at(b);
-      if (place < 0) continue;
+      int place = place0 + t / 6;
       float* row = m.lower + place * 36 + t % 6 * 6;
-      const float* d = m.diagonal + a.block_column[b] * 36;
+      const float* d = m.diagonal + a.block_column[a.place_block[place]] * 36;
       float x[6], out[6] = {};
       load_row(row, x);
 #pragma unroll
@@ -228,13 +251,11 @@ PHASE bool factor_general(const State& a, General m) {
     }
     SYNC;
   }
-  for (int t = TID; t < a.blocks * 6; t += THREADS) {
-    int b = t / 6, place = a.at(b);
-    if (place < 0) continue;
-    float* row = m.upper + place * 36 + t % 6 * 6;
+  for (int t = TID; t < a.storage * 6; t += THREADS) {
+    float* row = m.upper + t * 6;
     float x[6], out[6] = {};
     load_row(row, x);
-    add_products(x, m.diagonal + a.block_column[b] * 36, out);
+    add_products(x, m.diagonal + a.block_column[a.place_block[t / 6]] * 36, out);
     store_row(row, out);
   }
   SYNC;
@@ -253,7 +274,7 @@ PHASE void solve_general(const State& a, General m, float* x, float* between, fl
       if (t < items)
         for (int k = a.row[i] + lane, last = a.row[i + 1]; k < last; k += 1 << bits) {
           int b = a.row_block[k];
-          if (b >= 0) sum += dot6(m.lower + a.at(b) * 36 + r * 6, x + a.block_column[b] * 6);
+          sum += dot6(m.lower + a.stored[b] * 36 + r * 6, x + a.block_column[b] * 6);
         }
       sum = sum_lanes(sum, bits);
       if (t < items && lane == 0) x[first + t] -= sum;
@@ -268,11 +289,9 @@ PHASE void solve_general(const State& a, General m, float* x, float* between, fl
       int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), j = (first + t) / 6, c = first + t - j * 6;
       float sum = 0;
       if (t < items)
-        for (int b = a.column[j] + lane, last = a.column[j + 1]; b < last; b += 1 << bits) {
-          int place = a.at(b);
-          if (place < 0) continue;
+        for (int place = a.place_first[j] + lane, last = a.place_first[j + 1]; place < last; place += 1 << bits) {
           const float* u = m.upper + place * 36 + c;
-          const float* y = out + a.block_row[b] * 6;
+          const float* y = out + a.block_row[a.place_block[place]] * 6;
           sum += (u[0] * y[0] + u[6] * y[1]) + (u[12] * y[2] + u[18] * y[3]) + (u[24] * y[4] + u[30] * y[5]);
         }
       sum = sum_lanes(sum, bits);

@@ -28,9 +28,16 @@ DEVICE void contact_force(double mu, double& n, double& x, double& y) {
     n = x = y = n <= 0 ? 0.0 : n;  // keeps NaN
     return;
   }
-  double size = gauge(x, y), limit = mu * n;
+  double limit = mu * n;
+#if QUADRATIC
+  double square = x * x + y * y;
+  if (square <= limit * limit) return;
+  double share = limit * RECIPROCAL_ROOT(square);
+#else
+  double size = gauge(x, y);
   if (size <= limit) return;
   double share = limit / size;
+#endif
   x *= share, y *= share;
 }
 
@@ -103,12 +110,12 @@ PHASE void evaluate(
     int j = a.node[node];
     const double* u = displacement + t * 3;
     const float* step = q.step + t * 3;
-    double mass = load(s.mass + j), measure = half ? load(s.gyration + j) : 1.0;
+    double mass = load(s.mass + j), light = 1 / mass, measure = half ? load(s.gyration + j) : 1.0;
 #pragma unroll
     for (int r = 0; r < 3; r++) out[t * 3 + r] = f[r] += load(s.gravity + (half * 3 + r) * s.positions + j);
 #pragma unroll
     for (int r = 0; r < 3; r++) {
-      double acceleration = f[r] / mass, momentum = mass * step[r];
+      double acceleration = f[r] * light, momentum = mass * step[r];
       if (half) {
         acceleration = momentum = 0;
 #pragma unroll
@@ -195,22 +202,21 @@ constexpr double kFar = 10;  // times the limit on movement at which iterations 
 DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newton& q, double& residual, int& steps) {
   for (int t = TID; t < a.nodes * 6; t += THREADS) q.now[t] = 0, q.step[t] = 0;
   SYNC;
-  Progress progress;
-  evaluate(s, a, q, q.now, q.trial, q.residual, progress);
-  double time = o.first_step, size = sqrt(progress.v[2]), moved = 0;
-  residual = progress.v[0];
-  for (steps = 0; residual > (1 - kMargin) * o.tolerance; steps++) {
-    if (steps == o.contact_steps) return kUndecided;
-    write_tangent(s, a, q);
-    assemble_general(s, a, 1 / time, q.local, q.m);
-    if (!factor_general(a, q.m)) {
-      time *= kCut;
-      continue;
-    }
-    for (int t = TID; t < a.nodes * 6; t += THREADS) q.right[t] = float(q.residual[t]);
-    SYNC;
-    solve_general(a, q.m, q.right, q.between, q.step);
+  double time = o.first_step, size = kHuge;
+  for (steps = -1; steps < o.contact_steps; steps++) {
     double length = 1, ahead_size;
+    Progress progress;
+    if (steps >= 0) {  // the first pass evaluates rest itself, so that the code for that is there once
+      write_tangent(s, a, q);
+      assemble_general(s, a, 1 / time, q.local, q.m);
+      if (!factor_general(a, q.m)) {
+        time *= kCut;
+        continue;
+      }
+      for (int t = TID; t < a.nodes * 6; t += THREADS) q.right[t] = float(q.residual[t]);
+      SYNC;
+      solve_general(a, q.m, q.right, q.between, q.step);
+    }
     while (true) {
       for (int t = TID; t < a.nodes * 6; t += THREADS) q.ahead[t] = q.now[t] + length * q.step[t];
       SYNC;
@@ -226,20 +232,21 @@ DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newto
       time *= kCut;
       continue;
     }
-    if (length == 1)
+    if (steps >= 0 && length == 1)
       time = fmin(time * fmax(kGrowth, size / fmax(ahead_size, 1e-300)), kLongestStep);
-    else
+    else if (steps >= 0)
       time *= 2 * length;
     size = ahead_size, residual = progress.v[0];
     double* kept = q.now;
     q.now = q.ahead, q.ahead = kept;
     kept = q.residual, q.residual = q.ahead_residual, q.ahead_residual = kept;
     kept = q.trial, q.trial = q.ahead_trial, q.ahead_trial = kept;
-    moved = progress.v[1] * s.unit;
-    if (moved > kFar * s.limit) {
+    double moved = progress.v[1] * s.unit;
+    bool rests = residual <= (1 - kMargin) * o.tolerance;
+    if (rests || moved > kFar * s.limit) {
       steps++;
-      return kMovesAway;
+      return rests && moved <= s.limit ? kStable : kMovesAway;
     }
   }
-  return moved > s.limit ? kMovesAway : kStable;
+  return kUndecided;
 }
