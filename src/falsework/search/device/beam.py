@@ -258,9 +258,9 @@ class DeviceBeam(LevelSearch):
             # Candidates are in random order now, so the first ones are a fair sample.
             order = order[:room]
             sample = order[: _SAMPLES_PER_CLUSTER * width]
-            centers = find_centers(self._written(level, stable.take(sample)), words[sample], width)
+            centers = find_centers(self._written(level, stable.take(sample)), words[sample], width, self.shards)
             mine, _ = self.shards.block(len(order))
-            joined = torch.stack(centers.assign(self._written(level, stable.take(order[mine]))), dim=1)
+            joined = torch.stack(centers.assign(self._written(level, stable.take(order[mine]))), dim=1).int()
             labels, distance = self.shards.gather_blocks(joined, len(order)).unbind(dim=1)
             order = _deal(order, labels, distance)
         return rows[order[:width]]

@@ -25,6 +25,7 @@ typedef unsigned int uint32_t;
 #define METHOD __device__ __forceinline__
 #define KERNEL(bounds) extern "C" __global__ void __launch_bounds__ bounds
 #define POPCOUNT __popc
+#define RECIPROCAL_ROOT rsqrt
 template <class T>
 DEVICE T load(const T* p) {
   return __ldg(p);
@@ -44,6 +45,7 @@ extern __shared__ double2 dynamic_pool[];
 #define METHOD inline
 #define KERNEL(bounds) extern "C" void
 #define POPCOUNT __builtin_popcount
+#define RECIPROCAL_ROOT(x) (1 / sqrt(x))
 #define __shared__ static thread_local
 using std::copysign;
 using std::fabs;
@@ -162,6 +164,7 @@ struct Batch {
   int* large_count;
   int* open;               // states that ADMM leaves undecided
   int* open_count;
+  int* open_ticket;
   int* rest;               // states of which the Newton iterations say whether they rest
   int* rest_count;
   char* scratch;           // `scratch_stride` bytes a block, where the pool is not in shared memory
@@ -205,6 +208,23 @@ DEVICE void reduce(double (&value)[Largest + Sums]) {
 #else
   (void)value;
 #endif
+}
+
+// Logarithm of the number of neighbouring threads that share an item and add up their parts, where there are fewer
+// items than threads.
+DEVICE int lane_bits(int items) {
+  int bits = 0;
+  while (bits < 3 && items << (bits + 1) <= THREADS) bits++;
+  return bits;
+}
+template <class T>
+DEVICE T sum_lanes(T x, int bits) {
+#ifdef __CUDACC__
+  for (int step = (1 << bits) >> 1; step; step >>= 1) x += __shfl_xor_sync(0xffffffffu, x, step);
+#else
+  (void)bits;
+#endif
+  return x;
 }
 
 DEVICE double finite_or_huge(double x) { return x < kHuge ? x : kHuge; }  // also for NaN
