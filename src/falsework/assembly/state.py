@@ -52,7 +52,7 @@ def as_states(states: ArrayLike, boundary: Mask) -> States:
         array = array[None]
     if array.ndim != 2 or array.shape[1] != parts:
         raise StateError(f"states have shape {array.shape}; expected (batch, {parts}), one value a part")
-    bad = ~np.isin(array, (REMOVED, INSTALLED, HELD))
+    bad = (array != REMOVED) & (array != INSTALLED) & (array != HELD)
     if bad.any():
         row, part = np.argwhere(bad)[0]
         raise StateError(

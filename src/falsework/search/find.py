@@ -219,7 +219,27 @@ def plan_of(
 
 
 def _prove(states: States, oracle: Stability, verdicts: Verdicts) -> None:
-    """Check the states of a route; those of a large structure from the displacement of the state before.
+    """Check the states of a route: from the displacements that the search found, else one after the other.
+
+    Args:
+        states: shape (states, parts).
+        oracle: checks them.
+        verdicts: out: verdicts on them, with what there is room for.
+    """
+    rest = np.arange(len(states))
+    if oracle.settings.criterion == "contact":
+        for first in range(0, len(states), _PROVED_AT_ONCE):
+            rows = np.arange(first, min(first + _PROVED_AT_ONCE, len(states)))
+            verdicts.put(rows, oracle.check_again(states[rows]))
+        rest = np.flatnonzero(~verdicts.stable)
+    if len(rest):
+        found = Verdicts.blank(len(rest)) if verdicts.forces is None else verdicts[rest]
+        _prove_in_order(states[rest], oracle, found)
+        verdicts.put(rest, found)
+
+
+def _prove_in_order(states: States, oracle: Stability, verdicts: Verdicts) -> None:
+    """Check states of a route; those of a large structure from the displacement of the state before.
 
     Args:
         states: shape (states, parts).

@@ -35,6 +35,8 @@ class ContactOptions(NamedTuple):
     """Limit on Newton iterations from rest."""
     warm_steps: int
     """The same from the displacement of a parent."""
+    near_steps: int
+    """The same of the parts near a change, while the others stay where they are."""
     first_step: float
     """First time step from rest."""
     warm_first_step: float
@@ -141,7 +143,7 @@ def settle_near(
     """Let the parts near where a state differs from its parent come to rest, while the others stay where they are.
 
     Forces change most there, and a whole structure is not factored for it. Improves `displacement`, in m and rad, of
-    shape (parts, 6); `near` (parts,) and `moved` (n, 6) are scratch.
+    shape (parts, 6), even where the parts are still on their way; `near` (parts,) and `moved` (n, 6) are scratch.
 
     Returns:
         Iterations.
@@ -177,9 +179,9 @@ def settle_near(
             contact.offset[j, 2] = -contact.tangential[j] * d2
     read_displacement(structure, contact_structure, work, displacement, contact.displacement)
     result, _, spent = find_rest(
-        structure, contact_structure, work, contact, pairs, options.warm_steps, tolerance, options.first_step
+        structure, contact_structure, work, contact, pairs, options.near_steps, tolerance, options.first_step
     )
-    if result == RESTS:
+    if result != MOVES_AWAY:
         write_displacement(structure, contact_structure, work, contact.displacement, displacement)
     return spent
 

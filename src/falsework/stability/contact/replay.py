@@ -29,6 +29,12 @@ from falsework.stability.stiffness import structure_size
 
 Array = NDArray[np.float64]
 
+_NEAR_STEPS, _WARM_STEPS = 16, 32
+"""Newton iterations of the parts near a change while the others stay where they are, and then of the whole, before the
+whole is taken from where it was."""
+_LONGER_STEP = 1e4
+"""Times the first time step with which the whole begins after the parts near the change came to rest."""
+
 
 @dataclass(frozen=True)
 class ReplaySettings:
@@ -125,7 +131,10 @@ class Replayer:
             solver = ContactSolver(assembly, problem, settings)
         self.problem = solver.problem
         self._structure, self._contact = solver.structure, solver.contact_structure
-        self._options = ContactOptions(settings.tolerance, replay.steps, 0, replay.first_step, replay.first_step)
+        first = replay.first_step
+        self._options = ContactOptions(
+            settings.tolerance, replay.steps, _WARM_STEPS, _NEAR_STEPS, first, _LONGER_STEP * first
+        )
         self._noise = self._draw_noise(replay)
         self._size = structure_size(assembly)
 

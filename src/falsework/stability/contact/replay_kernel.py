@@ -7,16 +7,24 @@ contacts in equal increments; after each, points that slid keep the friction tha
 
 from __future__ import annotations
 
-from falsework.stability.contact.kernel import lacks_contact
+import numpy as np
+
+from falsework.stability.contact.kernel import NEAR_RINGS, lacks_contact
 from falsework.stability.contact.law import contact_force
-from falsework.stability.contact.newton import MOVES_AWAY, RESTS, evaluate, find_rest, make_contact_scratch
+from falsework.stability.contact.newton import MOVES_AWAY, OPEN, RESTS, evaluate, find_rest, make_contact_scratch
 from falsework.stability.cpu.layout import make_scratch, restrict, set_gravity
+from falsework.stability.cpu.neighbourhood import hold_far_parts
 from falsework.utils.kernels import njit
 
 
 @njit(cache=True)
-def _load_history(structure, contact_structure, work, contact, pairs, springs):
-    """Bring stiffness, spring forces and gravity into the compact order of a state."""
+def _load_history(structure, contact_structure, state, work, contact, springs, missing, share):
+    """Lay a state out with the spring forces that it remembers, under gravity less a share of the missing wrenches.
+
+    Returns:
+        How many pairs of parts act on each other, and how many parts can move.
+    """
+    pairs, count = restrict(structure, state, work)
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
         for j in range(work.start[p], work.start[p + 1]):
@@ -25,6 +33,11 @@ def _load_history(structure, contact_structure, work, contact, pairs, springs):
             for k in range(3):
                 contact.offset[j, k] = springs[j + shift, k]
     set_gravity(structure, work, contact.load)
+    for j in range(len(work.free)):
+        if work.free[j]:
+            for r in range(6):
+                contact.load[j, r] -= share * missing[j, r]
+    return pairs, count
 
 
 @njit(cache=True)
@@ -80,48 +93,82 @@ def place_new(structure, before, state, noise, displacement, springs):
 
 
 @njit(cache=True)
-def settle_step(structure, contact_structure, state, options, increments, work, contact, displacement, springs):
+def settle_step(
+    structure, contact_structure, before, state, options, increments, work, contact, near, displacement, springs
+):
     """Let a structure with history come to rest in a state.
+
+    The parts near the change come to rest first, the others staying where they are, since few of these move much.
 
     Args:
         structure, contact_structure, options, work, contact: see there.
-        state: shape (parts,).
+        before, state: shape (parts,).
         increments: in how many the missing wrenches are taken up; all of gravity where the history is empty.
         displacement: of the parts since they were placed, m and rad, shape (parts, 6); changed in place.
         springs: scaled spring forces of all contact points, shape (points, 3); changed in place.
+        near: scratch, shape (parts,).
 
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations; the part that moved most, and its movement in m.
     """
-    pairs, count = restrict(structure, state, work)
+    missing = np.zeros((len(work.free), 6))
+    pairs, count = _load_history(structure, contact_structure, state, work, contact, springs, missing, 0.0)
     if count == 0:
         return RESTS, 0.0, 0, -1, 0.0
-    _load_history(structure, contact_structure, work, contact, pairs, springs)
     contact.displacement[:] = 0.0
     spent, result, residual = 0, RESTS, 0.0
     evaluate(structure, work, contact, pairs, contact.displacement, contact.trial, contact.residual)
-    missing = contact.residual.copy()
-    load = contact.load.copy()
+    for j in range(len(work.free)):
+        if work.free[j]:
+            for r in range(6):
+                missing[j, r] = contact.residual[j, r]
     count = increments
     if lacks_contact(work, pairs):
         result, count = MOVES_AWAY, 0
+    kept, free = hold_far_parts(structure, state, before, NEAR_RINGS, near)
     for k in range(1, count + 1):
         share = 1.0 - k / count
-        for j in range(len(work.free)):
-            if work.free[j]:
-                for r in range(6):
-                    contact.load[j, r] = load[j, r] - share * missing[j, r]
-        result, residual, taken = find_rest(
-            structure,
-            contact_structure,
-            work,
-            contact,
-            pairs,
-            options.steps,
-            options.tolerance,
-            options.first_step,
-        )
-        spent += taken
+        result = OPEN
+        contact.displacement[:] = 0.0
+        if kept > 0 and 2 * kept <= free:
+            pairs, _ = _load_history(structure, contact_structure, near, work, contact, springs, missing, share)
+            result, residual, taken = find_rest(
+                structure,
+                contact_structure,
+                work,
+                contact,
+                pairs,
+                options.near_steps,
+                options.tolerance,
+                options.first_step,
+            )
+            spent += taken
+        pairs, _ = _load_history(structure, contact_structure, state, work, contact, springs, missing, share)
+        if result == RESTS:
+            result, residual, taken = find_rest(
+                structure,
+                contact_structure,
+                work,
+                contact,
+                pairs,
+                options.warm_steps,
+                options.tolerance,
+                options.warm_first_step,
+            )
+            spent += taken
+        if result != RESTS:
+            contact.displacement[:] = 0.0
+            result, residual, taken = find_rest(
+                structure,
+                contact_structure,
+                work,
+                contact,
+                pairs,
+                options.steps,
+                options.tolerance,
+                options.first_step,
+            )
+            spent += taken
         _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs)
         if result != RESTS:
             break
@@ -164,6 +211,7 @@ def replay_range(
         result, residual, iterations, part, movement: out, one entry a state.
     """
     work, contact = make_scratch(structure), make_contact_scratch(structure)
+    near = np.empty(states.shape[1], np.uint8)
     for i in range(len(states)):
         settles = fresh
         if i > 0:
@@ -184,11 +232,13 @@ def replay_range(
             result[i], residual[i], iterations[i], part[i], movement[i] = settle_step(
                 structure,
                 contact_structure,
+                states[max(i - 1, 0)],
                 states[i],
                 options,
                 increments,
                 work,
                 contact,
+                near,
                 displacement[i],
                 springs[i],
             )
