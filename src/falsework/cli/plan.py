@@ -11,7 +11,7 @@ from tyro.conf import arg
 
 from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import RuleOptions, refuse_unstable, writable
+from falsework.cli.planning import SupportOptions, refuse_unstable, writable
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,12 +37,13 @@ class MakePlan(Command):
         "falsework plan my-folder --missing 3,4 --alternatives 5 --out plan.json",
         "falsework plan arch --margin friction=1.25,tilt=1deg --out safe.json",
         "falsework plan arch --maximise friction --out strong.json",
+        "falsework plan vault --support --out plan.json",
     )
 
     structure: StructureOptions
     out: Annotated[Path, arg(metavar="FILE")] = Path("plan.json")
     """File to write; alternatives get -2, -3, ... added to its name."""
-    task: RuleOptions
+    task: SupportOptions
     robots: Annotated[str, arg(metavar="NUMBER")] = "2"
     """Number of robots: parts that can be held at a time; `auto` for the fewest with which a plan is found."""
     alternatives: int = 1
@@ -87,6 +88,10 @@ class MakePlan(Command):
 
         if self.maximise and (self.alternatives > 1 or self.resume):
             raise InputError("--maximise looks for one plan, from the beginning; leave out --alternatives and --resume")
+        if self.task.support and (self.alternatives > 1 or self.resume or self.margin or self.maximise):
+            raise InputError(
+                "--support takes neither --alternatives, --resume, --margin nor --maximise; leave them out"
+            )
         demands = Demands() if self.margin is None else Demands.parse(self.margin)
 
         writable(self.out)
@@ -95,7 +100,7 @@ class MakePlan(Command):
             if demands or self.maximise:
                 raise InputError("--robots auto takes neither --margin nor --maximise; give the number of robots")
             return self._with_fewest_robots(output)
-        settings, checkpoint = self._settings(), self._checkpoint()
+        settings, checkpoint = self._settings(), None if self.task.support else self._checkpoint()
         assembly = self.structure.load()
         task = task_of(assembly, self._robot_count(), **self.task.rules(assembly))
         stability = StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver)
@@ -136,7 +141,7 @@ class MakePlan(Command):
         result = planning.result
         cut = "the deadline ended the search" if planning.deadline_passed else "interrupted"
         saved = f"it is saved in {checkpoint}, the same command with --resume continues it"
-        if self.maximise is not None:
+        if self.maximise is not None or checkpoint is None:
             saved = "the same command begins anew"
         if planning.found:
             self._report(self._save(planning.plans), planning, output)

@@ -53,6 +53,24 @@ class RuleOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SupportOptions(RuleOptions):
+    """Rules that a plan must obey, with what may be held again."""
+
+    support: bool = False
+    """Let robots release a part that stands again without removing it, and hold parts again."""
+
+    def rules(self, assembly: Assembly) -> TaskRules:
+        """Return the rules, as `find_plans` takes them.
+
+        Raises:
+            InputError: parts or states that the structure does not have, or rules that exclude each other.
+        """
+        if self.support and self.missing is not None:
+            raise InputError("--support takes no missing parts; leave out --missing")
+        return {**super().rules(assembly), "support": self.support}
+
+
+@dataclass(frozen=True, kw_only=True)
 class TaskOptions(RuleOptions):
     """Rules that a plan must obey."""
 

@@ -28,6 +28,7 @@ from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Task
 from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
+from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.oracle import Stability
 from falsework.stability.verdict import Verdicts
 
@@ -54,6 +55,8 @@ class TaskRules(TypedDict, total=False):
     """Parts not delivered yet; assembly does without them for as long as possible."""
     removable_only_if_clear: bool
     """Remove a part only if it has a free straight exit."""
+    support: bool
+    """Let held parts go without removing them, and hold parts again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +109,8 @@ def find_plans(
         deadline: seconds after which the search ends with the best that it has; the plans are proved after that.
         checkpoint: file that the search is saved to now and then and resumed from if it is there; removed at the end.
         forces: keep the contact forces that prove each state in the plans; for a thousand parts half a gigabyte a plan.
-        rules: start, target, fixed, missing and removable_only_if_clear; see `TaskRules`. Without them the complete
-            structure is taken apart.
+        rules: start, target, fixed, missing, removable_only_if_clear and support; see `TaskRules`. Without them the
+            complete structure is taken apart.
 
     Returns:
         Plans with verdicts and proofs; none if there is none, or none was found.
@@ -125,7 +128,7 @@ def find_plans(
     guide = guide or SupportGuide(assembly)
     planner = _resume(checkpoint, task, timed(oracle, clock), settings, guide)
     result = planner.run(progress=_saving(planner, checkpoint, progress), stop=stop)
-    if checkpoint is not None:
+    if checkpoint is not None and isinstance(planner, Planner):
         if result.interrupted:
             planner.save(checkpoint)
         else:
@@ -156,6 +159,7 @@ def task_of(
     fixed: Sequence[int] = (),
     missing: Sequence[int] = (),
     removable_only_if_clear: bool = False,
+    support: bool = False,
 ) -> Task:
     """Return the task of taking a structure apart; see `TaskRules` for the rules.
 
@@ -172,6 +176,7 @@ def task_of(
         clearance=assembly.clearance if removable_only_if_clear else None,
         contacts=assembly.contacts.parts,
         identity=assembly.identity,
+        support=support,
     )
 
 
@@ -244,7 +249,7 @@ def _prove(states: States, oracle: Stability, verdicts: Verdicts) -> None:
             rows = rows[inside]
 
 
-def choose_plans(planner: Planner, settings: PlannerSettings, name: str = "") -> Alternatives:
+def choose_plans(planner: Planner | SupportPlanner, settings: PlannerSettings, name: str = "") -> Alternatives:
     """Choose the requested number of plans, as different as possible, from all that a planner has found.
 
     Args:
@@ -252,7 +257,7 @@ def choose_plans(planner: Planner, settings: PlannerSettings, name: str = "") ->
         settings: how many, and the seed.
         name: of the structure, for the state graph.
     """
-    if settings.alternatives == 1:
+    if settings.alternatives == 1 or isinstance(planner, SupportPlanner):
         return Alternatives.of(planner.routes)
     task = planner.task.postpone(planner.postponed)
     graph = StateGraph.build(
@@ -263,14 +268,20 @@ def choose_plans(planner: Planner, settings: PlannerSettings, name: str = "") ->
 
 def _resume(
     checkpoint: Path | str | None, task: Task, oracle: Oracle, settings: PlannerSettings, guide: Guide
-) -> Planner:
+) -> Planner | SupportPlanner:
+    if task.support:
+        if checkpoint is not None:
+            raise InputError("a search with holding again cannot be saved; leave out the checkpoint")
+        return planner_for(task, oracle, settings, guide=guide)
     if checkpoint is not None and Path(checkpoint).exists():
         return Planner.load(checkpoint, task, oracle, settings, guide=guide)
     return Planner(task, oracle, settings, guide=guide)
 
 
-def _saving(planner: Planner, checkpoint: Path | str | None, progress: Progress | None) -> Progress | None:
-    if checkpoint is None:
+def _saving(
+    planner: Planner | SupportPlanner, checkpoint: Path | str | None, progress: Progress | None
+) -> Progress | None:
+    if checkpoint is None or isinstance(planner, SupportPlanner):
         return progress
     saved = time.perf_counter()
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.state import HELD, REMOVED, Mask, States, as_states
+from falsework.assembly.state import HELD, REMOVED, Mask, States, as_states, describe_step
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.task import Direction
 
@@ -103,11 +103,8 @@ class Timeline:
 
     def words(self, step: int) -> str:
         """Describe a step, counted from 0 in the order shown, such as `hold block-3`."""
-        apart = self.direction is Direction.DISASSEMBLY
-        action = int(self.actions[step if apart else len(self) - 1 - step])
-        parts = self.assembly.part_count
-        word = (("hold", "remove") if apart else ("release", "insert"))[action >= parts]
-        return f"{word} {self.assembly.names[action % parts]}"
+        before, after = self.states[self.row(step)], self.states[self.row(step + 1)]
+        return describe_step(before, after, self.assembly.names)
 
     @cached_property
     def removal_step(self) -> NDArray[np.int64]:

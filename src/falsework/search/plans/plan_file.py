@@ -35,7 +35,8 @@ MOVES = {
     "insert": (Direction.ASSEMBLY, True, REMOVED, HELD),
     "release": (Direction.ASSEMBLY, False, HELD, INSTALLED),
 }
-"""Word of a step: direction, whether the action index is above `parts`, value of the part before, and after."""
+"""Word of a step: direction, whether the action index is above `parts`, value of the part before, and after. With
+holding again, parts are held and released in both directions."""
 
 
 _SHARE = 0.1
@@ -72,13 +73,12 @@ def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
 def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
     """Return the plan as plain JSON values; see `plan.schema.json`."""
     parts = len(plan.boundary)
-    words = {above: word for word, (direction, above, _, _) in MOVES.items() if direction is plan.direction}
     proof = _PROOF_WORDS[plan.claim.criterion]
     judged = [
         {"verdict": "stable", "proof": proof, "residual": float(f"{residual:.6g}")} for residual in plan.residuals
     ]
     steps = [
-        {"do": words[action >= parts], "part": action % parts, **judged[row + 1]}
+        {"do": plan.describe(row).partition(" ")[0], "part": action % parts, **judged[row + 1]}
         for row, action in enumerate(plan.actions.tolist())
     ]
     data: dict[str, Any] = {
@@ -97,6 +97,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "fixed": list(plan.fixed),
             "missing": list(plan.missing),
             "removable_only_if_clear": plan.removable_only_if_clear,
+            **({"support": True} if plan.support else {}),
         },
         "stability": {
             "criterion": plan.claim.criterion,
@@ -173,7 +174,7 @@ class _Reader(Reader):
         self._header(data, _KEYS, optional=frozenset({"forces", "displacements", "replay", "margins"}))
         structure, rules, stability = data["structure"], data["rules"], data["stability"]
         self._keys(structure, {"name", "identity", "friction", "boundary", "parts"}, "structure", frozenset({"source"}))
-        self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules")
+        self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules", frozenset({"support"}))
         self._keys(
             stability, {"criterion", "stiffness_ratio", "cone", "gravity", "tolerance", "force_bound"}, "stability"
         )
@@ -190,6 +191,8 @@ class _Reader(Reader):
         direction = Direction(data["direction"])
         if not isinstance(rules["removable_only_if_clear"], bool):
             self._fail("rules.removable_only_if_clear must be true or false")
+        if not isinstance(rules.get("support", False), bool):
+            self._fail("rules.support must be true or false")
         if stability["cone"] not in ("octagon", "quadratic"):
             self._fail(f"stability.cone is {stability['cone']!r}", "it must be octagon or quadratic")
         if not isinstance(stability["criterion"], str) or stability["criterion"] not in _PROOF_WORDS:
@@ -204,7 +207,7 @@ class _Reader(Reader):
             self._fail("stability has a zero where a positive number must be")
         self._proof = _PROOF_WORDS[claim.criterion]
         robots = self._count(data["robots"], "robots", least=1)
-        states, actions, residuals = self._sequence(data, direction, boundary, robots)
+        states, actions, residuals = self._sequence(data, direction, boundary, robots, rules.get("support", False))
         if residuals.max() > claim.tolerance:
             self._fail(f"a residual of {residuals.max():.3g} is above the tolerance of {claim.tolerance:g}")
         fixed = self._parts(rules["fixed"], parts, "rules.fixed")
@@ -228,6 +231,7 @@ class _Reader(Reader):
             "fixed": tuple(fixed),
             "missing": tuple(self._parts(rules["missing"], parts, "rules.missing")),
             "removable_only_if_clear": rules["removable_only_if_clear"],
+            "support": rules.get("support", False),
         }
         if "source" in structure:
             fields["source"] = self._source_of(structure["source"])
@@ -264,7 +268,7 @@ class _Reader(Reader):
         return value
 
     def _sequence(
-        self, data: dict[str, Any], direction: Direction, boundary: NDArray[np.bool_], robots: int
+        self, data: dict[str, Any], direction: Direction, boundary: NDArray[np.bool_], robots: int, support: bool
     ) -> tuple[States, NDArray[np.int64], NDArray[np.float64]]:
         """Replay the steps from the start; the end must be the one that the file names."""
         parts = len(boundary)
@@ -279,7 +283,8 @@ class _Reader(Reader):
             place = f"step {number}"
             self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place)
             word, part = step["do"], self._count(step["part"], f"{place}: part")
-            if not isinstance(word, str) or word not in MOVES or MOVES[word][0] is not direction:
+            known = isinstance(word, str) and word in MOVES
+            if not known or not (MOVES[word][0] is direction or (support and not MOVES[word][1])):
                 self._fail(f"{place} does {word!r}", f"that is no action of {direction.value}")
             _, above, old, new = MOVES[word]
             if part >= parts:

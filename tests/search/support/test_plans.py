@@ -1,0 +1,129 @@
+"""Plans with holding again of real structures: files, checks, and the rules that they are refused for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from falsework.assembly import Assembly
+from falsework.errors import InputError, PlanError
+from falsework.search import (
+    Direction,
+    Outcome,
+    Plan,
+    PlannerSettings,
+    SupportEverywhere,
+    find_plans,
+    load_plan,
+    plan_from_dict,
+    plan_of,
+    plan_to_dict,
+    robots_needed,
+    save_plan,
+    task_of,
+    validate_plan,
+    validate_proofs,
+)
+from falsework.search.problem.support_route import SupportRoute
+from falsework.stability import Stability
+
+
+@pytest.fixture(scope="module")
+def regrasped(small_arch: Assembly, arch_oracle: Stability) -> Plan:
+    """Plan of the arch with two robots in which a hold is handed over and taken back at first."""
+    plan = find_plans(small_arch, robots=2, oracle=arch_oracle, forces=False).plans[0]
+    first, second = np.flatnonzero(~small_arch.boundary)[[0, 3]]
+    states = [plan.states[0]]
+    for part, value in ((first, 2), (second, 2), (first, 1), (first, 2), (second, 1), (first, 1)):
+        states.append(states[-1].copy())
+        states[-1][part] = value
+    route = SupportRoute.through(np.concatenate([states, plan.states[1:]]))
+    return plan_of(route, small_arch, task_of(small_arch, 2, support=True), arch_oracle)
+
+
+def test_a_hold_handed_over(regrasped: Plan, small_arch: Assembly, arch_oracle: Stability) -> None:
+    """Each state in between is proven, the replay knows what is held again, and the checkers accept all of it."""
+    words = [regrasped.describe(step).partition(" ")[0] for step in range(6)]
+    assert words == ["hold", "hold", "release", "hold", "release", "release"]
+    back = [regrasped.reverse().describe(len(regrasped) - 1 - step).partition(" ")[0] for step in range(6)]
+    assert back == ["release", "release", "hold", "release", "hold", "hold"]
+    assert regrasped.replay is not None
+    assert regrasped.replay.stands
+    for plan in (regrasped, regrasped.reverse()):
+        assert validate_plan(plan, small_arch, arch_oracle.settings).good
+        assert validate_proofs(plan, small_arch, arch_oracle.settings).good
+
+
+@pytest.mark.parametrize("direction", list(Direction))
+def test_files(regrasped: Plan, direction: Direction, tmp_path: Path) -> None:
+    plan = regrasped if direction is Direction.DISASSEMBLY else regrasped.reverse()
+    save_plan(plan, tmp_path / "plan.json")
+    read = load_plan(tmp_path / "plan.json")
+    assert read.support
+    assert np.array_equal(read.states, plan.states)
+    assert np.array_equal(read.actions, plan.actions)
+    data = plan_to_dict(plan)
+    del data["rules"]["support"]
+    with pytest.raises(PlanError, match="no action of"):
+        plan_from_dict(data)
+    data["rules"]["support"] = 1
+    with pytest.raises(PlanError, match=r"rules\.support must be true or false"):
+        plan_from_dict(data)
+
+
+def test_the_check_refuses_more_holds_than_robots(regrasped: Plan, small_arch: Assembly) -> None:
+    report = validate_plan(replace(regrasped, robots=1), small_arch)
+    assert not report.good
+    assert "all 1 robots are holding" in report.reason
+    once = validate_plan(replace(regrasped, support=False), small_arch)
+    assert not once.good
+    assert "against the rules" in once.reason
+
+
+def test_from_and_to_states_with_holds(small_arch: Assembly, arch_oracle: Stability) -> None:
+    """A part that is held at the start may be let go; without holding again that is refused."""
+    first, second = np.flatnonzero(~small_arch.boundary)[[0, 3]]
+    start = np.where(small_arch.boundary, 2, 1).astype(np.uint8)
+    target = start.copy()
+    start[first] = target[second] = 2
+    found = find_plans(small_arch, robots=1, oracle=arch_oracle, start=start, target=target, support=True)
+    assert [found.plans[0].describe(step).partition(" ")[0] for step in range(2)] == ["release", "hold"]
+    with pytest.raises(InputError, match="held part is never released"):
+        task_of(small_arch, 1, start=start, target=target)
+
+
+def test_no_plan_is_proven(small_arch: Assembly, arch_oracle: Stability) -> None:
+    """With one robot the arch falls at the first stone; the search with holding again says so, for two states too."""
+    equilibrium = Stability(small_arch, replace(arch_oracle.settings, criterion="equilibrium", cone=None))
+    result = SupportEverywhere(task_of(small_arch, 1, support=True), equilibrium).run()
+    assert result.outcome is Outcome.PROVED_IMPOSSIBLE
+    assert result.reached == 0
+    answer = robots_needed(small_arch, oracle=arch_oracle, support=True)
+    assert (answer.robots, answer.least, answer.proven) == (2, 2, True)
+
+
+def test_a_limit_on_states(small_arch: Assembly, arch_oracle: Stability) -> None:
+    result = SupportEverywhere(task_of(small_arch, 2, support=True), arch_oracle, state_limit=5).run()
+    assert result.outcome is Outcome.NOT_FOUND
+    assert "gave up after 5 states" in result.limit
+    with pytest.raises(InputError, match="a limit of 0 states"):
+        SupportEverywhere(task_of(small_arch, 2, support=True), arch_oracle, state_limit=0)
+
+
+def test_what_does_not_go_together(small_arch: Assembly, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no missing parts"):
+        find_plans(small_arch, support=True, missing=[2])
+    with pytest.raises(InputError, match="no alternatives"):
+        find_plans(small_arch, support=True, settings=PlannerSettings(alternatives=2))
+    with pytest.raises(InputError, match="cannot be saved"):
+        find_plans(small_arch, support=True, checkpoint=tmp_path / "search")
+
+
+def test_stops_and_runs_on(small_arch: Assembly, arch_oracle: Stability) -> None:
+    """A deadline that has passed leaves no plan, and says so."""
+    planning = find_plans(small_arch, robots=2, oracle=arch_oracle, support=True, stop=lambda: True)
+    assert not planning.found
+    assert planning.result.interrupted
