@@ -32,7 +32,7 @@ class AskRobotsNeeded(JudgingCommand):
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots-needed vault",
         "falsework robots-needed arch --deadline 300 --out fewest.json",
-        "falsework robots-needed vault --support",
+        "falsework robots-needed vault --ground --support --props 2",
     )
 
     structure: StructureOptions
@@ -52,7 +52,7 @@ class AskRobotsNeeded(JudgingCommand):
 
         if self.out is not None:
             writable(self.out)
-        assembly = self.structure.load()
+        assembly = self.task.with_places(self.structure.load())
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
         answer = ask(assembly, oracle, self.task, PlannerSettings(seed=self.seed), self.deadline, False, output)
         if answer.plan is not None and self.out is not None:

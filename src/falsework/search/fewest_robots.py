@@ -107,7 +107,7 @@ def robots_needed(
         deadline: seconds for all searches together; None for as long as they take.
         progress: called after every level of every search.
         forces: keep the contact forces that prove each state in the plan.
-        rules: start, target, fixed, missing, removable_only_if_clear and support; see `TaskRules`.
+        rules: start, target, fixed, missing, removable_only_if_clear, support and props; see `TaskRules`.
 
     Returns:
         The best that was found by the deadline, or until the keyboard interrupted the search.
@@ -220,6 +220,8 @@ class _Inquiry:
         """Return whether it is proven that no plan exists with so many robots, after another attempt if need be."""
         if robots < self._least:
             return True
+        if self._task.prop_limit:  # which the bound knows nothing of
+            return False
         barrier = self._bound.barrier(robots, budget * self._assembly.part_count)
         if barrier is None:
             return False

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import States
+from falsework.assembly.props import keep_props
+from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.search.margins.demands import DemandingStability
 from falsework.search.margins.plan_margins import PlanMargins
@@ -25,6 +26,7 @@ from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Outcome, Progress, Route, SearchProgress, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
+from falsework.search.problem.support_route import SupportRoute
 from falsework.search.problem.task import Task
 from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
@@ -57,6 +59,8 @@ class TaskRules(TypedDict, total=False):
     """Remove a part only if it has a free straight exit."""
     support: bool
     """Let held parts go without removing them, and hold parts again."""
+    props: int
+    """Props that may stand at a time, of those that the structure has places for; needs `support`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +113,8 @@ def find_plans(
         deadline: seconds after which the search ends with the best that it has; the plans are proved after that.
         checkpoint: file that the search is saved to now and then and resumed from if it is there; removed at the end.
         forces: keep the contact forces that prove each state in the plans; for a thousand parts half a gigabyte a plan.
-        rules: start, target, fixed, missing, removable_only_if_clear and support; see `TaskRules`. Without them the
-            complete structure is taken apart.
+        rules: start, target, fixed, missing, removable_only_if_clear, support and props; see `TaskRules`. Without
+            them the complete structure is taken apart.
 
     Returns:
         Plans with verdicts and proofs; none if there is none, or none was found.
@@ -160,12 +164,21 @@ def task_of(
     missing: Sequence[int] = (),
     removable_only_if_clear: bool = False,
     support: bool = False,
+    props: int = 0,
 ) -> Task:
     """Return the task of taking a structure apart; see `TaskRules` for the rules.
 
+    States of a structure with places for props may be given without them.
+
     Raises:
-        InputError: fewer than one robot, or parts or states that the structure does not have.
+        InputError: fewer than one robot, parts or states that the structure does not have, or props without places.
     """
+    if props < 0 or (props and not (support and assembly.props)):
+        raise InputError(
+            f"{props} props cannot be placed; give a number from 0 on, with support and a structure with places for "
+            "props, as with_props(assembly, prop_places(assembly)) makes it"
+        )
+    start, target = (_with_places(state, assembly) for state in (start, target))
     return Task.create(
         assembly.boundary,
         robots,
@@ -177,7 +190,16 @@ def task_of(
         contacts=assembly.contacts.parts,
         identity=assembly.identity,
         support=support,
+        props=[prop.part for prop in assembly.props],
+        prop_limit=props,
     )
+
+
+def _with_places(state: ArrayLike | None, assembly: Assembly) -> ArrayLike | None:
+    """Return a state with its props absent, where it was given without any."""
+    if state is None or not assembly.props or np.shape(state) != (assembly.part_count - len(assembly.props),):
+        return state
+    return np.append(np.asarray(state), np.zeros(len(assembly.props), dtype=np.uint8))
 
 
 def plan_of(
@@ -191,7 +213,8 @@ def plan_of(
 ) -> Plan:
     """Plan along a route, each state proved stable anew with a proof that the certificate checker accepts.
 
-    Under the criterion `contact` the plan is replayed as well; what came of it is in `Plan.replay`.
+    Under the criterion `contact` the plan is replayed as well; what came of it is in `Plan.replay`. Of the places for
+    props the plan has only those that it uses.
 
     Args:
         route: states and actions.
@@ -204,6 +227,13 @@ def plan_of(
     Raises:
         PlanError: a state that cannot be proved stable.
     """
+    if assembly.props:
+        bare = assembly.part_count - len(assembly.props)
+        used = np.flatnonzero((route.states[:, bare:] != REMOVED).any(axis=0))
+        if len(used) < len(assembly.props):
+            states = np.ascontiguousarray(route.states[:, [*range(bare), *(bare + used)]])
+            assembly = keep_props(assembly, used.tolist())
+            route, oracle, replay = SupportRoute.through(states), Stability(assembly, oracle.settings), None
     points, contact = len(assembly.contacts.points), oracle.settings.criterion == "contact"
     verdicts = Verdicts.blank(
         len(route.states),

@@ -71,7 +71,7 @@ class Timeline:
         apart = plan if plan.direction is Direction.DISASSEMBLY else plan.reverse()
         # Robots are given out in the order of the plan, so that no held part changes robots on the way.
         if who is None:
-            who = holders(plan.states, assembly.boundary)
+            who = holders(plan.states, assembly.immovable)
             who = who if plan.direction is Direction.DISASSEMBLY else who[::-1]
         shown = plan.direction if direction is None else direction
         return cls(assembly, apart.states, apart.actions, who, shown, plan.robots, apart.forces)
@@ -80,7 +80,7 @@ class Timeline:
     def from_state(cls, assembly: Assembly, state: ArrayLike, robots: int = 2) -> Timeline:
         """Return the timeline of one state, shape (parts,), in which nothing happens."""
         states = as_states(state, assembly.boundary)[:1]
-        who = holders(states, assembly.boundary)
+        who = holders(states, assembly.immovable)
         return cls(assembly, states, np.empty(0, dtype=np.int64), who, Direction.ASSEMBLY, robots)
 
     def __len__(self) -> int:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly
-from falsework.errors import InputError, PlanError
+from falsework.assembly import Assembly, keep_props, load_structure, prop_places, with_props
+from falsework.errors import AssemblyError, InputError, PlanError
+from falsework.interop.instruction_table import assembly_instructions
+from falsework.interop.tracks import tracks_of
 from falsework.search import (
     Direction,
     Outcome,
@@ -20,9 +25,11 @@ from falsework.search import (
     load_plan,
     plan_from_dict,
     plan_of,
+    plan_schema,
     plan_to_dict,
     robots_needed,
     save_plan,
+    structure_of_plan,
     task_of,
     validate_plan,
     validate_proofs,
@@ -127,3 +134,100 @@ def test_stops_and_runs_on(small_arch: Assembly, arch_oracle: Stability) -> None
     planning = find_plans(small_arch, robots=2, oracle=arch_oracle, support=True, stop=lambda: True)
     assert not planning.found
     assert planning.result.interrupted
+
+
+@pytest.fixture(scope="module")
+def propped_arch() -> Assembly:
+    arch = load_structure("arch:blocks=7").with_ground()
+    return with_props(arch, prop_places(arch))
+
+
+@pytest.fixture(scope="module")
+def propped(propped_arch: Assembly) -> Plan:
+    """Plan of an arch with a single robot and three props."""
+    return find_plans(propped_arch, robots=1, support=True, props=3).plans[0]
+
+
+def test_props_replace_a_robot(propped: Plan, propped_arch: Assembly) -> None:
+    """No more than three stand at a time, and all are taken away in the end."""
+    stand = propped.states[:, -len(propped.props) :] == 2
+    assert 0 < stand.sum(axis=1).max() <= 3
+    assert not stand[[0, -1]].any()
+    assert propped.replay is not None
+    assert propped.replay.stands
+    arch = keep_props(propped_arch, [])
+    structure = structure_of_plan(propped, structure=arch)
+    assert structure.identity == propped.identity
+    for plan in (propped, propped.reverse()):
+        assert validate_plan(plan, structure).good
+        assert validate_proofs(plan, structure).good
+
+
+def test_a_plan_has_only_the_props_that_it_uses(propped_arch: Assembly) -> None:
+    """Two robots need none, so the plan is one of the arch without places for any."""
+    plan = find_plans(propped_arch, robots=2, support=True, props=1).plans[0]
+    assert plan.props == ()
+    assert not plan.support
+    assert plan.identity == keep_props(propped_arch, []).identity
+
+
+def test_files_of_props(propped: Plan, tmp_path: Path) -> None:
+    for plan in (propped, propped.reverse()):
+        save_plan(plan, tmp_path / "plan.json", proofs=True)
+        read = load_plan(tmp_path / "plan.json")
+        assert read.props == propped.props
+        assert read.prop_limit == 3
+        assert np.array_equal(read.states, plan.states)
+        jsonschema = pytest.importorskip("jsonschema")
+        jsonschema.validate(plan_to_dict(plan), plan_schema())
+
+
+def test_damaged_files_of_props(propped: Plan) -> None:
+    def damaged(change: Callable[[dict[str, Any]], None]) -> str:
+        data = json.loads(json.dumps(plan_to_dict(propped)))
+        change(data)
+        with pytest.raises(PlanError) as error:
+            plan_from_dict(data)
+        assert "\n" not in str(error.value)
+        return str(error.value)
+
+    entry = len(propped.boundary) - 1
+    assert "is no list" in damaged(lambda data: data["structure"].update(props=3))
+    assert "has no place" in damaged(lambda data: data["structure"]["props"][0].update(at=[0, 0]))
+    assert "is under part" in damaged(lambda data: data["structure"]["props"][0].update(part=entry))
+    assert "rules.props" in damaged(lambda data: data["rules"].update(props=-1))
+    assert "neither there nor away" in damaged(lambda data: data["start"]["state"].__setitem__(entry, 1))
+    assert "no action of" in damaged(lambda data: data["steps"][0].update(do="hold", part=entry))
+    assert "no action of" in damaged(lambda data: data["rules"].pop("support"))
+
+
+def test_the_check_counts_props(propped: Plan, propped_arch: Assembly) -> None:
+    structure = structure_of_plan(propped, structure=keep_props(propped_arch, []))
+    report = validate_plan(replace(propped, prop_limit=1), structure)
+    assert not report.good
+    assert "1 props may stand at a time" in report.reason
+    far = replace(propped.props[0], at=(50.0, 0.0, 0.0))
+    with pytest.raises(AssemblyError, match="is not below it"):
+        structure_of_plan(replace(propped, props=(far,)), structure=keep_props(propped_arch, []))
+
+
+def test_no_plan_with_props_is_no_proof(propped_arch: Assembly) -> None:
+    """They may help at other places than those that were tried."""
+    planning = find_plans(propped_arch, robots=1, support=True, props=1)
+    assert planning.result.outcome is Outcome.NOT_FOUND
+    assert "one under a part" in planning.result.limit
+
+
+def test_props_that_cannot_be(small_arch: Assembly, propped_arch: Assembly) -> None:
+    for structure, rules in ((small_arch, {"support": True, "props": 1}), (propped_arch, {"props": 1})):
+        with pytest.raises(InputError, match="1 props cannot be placed"):
+            find_plans(structure, **rules)
+    with pytest.raises(InputError, match="-1 props cannot be placed"):
+        task_of(propped_arch, support=True, props=-1)
+
+
+def test_what_takes_no_plans_with_holding_again(regrasped: Plan, small_arch: Assembly) -> None:
+    with pytest.raises(PlanError, match="held again"):
+        assembly_instructions(regrasped, small_arch)
+    tracks = tracks_of(regrasped, small_arch)
+    assert sum(len(track.path) for track in tracks.tracks) == 2 * 7

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.prop import Prop
 from falsework.assembly.state import HELD, INSTALLED, Mask, States, describe_step
 from falsework.errors import PlanError
 from falsework.search.margins.plan_margins import PlanMargins
@@ -93,6 +94,10 @@ class Plan:
     """Whether every part that is removed has a free straight exit."""
     support: bool = False
     """Whether parts are let go without being removed, and may be held again."""
+    props: tuple[Prop, ...] = ()
+    """Props, which are the last parts: places where the plan has one at some time."""
+    prop_limit: int = 0
+    """Props that may stand at a time."""
     source: Mapping[str, Any] | None = None
     """Where the structure came from: `built_in` or `path` (relative to the file of the plan), and the options of
     `load_structure` that were given; None if it was not said."""
@@ -145,13 +150,22 @@ class Plan:
             fixed=task.fixed,
             missing=task.missing,
             removable_only_if_clear=task.clearance is not None,
-            support=bool(((route.states[:-1] == HELD) & (route.states[1:] == INSTALLED)).any()),
+            support=bool(((route.states[:-1] == HELD) & (route.states[1:] == INSTALLED)).any()) or bool(assembly.props),
+            props=assembly.props,
+            prop_limit=task.prop_limit if assembly.props else 0,
             forces=verdicts.forces,
             displacement=verdicts.displacement,
         )
 
     def __len__(self) -> int:
         return len(self.actions)
+
+    @property
+    def immovable(self) -> Mask:
+        """Parts that never move and that no robot holds, boundary and props; shape (parts,)."""
+        mask = self.boundary.copy()
+        mask[len(mask) - len(self.props) :] = True
+        return mask
 
     @property
     def route(self) -> Route:

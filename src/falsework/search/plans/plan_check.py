@@ -83,8 +83,9 @@ def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str]
         assembly: needed to check that removed parts have a way out; that is left out without it.
     """
     states, parts, boundary = plan.states, len(plan.boundary), plan.boundary
-    if int(held_count(states[:1], boundary)[0]) > plan.robots:
-        return 0, f"{int(held_count(states[:1], boundary)[0])} parts are held at first, with {plan.robots} robots"
+    held = int(held_count(states[:1], plan.immovable)[0])
+    if held > plan.robots:
+        return 0, f"{held} parts are held at first, with {plan.robots} robots"
     if plan.support:
         allowed = SupportMoves(_task_of(plan)).legal(states[:-1], plan.direction)
     else:
@@ -265,7 +266,16 @@ def _follow(plan: Plan) -> States:
 def _task_of(plan: Plan) -> Task:
     """Task of a plan with holding again, without a rule on exits."""
     start, target = plan.states[[0, -1]] if plan.direction is Direction.DISASSEMBLY else plan.states[[-1, 0]]
-    return Task.create(plan.boundary, plan.robots, start=start, target=target, fixed=plan.fixed, support=True)
+    return Task.create(
+        plan.boundary,
+        plan.robots,
+        start=start,
+        target=target,
+        fixed=plan.fixed,
+        support=True,
+        props=[prop.part for prop in plan.props],
+        prop_limit=plan.prop_limit,
+    )
 
 
 def _why(plan: Plan, step: int) -> str:
@@ -273,7 +283,11 @@ def _why(plan: Plan, step: int) -> str:
     part, state = action % parts, plan.states[step]
     if plan.boundary[part]:
         return "it is boundary"
-    held = int(held_count(state[None], plan.boundary)[0])
+    held = int(held_count(state[None], plan.immovable)[0])
+    if part >= parts - len(plan.props):
+        return f"{plan.prop_limit} props may stand at a time, each under a part that is there"
+    if action >= parts and any(prop.part == part and state[k - len(plan.props)] for k, prop in enumerate(plan.props)):
+        return "a prop stands under it"
     takes_robot = plan.support or (action < parts) is (plan.direction is Direction.DISASSEMBLY)
     if takes_robot and held >= plan.robots and state[part] != HELD:
         return f"all {plan.robots} robots are holding"

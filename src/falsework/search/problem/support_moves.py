@@ -41,6 +41,10 @@ class SupportMoves:
         """Return the number of parts that robots hold, shape (batch,)."""
         return ((states == HELD) & self._counted).sum(axis=-1)
 
+    def standing(self, states: States) -> NDArray[np.int64]:
+        """Return the number of props that stand, shape (batch,)."""
+        return (states[..., self._props] != REMOVED).sum(axis=-1)
+
     def removed(self, states: States) -> NDArray[np.int64]:
         """Return the number of parts removed since the start, shape (batch,)."""
         return ((states == REMOVED) & self._removable).sum(axis=-1)

@@ -191,6 +191,8 @@ class Task:
     @cached_property
     def doubt(self) -> str:
         """Why looking at every state would not prove that there is no plan, in words; empty if it would."""
+        if self.prop_limit:
+            return f"props were tried at {len(self.props)} places, one under a part; they may help at others"
         if self.clearance is None:
             return ""
         return self.clearance.doubt((self.start != REMOVED) & (self.target == REMOVED))

@@ -159,7 +159,7 @@ class SupportBeam:
         while ring:
             ways = self._sorted(w for key in ring for w in self._across(key))
             for way in self._stable(ways, found):
-                found.setdefault(_presence(way.states[-1]), self._take(way))
+                found.setdefault(self._presence(way.states[-1]), self._take(way))
                 if len(found) == self.width:
                     break
             if 4 * len(found) >= self.width:
@@ -245,17 +245,22 @@ class SupportBeam:
             action = 2 * parts - count + int(prop)
             yield action, self._moves.follow(state[None], np.array([action]))[0]
 
+    def _presence(self, state: States) -> bytes:
+        """Return the parts that are there, props left aside."""
+        return np.packbits(state[: len(state) - len(self.task.props)] != REMOVED).tobytes()
+
     def _free(self, state: States) -> bool:
         """Return whether a robot is free."""
         return int(self._moves.held(state)) < self.task.robots
 
     def _way(self, origin: bytes, action: int, *states: States) -> _Way:
-        """Return a way with its score: free robots first, then the guide, then few moves."""
+        """Return a way with its score: free robots first, then few props, then the guide, then few moves."""
         before, part = _array(origin), action % self._moves.parts
         mask = np.zeros((1, 2 * self._moves.parts), dtype=bool)
         mask[0, action] = True
         score = float(self._guide(before[None], mask, self.direction)[0, action]) + float(self._taste[part])
-        return _Way(origin, states, score - 10.0 * float(self._moves.held(states[-1])) - 1e-3 * len(states))
+        busy = 10.0 * float(self._moves.held(states[-1])) + 5.0 * float(self._moves.standing(states[-1]))
+        return _Way(origin, states, score - busy - 1e-3 * len(states))
 
     @staticmethod
     def _sorted(ways: Iterator[_Way]) -> list[_Way]:
@@ -265,9 +270,9 @@ class SupportBeam:
         """Yield the ways whose states all stand, judged in growing batches, but none to parts that are `found`."""
         begin, count = 0, 1
         while begin < len(ways):
-            batch = [way for way in ways[begin : begin + count] if _presence(way.states[-1]) not in found]
+            batch = [way for way in ways[begin : begin + count] if self._presence(way.states[-1]) not in found]
             self._ask(batch)
-            yield from (way for way in batch if _presence(way.states[-1]) not in found and self._stands(way))
+            yield from (way for way in batch if self._presence(way.states[-1]) not in found and self._stands(way))
             begin, count = begin + count, min(2 * count, _MOST_AT_ONCE)
 
     def _ask(self, ways: list[_Way]) -> None:
@@ -341,10 +346,6 @@ class SupportBeam:
 
 def _array(key: bytes) -> States:
     return np.frombuffer(key, dtype=np.uint8)
-
-
-def _presence(state: States) -> bytes:
-    return np.packbits(state != REMOVED).tobytes()
 
 
 __all__ = ["SupportBeam"]

@@ -159,7 +159,8 @@ class SupportPlanner:
             result = replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit)
         if isinstance(self._running, Planner):  # which says nothing of plans with holding again
             result = replace(result, outcome=Outcome.NOT_FOUND)
-        proved = result.outcome is Outcome.PROVED_IMPOSSIBLE
+        # Whatever is wanting to a proof, where every state was looked at no other search finds a plan.
+        proved = isinstance(self._running, SupportEverywhere) and not self._running.gave_up and not self._falls
         if proved or self._failure is None or _share(result) >= _share(self._failure):
             self._failure = result
         self._counters, self._now = self.counters, SearchCounters()
