@@ -2,11 +2,11 @@
 
     python benchmarks/support.py --structures dome-37 dome-90 vault --deadline 60
 
-Each question is `robots_needed` with a deadline of its own, one after the other. `robots` is the fewest with which a plan
-was found, `least` the number below which it is proven that none exists; with props that is not looked for. Where at most
-two robots suffice with every part held once, holding again cannot save one (a single robot that lets a part go is where
-it was before), and is not asked about. Where the structure has no floor of its own under most parts that could take a
-prop, it is put on a ground for all questions.
+Each question is `robots_needed` with a deadline of its own, one after the other. `robots` is the fewest with which a
+plan was found, `least` the number below which it is proven that none exists; with props that is not looked for. Where
+at most two robots suffice with every part held once, holding again cannot save one (a single robot that lets a part go
+is where it was before), and is not asked about. Where the structure has no floor of its own under most parts that could
+take a prop, it is put on a ground for all questions.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Planner with holding again: plans without it first, then beams, then every state."""
+"""Planner with holding again: narrow beams with and without it, wider ones, and every state."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from falsework.assembly.state import States, held_count
+from falsework.assembly.state import REMOVED, States, held_count
 from falsework.errors import InputError
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_replay import PlanReplay
@@ -22,8 +22,8 @@ from falsework.search.support.everywhere import STATE_LIMIT, SupportEverywhere
 
 _WIDENING = 4
 """Each round of beams is so many times wider than the last."""
-_FEW_STATES = 5_000
-"""States that are all looked at before a beam is widened: small structures are then decided."""
+_FEW_PARTS, _FEW_STATES = 16, 5_000
+"""Up to so many parts, so many states are all looked at before a beam is widened: small structures are then decided."""
 _MOST_FALLS = 64
 """Routes whose replay falls before a search is given up."""
 
@@ -33,8 +33,8 @@ _Search = SupportBeam | SupportEverywhere | Planner
 class SupportPlanner:
     """Planner of a task with holding again; it runs, stops and runs on like `Planner`.
 
-    A plan in which every part is held once is a plan here too, and needs the fewest steps, so narrow beams for one come
-    first. That no plan exists is said only by `SupportEverywhere`, which leaves nothing out.
+    A plan in which every part is held once is a plan here too, so narrow beams for one are among the first. That no
+    plan exists is said only by `SupportEverywhere`, which leaves nothing out.
     """
 
     def __init__(
@@ -124,14 +124,17 @@ class SupportPlanner:
         def beam(direction, width: int) -> Callable[[], SupportBeam]:
             return lambda: SupportBeam(task, oracle, direction, guide=guide, width=width, seed=settings.seed)
 
-        found: list[Callable[[], _Search]] = [once] if (STAGE[task.target] >= STAGE[task.start]).all() else []
-        width = 1
-        while width <= settings.width:
-            found += [beam(direction, width) for direction in settings.directions]
-            if width == 1:
-                found.append(lambda: SupportEverywhere(task, oracle, state_limit=_FEW_STATES))
-            width *= _WIDENING
-        return [*found, lambda: SupportEverywhere(task, oracle, state_limit=STATE_LIMIT)]
+        widths = [_WIDENING**k for k in range(1, 1 + int(np.log(settings.width) / np.log(_WIDENING) + 1e-9))]
+        few = int((task.start != REMOVED).sum()) - int(task.boundary.sum()) <= _FEW_PARTS
+        first, *others = (beam(direction, 1) for direction in settings.directions)
+        return [
+            first,
+            *([once] if (STAGE[task.target] >= STAGE[task.start]).all() else []),
+            *others,
+            *([lambda: SupportEverywhere(task, oracle, state_limit=_FEW_STATES)] if few else []),
+            *(beam(direction, width) for width in widths for direction in settings.directions),
+            lambda: SupportEverywhere(task, oracle, state_limit=STATE_LIMIT),
+        ]
 
     def _take(self, route: Route) -> None:
         """Take over a route whose replay stands; else rule the state out in which it falls."""
