@@ -35,7 +35,7 @@ def behind(runs: Runs, _: Runs) -> str:
 
 
 def fewest(rules: str) -> Callable[[Runs, Runs], str]:
-    """Return a column with the fewest robots under some rules; marked where fewer are not refuted, empty if not asked."""
+    """Return a column with the fewest robots under some rules, marked where fewer are not refuted."""
 
     def write(runs: Runs, _: Runs) -> str:
         answer = runs[0].get(rules)

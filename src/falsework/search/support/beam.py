@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from heapq import heappop, heappush
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,6 +38,8 @@ _NEW_HOLDS = 8
 """Other holds that are found for a level before the next level is tried again."""
 _REJECTED = 64
 """States that are not stable which a result names where the beam died."""
+_MOST_AT_GOAL = 10_000
+"""Other holds of the parts of the goal that are looked at on the way to its own."""
 _MOST_AT_ONCE = 8
 """Candidates that are judged together at most; the first ones mostly stand."""
 
@@ -327,17 +330,19 @@ class SupportBeam:
     def _to_goal(self) -> SupportRoute | None:
         """Let go, or hold, what the goal still lacks, once all parts are there or gone; None where no way is found."""
         goal = self.task.goal(self.direction).tobytes()
-        ring, seen = list(self._levels[-1]), set(self._levels[-1])
-        while ring and goal not in self.parent:
-            fresh = []
+        seen, ways, count = set(self._levels[-1]), [], 0
+        ring = list(self._levels[-1])
+        while goal not in self.parent:
             for key in ring:
                 state = _array(key)
                 for _, after in [*self._after(state, presence=False), *self._props(state)]:
-                    way = _Way(key, (after,), -float(np.sum(after != _array(goal))))
                     if after.tobytes() not in seen:
                         seen.add(after.tobytes())
-                        fresh.append(way)
-            ring = [self._take(way) for way in self._stable(sorted(fresh, key=lambda way: -way.score))]
+                        lacking, count = int(np.sum(after != _array(goal))), count + 1
+                        heappush(ways, (lacking, count, _Way(key, (after,), 0.0)))
+            if not ways or count > _MOST_AT_GOAL:
+                break
+            ring = [self._take(way) for way in self._stable([heappop(ways)[2]])]
         if goal not in self.parent:
             return None
         route = SupportRoute.back_from(goal, self.parent, self.task.part_count)
