@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from table_model import Record, Runs, Table, look_up, number, spread
 
 
@@ -30,6 +32,20 @@ def behind(runs: Runs, _: Runs) -> str:
     """Write whether a policy is ahead of the paper's."""
     ours, paper = look_up(runs[0], "test.success"), look_up(runs[0], "paper.test")
     return f"{'ahead' if ours > paper else 'behind'} by {number(abs(ours - paper), '%')}"
+
+
+def fewest(rules: str) -> Callable[[Runs, Runs], str]:
+    """Return a column with the fewest robots under some rules, marked where fewer are not refuted."""
+
+    def write(runs: Runs, _: Runs) -> str:
+        answer = runs[0].get(rules)
+        if answer is None:
+            return ""
+        if answer["robots"] is None:
+            return "none" if answer["impossible"] else "not found"
+        return f"{answer['robots']}{'' if answer['least'] == answer['robots'] else ' (fewer: not found)'}"
+
+    return write
 
 
 STRUCTURE = (("structure", "{structure}"),)
@@ -511,6 +527,20 @@ TABLES = {
             ("passed the independent check", "{check}"),
         ),
         benchmark="robots together seed",
+    ),
+    "support": Table(
+        "support",
+        STRUCTURE,
+        (
+            ("parts", "{parts}"),
+            ("floor", "{floor}"),
+            ("places for props", "{places}"),
+            ("fewest robots, every part held once", fewest("once")),
+            ("holding again", fewest("again")),
+            ("and one prop", fewest("props_1")),
+            ("and two props", fewest("props_2")),
+        ),
+        benchmark="support robots",
     ),
     "viewer": Table("viewer", (("parts", "{parts}"),), (("one step of the page, ms", "{step_ms}"),), "viewer page"),
 }

@@ -28,6 +28,7 @@ SMOKE = {
     "contacts": ["--structures", "bottle", "--repeats", "2"],
     "clearance": ["--structures", "bottle", "--directions", "20", "--repeats", "1"],
     "search": ["plan", "--structures", "arch:blocks=5"],
+    "support": ["--structures", "arch:blocks=5", "--deadline", "5"],
     "search_compare": ["--structures", "arch:blocks=5", "--seeds", "1"],
     "stability": ["--structures", "arch:blocks=5", "--states", "8"],
     "contact": ["all", "--structures", "arch:blocks=5", "--seeds", "1", "--repeat", "1"],

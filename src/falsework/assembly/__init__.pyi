@@ -13,6 +13,10 @@ from falsework.assembly.load import register_reader as register_reader
 from falsework.assembly.loads import Loads as Loads
 from falsework.assembly.model import Assembly as Assembly
 from falsework.assembly.model import ContactWarning as ContactWarning
+from falsework.assembly.prop import Prop as Prop
+from falsework.assembly.props import keep_props as keep_props
+from falsework.assembly.props import prop_places as prop_places
+from falsework.assembly.props import with_props as with_props
 from falsework.assembly.state import HELD as HELD
 from falsework.assembly.state import INSTALLED as INSTALLED
 from falsework.assembly.state import REMOVED as REMOVED

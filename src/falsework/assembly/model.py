@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.loads import Loads
+from falsework.assembly.prop import Prop
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
@@ -54,6 +55,8 @@ class Assembly:
     """Whether the contacts were given, such as interfaces that a file stores, and not found from the meshes."""
     loads: Loads | None = None
     """Loads beside the weight of the parts."""
+    props: tuple[Prop, ...] = ()
+    """Props that states may have: the last parts, which never move and need no robot; see `with_props`."""
 
     @staticmethod
     def from_meshes(
@@ -152,6 +155,13 @@ class Assembly:
         return len(self.meshes)
 
     @property
+    def immovable(self) -> NDArray[np.bool_]:
+        """Parts that never move and that no robot holds, boundary and props; shape (parts,)."""
+        mask = self.boundary.copy()
+        mask[self.part_count - len(self.props) :] = True
+        return mask
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the parts."""
         return tuple(mesh.name for mesh in self.meshes)
@@ -180,6 +190,8 @@ class Assembly:
         if self.loads is not None:
             for array in (self.loads.wrench, self.loads.acceleration):
                 digest.update(b"loads" + (array + 0.0).astype("<f8").tobytes())
+        if self.props:
+            digest.update(f"{len(self.props)} props".encode())
         return digest.hexdigest()
 
     def applied_wrench(self, gravity: float = 9.81) -> NDArray[np.float64]:

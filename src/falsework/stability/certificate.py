@@ -160,7 +160,7 @@ def residual_of_forces(
     owner = contacts.contact_of_point
     a, b = contacts.parts[owner, 0], contacts.parts[owner, 1]
     forces = np.where(_acts(states, a, b)[:, :, None], forces, 0.0)
-    weight = claim.gravity * mass.mass[~assembly.boundary].sum()
+    weight = claim.gravity * mass.mass[~assembly.immovable].sum()
 
     size = np.linalg.norm(forces, axis=2)
     finite = np.isfinite(size).all(axis=1)
@@ -226,7 +226,7 @@ def resistance_to_velocity(
     a, b = contacts.parts[owner, 0], contacts.parts[owner, 1]
     taken = _most_power_taken(_relative(assembly, velocity), assembly.friction, claim.cone)
     taken = np.where(_acts(states, a, b), taken, 0.0).max(axis=1, initial=0.0)
-    weight = claim.gravity * mass.mass[~assembly.boundary].sum()
+    weight = claim.gravity * mass.mass[~assembly.immovable].sum()
     momentum = np.abs(mass.mass[None, :, None] * velocity[:, :, :3]).sum(axis=(1, 2))
     turning = np.abs(np.einsum("pij,bpj->bpi", mass.inertia, velocity[:, :, 3:])).sum(axis=2)
     return claim.force_bound * weight * taken, claim.gravity * (momentum + (turning / mass.gyration).sum(axis=1))

@@ -44,7 +44,7 @@ class Problem:
 
     parts: int
     boundary: Mask
-    """Shape (parts,)."""
+    """Parts that never move, props too, shape (parts,)."""
     part_a: NDArray[np.int32]
     """Part on which the opposite of the force acts, shape (points,)."""
     part_b: NDArray[np.int32]
@@ -138,8 +138,9 @@ def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float 
     transfer_a = -whitening[a] @ _shift(middle - mass.center[a])
     transfer_b = whitening[b] @ _shift(middle - mass.center[b])
     # A boundary part never moves, so its rows take no part in any state: they must not spoil the scaling.
-    transfer_a[assembly.boundary[a]] = 0.0
-    transfer_b[assembly.boundary[b]] = 0.0
+    immovable = assembly.immovable
+    transfer_a[immovable[a]] = 0.0
+    transfer_b[immovable[b]] = 0.0
     norms = np.sqrt(
         ((transfer_a[pair_of_point] @ basis) ** 2).sum((1, 2)) + ((transfer_b[pair_of_point] @ basis) ** 2).sum((1, 2))
     )
@@ -149,7 +150,7 @@ def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float 
 
     gravity_wrench = assembly.applied_wrench(gravity)
     arrays: dict[str, NDArray] = {
-        "boundary": np.array(assembly.boundary, dtype=bool),
+        "boundary": immovable,
         "part_a": part_a.astype(np.int32),
         "part_b": part_b.astype(np.int32),
         "wrench_a": -_unit_wrenches(axes, contacts.points - mass.center[part_a]),
@@ -174,7 +175,7 @@ def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float 
         parts=assembly.part_count,
         friction=float(assembly.friction),
         cone=cone,
-        weight=float(gravity * mass.mass[~assembly.boundary].sum()),
+        weight=float(gravity * mass.mass[~immovable].sum()),
         **arrays,
     )
 

@@ -74,7 +74,8 @@ class HoldBound:
         fixed = np.zeros(task.part_count, dtype=bool)
         fixed[list(task.fixed)] = True
         self._touched = ~task.boundary & ~fixed
-        self._holdable = self._touched & (task.target != INSTALLED)
+        # With holding again, what stays in the end may be held on the way.
+        self._holdable = self._touched & (task.support | (task.target != INSTALLED))
         self._removable = (task.start != REMOVED) & (task.target == REMOVED)
         self._known: dict[tuple[bytes, int], bool] = {}
 
