@@ -10,3 +10,4 @@ __getattr__, __dir__, __all__ = _lazy_exports(__name__)
 for _module, _format in (("compas_read", "compas"), ("rhino_read", "rhino"), ("step_read", "step")):
     _place = f"falsework.interop.{_module}"
     _register_reader(f"{_place}:is_{_format}", f"{_place}:load_{_format}", f"{_place}:read_{_format}")
+_register_reader("falsework.interop.bricks:is_bricks", "falsework.interop.bricks:load_bricks")

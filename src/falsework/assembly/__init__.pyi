@@ -8,6 +8,7 @@ from falsework.assembly.interfaces import InterfaceComparison as InterfaceCompar
 from falsework.assembly.interfaces import StoredInterface as StoredInterface
 from falsework.assembly.interfaces import compare_interfaces as compare_interfaces
 from falsework.assembly.interfaces import interface_contacts as interface_contacts
+from falsework.assembly.joints import Joints as Joints
 from falsework.assembly.load import load_structure as load_structure
 from falsework.assembly.load import register_reader as register_reader
 from falsework.assembly.loads import Loads as Loads

@@ -17,8 +17,8 @@ _READERS: list[tuple[str, str, str]] = []
 """Probe, reader and reader of unchecked parts of each format, as `package.module:function`; imported at the first file
 that they may know."""
 
-LOAD_OPTIONS = ("loads", "earthquake")
-"""Options that load a structure and that its reader need not know."""
+LOAD_OPTIONS = ("loads", "earthquake", "materials", "joints")
+"""Options that load or join the parts of a structure and that its reader need not know."""
 
 
 def register_reader(probe: str, reader: str, parts: str = "") -> None:
@@ -56,8 +56,8 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
 
     Args:
         structure: name of a built-in structure with its parameters, or a folder or file.
-        options: unit, density (kg/m3), friction, boundary, ground, contact_settings, loads and earthquake as for
-            `load_assembly`, and interfaces (`found`, `stored` or `compare`) as for `load_compas`; None is as good as
+        options: unit, density (kg/m3), friction, boundary, ground, contact_settings, loads, earthquake, materials
+            and joints as for `load_assembly`, and interfaces (`found`, `stored` or `compare`) as for `load_compas`; None is as good as
             left out. A built-in structure takes neither unit nor contact_settings, and only COMPAS data store
             interfaces.
 
@@ -95,11 +95,13 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
 
 
 def _loaded(assembly: Assembly, acting: dict[str, Any]) -> Assembly:
-    """Return the assembly under the loads of `LOAD_OPTIONS` that are given."""
+    """Return the assembly with the loads and joints of `LOAD_OPTIONS` that are given."""
+    from falsework.assembly.joints import Joints
     from falsework.assembly.loads import Loads
 
     loads = Loads.read(acting["loads"], acting["earthquake"], assembly.names, assembly.mass.center)
-    return assembly if loads is None else assembly.replace(loads=loads)
+    joints = Joints.read(acting["joints"], acting["materials"], assembly.names, assembly.contacts)
+    return assembly if loads is None and joints is None else assembly.replace(loads=loads, joints=joints)
 
 
 def described_options(path: Path) -> dict[str, Any]:

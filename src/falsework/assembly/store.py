@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.errors import AssemblyError, InputError
@@ -36,13 +37,15 @@ def load_assembly(
     contact_settings: ContactSettings | None = None,
     loads: list[dict[str, Any]] | None = None,
     earthquake: float | list[float] | None = None,
+    materials: str | list[str] | None = None,
+    joints: list[dict[str, Any]] | None = None,
 ) -> Assembly:
     """Read an assembly: a folder of meshes, or one file with one object per part.
 
     `assembly.json` in the folder, or beside the file, gives `name`, `unit`, `density` (one number or one a
     part, kg/m3), `friction`, `boundary` (ids or names of parts), `names`, `contact` (fields of
-    `ContactSettings`), `loads` and `earthquake` (see `Loads.read`); all of them may be missing. Arguments
-    come before what the file says.
+    `ContactSettings`), `loads` and `earthquake` (see `Loads.read`), `materials` and `joints` (see
+    `Joints.read`); all of them may be missing. Arguments come before what the file says.
 
     Args:
         path: folder or mesh file.
@@ -54,6 +57,8 @@ def load_assembly(
         contact_settings: tolerances.
         loads: objects with `part`, `force` (N) and perhaps `at` (m) and `moment` (Nm).
         earthquake: pseudo-static horizontal acceleration in shares of gravity, along x, or along x and y.
+        materials: of each part, or one for all.
+        joints: objects with `friction`, `cohesion` (Pa) or `tension` (Pa), and `between` (materials) or `parts`.
 
     Raises:
         InputError: no such path or nothing in it.
@@ -94,7 +99,13 @@ def load_assembly(
         assembly.names,
         assembly.mass.center,
     )
-    return assembly if acting is None else assembly.replace(loads=acting)
+    joined = Joints.read(
+        described.get("joints") if joints is None else joints,
+        described.get("materials") if materials is None else materials,
+        assembly.names,
+        assembly.contacts,
+    )
+    return assembly if acting is None and joined is None else assembly.replace(loads=acting, joints=joined)
 
 
 def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
@@ -104,13 +115,15 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
     assembly that is already there is replaced.
 
     Raises:
-        InputError: something else is at that place, it cannot be written to, or the contacts were given.
+        InputError: something else is at that place, it cannot be written to, or contacts or joints were given.
     """
     target = Path(folder)
     if assembly.contacts_given:
         raise InputError(f"{assembly.name} has given contacts, which a folder of meshes cannot keep; find them instead")
     if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / FILE).is_file())):
         raise InputError(f"{target} is there and is not an assembly; choose another folder")
+    if assembly.joints is not None:
+        raise InputError(f"{assembly.name} has joints, which belong to its contacts; write them into {FILE} by hand")
     density = assembly.density
     description: dict[str, Any] = {
         "format": FORMAT,
@@ -174,6 +187,8 @@ def read_description(source: Path) -> dict[str, Any]:
             ("contact", (dict,)),
             ("loads", (list,)),
             ("earthquake", (int, float, list)),
+            ("materials", (str, list)),
+            ("joints", (list,)),
         ):
             if key in described and (not isinstance(described[key], kinds) or isinstance(described[key], bool)):
                 raise AssemblyError(

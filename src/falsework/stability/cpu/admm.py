@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.stability.cpu.cones import project
+from falsework.stability.cpu.cones import project_joint
 from falsework.stability.cpu.elimination import factor, solve
 from falsework.stability.cpu.layout import (
     FAST,
@@ -17,7 +17,7 @@ from falsework.stability.cpu.layout import (
     clear_matrix,
     pair_velocity,
     point_velocity,
-    set_gravity,
+    set_load,
 )
 from falsework.stability.cpu.termination import UNDECIDED, judge
 from falsework.utils.kernels import njit
@@ -48,15 +48,16 @@ def factor_admm(structure, work, pairs, rho):
 @njit(fastmath=FAST, cache=True)
 def run_admm(structure, work, pairs, options):
     """Run ADMM from `work.u`; return verdict, residual and iterations. The velocity is in `work.velocity`."""
-    alpha, mu, cone = options.relaxation, structure.friction, structure.cone
+    alpha, cone = options.relaxation, structure.cone
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
     transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
+    mu, stick = work.friction, work.stick
     free, u, z, v, w, rhs = work.free, work.u, work.z, work.v, work.velocity, work.rhs
     for j in range(start[pairs]):
-        z[j, 0], z[j, 1], z[j, 2] = project(cone, u[j, 0], u[j, 1], u[j, 2], mu)
+        z[j, 0], z[j, 1], z[j, 2] = project_joint(cone, u[j, 0], u[j, 1], u[j, 2], mu[j], stick[j])
         for r in range(3):
             v[j, r] = 2.0 * z[j, r] - u[j, r]
-    set_gravity(structure, work, rhs)
+    set_load(work, rhs)
     add_wrenches(structure, work, pairs, v, rhs)
     for iteration in range(1, options.iterations + 1):
         for j in range(len(free)):
@@ -64,7 +65,7 @@ def run_admm(structure, work, pairs, options):
                 for r in range(6):
                     w[j, r] = rhs[j, r]
         solve(structure.elimination, free, work.diagonal, work.lower, work.filled, w)
-        set_gravity(structure, work, rhs)
+        set_load(work, rhs)
         for p in range(pairs):
             q, a, b = pair[p], slot_a[p], slot_b[p]
             s0, s1, s2, s3, s4, s5 = pair_velocity(transfer_a, transfer_b, q, a, b, w)
@@ -74,7 +75,7 @@ def run_admm(structure, work, pairs, options):
                 u0 = u[j, 0] + alpha * (z[j, 0] - u[j, 0] - t0)
                 u1 = u[j, 1] + alpha * (z[j, 1] - u[j, 1] - t1)
                 u2 = u[j, 2] + alpha * (z[j, 2] - u[j, 2] - t2)
-                z0, z1, z2 = project(cone, u0, u1, u2, mu)
+                z0, z1, z2 = project_joint(cone, u0, u1, u2, mu[j], stick[j])
                 u[j, 0], u[j, 1], u[j, 2] = u0, u1, u2
                 z[j, 0], z[j, 1], z[j, 2] = z0, z1, z2
                 v0, v1, v2 = 2.0 * z0 - u0, 2.0 * z1 - u1, 2.0 * z2 - u2
