@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Joints, library, load_assembly, load_structure, save_assembly
+from falsework.assembly import Joints, fasten, library, load_assembly, load_structure, save_assembly
 from falsework.assembly.model import Assembly
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry import TriangleMesh
@@ -115,10 +115,11 @@ def test_setting_is_linear_between_its_steps() -> None:
         ([7], None, "joint 7 is no object"),
         ([{"tension": 1.0, "parts": ["a", "z"]}], None, "a joint is of part 'z', which is not there"),
         ([{"tension": 1.0, "parts": ["a", "c"]}], None, "parts a and c do not meet, so no joint is between them"),
-        ([{"tension": 1.0, "parts": ["c", "d"]}], None, "parts c and d touch along a line or at a point, which has no area"),
+        ([{"tension": 1.0, "parts": ["c", "d"]}], None, "parts c and d touch along a line or at a point"),
         ([{"tension": 1.0, "parts": ["a"]}], None, "give two parts"),
-        ([{"tension": 1.0, "between": ["x", "y"]}], None, "no part is of material 'x'; materials of the parts are not given"),
-        ([{"tension": 1.0, "between": ["stone", "y"]}], "stone", "no part is of material 'y'; materials of the parts are stone"),
+        ([{"tension": 1.0, "between": ["x", "y"]}], None, "no part is of material 'x'; materials of the parts are not"),
+        ([{"tension": 1.0, "between": ["stone", "y"]}], "stone", "no part is of material 'y'; materials of the parts"),
+        ([{"tension": 1.0, "ductile": 1}], None, "ductile of a joint is 1; give true or false"),
         ([{"tension": 1.0, "between": "stone"}], "stone", "give two materials"),
         ([{"tension": 1.0, "between": ["s", "s"], "parts": [0, 1]}], "s", "has both between and parts"),
         ([{"tension": 1.0}], ["stone"], "materials must be one name, or 4 names"),
@@ -131,6 +132,44 @@ def test_what_cannot_be_a_joint(entries: Any, materials: Any, message: str) -> N
     tower = stack()
     with pytest.raises(AssemblyError) as refused:
         Joints.read(entries, materials, tower.names, tower.contacts)
+    assert message in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_fastener_is_a_contact_point_among_those_of_its_pair() -> None:
+    tower = stack()
+    joined = tower.replace(joints=Joints.of(tower.contacts, cohesion=np.where(tower.contacts.dimension == 2, 8.0, 0.0)))
+    screwed = fasten(joined, [{"parts": ["b", "a"], "at": [0.5, 0.5, 1.0], "tension": 90.0, "shear": 40.0}])
+    pairs = screwed.contacts.parts[screwed.contacts.contact_of_point]
+    assert (np.diff(pairs[:, 0] * 10 + pairs[:, 1]) >= 0).all()
+    (row,) = np.flatnonzero((screwed.contacts.points == [0.5, 0.5, 1.0]).all(axis=1))
+    assert pairs[row].tolist() == [0, 1]
+    np.testing.assert_allclose(screwed.contacts.frames[screwed.contacts.contact_of_point[row], 0], [0, 0, 1])
+    assert screwed.joints is not None
+    assert (screwed.joints.tension[row], screwed.joints.cohesion[row]) == (90.0, 40.0)
+    rest = np.delete(np.arange(len(pairs)), row)
+    np.testing.assert_array_equal(screwed.joints.cohesion[rest], joined.joints.cohesion)
+    np.testing.assert_array_equal(screwed.contacts.points[rest], tower.contacts.points)
+    assert screwed.identity != joined.identity
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"tension": -1}, "tension of the fastener between parts a and b is -1; give a number from 0 up in N"),
+        ({"shear": "much"}, "shear of the fastener between parts a and b is 'much'"),
+        ({"at": [0, 0]}, "place of the fastener between parts a and b is [0, 0]; give three finite numbers"),
+        ({"axis": [0, 0, 0]}, "needs two parts and an axis that is not zero"),
+        ({"parts": ["a", "c"]}, "has no contact to be normal to; give its axis"),
+        ({"parts": ["a", "z"]}, "a fastener is in part 'z', which is not there"),
+        ({"parts": "ab"}, "fastener between 'ab'; give two parts"),
+        ({"ductile": 1}, "ductile of the fastener between parts a and b is 1"),
+        ({"glue": 1}, "is no object with parts, at, tension"),
+    ],
+)
+def test_what_cannot_be_a_fastener(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(AssemblyError) as refused:
+        fasten(stack(), [{"parts": ["a", "b"], "at": [0.5, 0.5, 1.0], "tension": 90.0} | change])
     assert message in str(refused.value)
     assert "\n" not in str(refused.value)
 

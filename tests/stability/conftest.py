@@ -126,7 +126,8 @@ def least_residual(
 
     Everything is taken from the geometry: each contact point pushes along `directions` rays
     `n + widen * mu * (cos a t1 + sin a t2)`, one that bears tension pulls by it beforehand, one that sticks may take
-    tangential forces of a bounded sum beside, and the parts' Newton and Euler equations are written out. The residual is the largest acceleration by gravity, angular ones times the largest radius of gyration of their part.
+    tangential forces of a bounded sum beside, and the parts' Newton and Euler equations are written out. The
+    residual is the largest acceleration by gravity, angular ones times the largest radius of gyration of their part.
     """
     contacts, mass = assembly.contacts, assembly.mass
     free = [part for part in range(assembly.part_count) if state[part] == 1]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Joints, library
+from falsework.assembly import Joints, fasten, library
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.stability import ExactSolver, Replayer, Stability, StabilitySettings, Verdict, verify_certificates
@@ -71,6 +71,27 @@ def test_cohesion_without_friction(scenes: Any, criterion: str, share: float) ->
     block = scenes.slope(0.3, friction=0.0)
     cohesion = share * 9.81 * block.mass.mass[0] * np.sin(0.3)
     assert stands(joined(block, cohesion=cohesion), criterion, cone="quadratic") == (share > 1)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+@pytest.mark.parametrize("share", [0.98, 1.02])
+def test_a_block_hangs_by_two_magnets(scenes: Any, criterion: str, share: float) -> None:
+    block = hanging(scenes)
+    tension = share * 9.81 * block.mass.mass[1] / 2
+    magnets = [{"parts": [0, 1], "at": [x, 0.5, 1.0], "tension": tension} for x in (0.2, 0.8)]
+    assert stands(fasten(block, magnets), criterion) == (share > 1)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+@pytest.mark.parametrize("share", [0.98, 1.02])
+def test_screws_bear_shear_where_there_is_no_friction(scenes: Any, criterion: str, share: float) -> None:
+    """Two screws through a block on a slope without friction: `2 S = W sin a`."""
+    block = scenes.slope(0.3, friction=0.0)
+    shear = share * 9.81 * block.mass.mass[0] * np.sin(0.3) / 2
+    turn = scenes.about_y(0.3)
+    at = [(turn @ [0.0, y, 0.0]).tolist() for y in (-0.3, 0.3)]
+    screwed = fasten(block, [{"parts": [0, 1], "at": place, "tension": 1e3, "shear": shear} for place in at])
+    assert stands(screwed, criterion, cone="quadratic") == (share > 1)
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)
@@ -196,8 +217,22 @@ def test_an_edge_that_tears_lets_the_rest_fall(scenes: Any) -> None:
     for criterion in CRITERIA:
         oracle = Stability(glued, StabilitySettings(criterion=criterion))
         assert oracle.check([[2, 2, 1, 1], [2, 2, 1, 0], [2, 2, 0, 1]]).stable.all()
-        weak = Stability(joined(beam, tension=1.8 * weight, cohesion=10 * weight), StabilitySettings(criterion=criterion))
-        assert weak.check([[2, 2, 1, 0], [2, 2, 0, 1]]).unstable.all()
+        weak = joined(beam, tension=1.8 * weight, cohesion=10 * weight)
+        oracle = Stability(weak, StabilitySettings(criterion=criterion))
+        assert oracle.check([[2, 2, 1, 0], [2, 2, 0, 1]]).unstable.all()
+
+
+def test_a_ductile_joint_bears_on_where_a_brittle_one_tears(scenes: Any) -> None:
+    """Three beams side by side bear a block: the stiff one in the middle reaches its tension before the others."""
+    beams = [scenes.box([x, 0, 1], [x + 1, 1, 2], f"beam-{x}") for x in (0, 1, 2)]
+    block = scenes.make([*beams, scenes.box([0, 0, 0], [3, 1, 1], "block")], [0, 1, 2])
+    weight = 9.81 * block.mass.mass[3]
+    middle = (block.contacts.parts[:, 0] == 1) & (block.contacts.dimension == 2)
+    # The outer contacts bear half of the weight each; the middle one only a tenth, where elasticity asks for a third.
+    tension = np.where(middle, 0.1 * weight, 0.47 * weight)
+    assert stands(joined(block, tension=tension, ductile=True), "contact")
+    assert stands(joined(block, tension=tension), "equilibrium")
+    assert not stands(joined(block, tension=tension), "contact")
 
 
 def test_strength_beyond_all_loads_changes_nothing(scenes: Any) -> None:

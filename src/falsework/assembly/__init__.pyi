@@ -4,6 +4,7 @@ from falsework.assembly.doctor import PartReport as PartReport
 from falsework.assembly.doctor import diagnose as diagnose
 from falsework.assembly.draft import Block as Block
 from falsework.assembly.draft import Draft as Draft
+from falsework.assembly.fasteners import fasten as fasten
 from falsework.assembly.interfaces import InterfaceComparison as InterfaceComparison
 from falsework.assembly.interfaces import StoredInterface as StoredInterface
 from falsework.assembly.interfaces import compare_interfaces as compare_interfaces

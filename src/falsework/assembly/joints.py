@@ -19,7 +19,7 @@ Setting = tuple[tuple[float, float], ...]
 """Steps after both parts are in place, rising, and the share of its strength that a joint has then, likewise."""
 
 _VALUES = ("friction", "cohesion", "tension")
-_ENTRIES = {"between", "parts", "sets", *_VALUES}
+_ENTRIES = {"between", "parts", "sets", "ductile", *_VALUES}
 _UNITS = {"friction": "", "cohesion": " Pa", "tension": " Pa"}
 
 
@@ -37,6 +37,9 @@ class Joints:
     """N, shape (points,); NaN is friction times tension, the least with which all of the tension acts."""
     tension: Array
     """N, shape (points,)."""
+    ductile: NDArray[np.bool_]
+    """Whether a point that is pulled apart goes on bearing its tension, as studs do, and does not tear, as mortar does;
+    of the criterion `contact`, shape (points,)."""
     setting: tuple[Setting, ...] = ()
     """How cohesion and tension of joints that set grow with the steps since both parts are in place."""
     sets: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
@@ -49,6 +52,7 @@ class Joints:
         friction: ArrayLike = np.nan,
         cohesion: ArrayLike = np.nan,
         tension: ArrayLike = 0.0,
+        ductile: ArrayLike = False,
         setting: Sequence[Setting] = (),
         sets: ArrayLike = 0,
     ) -> Joints:
@@ -59,6 +63,7 @@ class Joints:
             friction: coefficient of friction of every contact, or one a contact; NaN is that of the assembly.
             cohesion: Pa, likewise; NaN is friction times tension.
             tension: Pa, likewise.
+            ductile: whether the joint goes on bearing its tension when it is pulled apart, likewise.
             setting: ways in which joints set; with none, all have their strength at once.
             sets: which of them is that of every contact, or one a contact; -1 for none.
 
@@ -92,18 +97,37 @@ class Joints:
             values["friction"][owner],
             (values["cohesion"] * share)[owner],
             (values["tension"] * share)[owner],
+            np.broadcast_to(np.array(ductile, bool), count)[owner],
             ways,
             np.broadcast_to(np.array(sets, np.int32), count)[owner] if ways else np.zeros(0, np.int32),
         )
+
+    @staticmethod
+    def throughout(contacts: Contacts, *, cohesion: float | None = None, tension: float | None = None) -> Joints | None:
+        """Give all contacts with an area the same strength; None where there is none to give.
+
+        Args:
+            contacts: of the assembly.
+            cohesion: Pa; None is friction times tension.
+            tension: Pa.
+
+        Raises:
+            AssemblyError: a number that is negative or infinite.
+        """
+        if not cohesion and not tension:
+            return None
+        flat = contacts.dimension == 2
+        given = np.nan if cohesion is None else cohesion
+        return Joints.of(contacts, cohesion=np.where(flat, given, np.nan), tension=np.where(flat, tension or 0.0, 0.0))
 
     @staticmethod
     def read(entries: Any, materials: Any, names: Sequence[str], contacts: Contacts) -> Joints | None:
         """Read joints as `assembly.json` gives them; where several apply, the last one counts.
 
         Args:
-            entries: objects with `friction`, `cohesion` (Pa), `tension` (Pa), perhaps `sets`, pairs of steps and
-                shares, and either `between`, two materials, or `parts`, two ids or names, or neither, for all contacts;
-                or None.
+            entries: objects with `friction`, `cohesion` (Pa), `tension` (Pa), perhaps `ductile` and `sets`, pairs of
+                steps and shares, and either `between`, two materials, or `parts`, two ids or names, or neither, for
+                all contacts; or None.
             materials: name of the material of each part, or one for all; or None.
             names: of the parts; a ground added to them is the last and of the material `ground`.
             contacts: of the parts.
@@ -122,10 +146,12 @@ class Joints:
         values["tension"][:] = 0.0
         flat = contacts.dimension == 2
         ways: list[Any] = []
-        sets = np.full(len(contacts), -1, np.int32)
+        sets, ductile = np.full(len(contacts), -1, np.int32), np.zeros(len(contacts), bool)
         for entry in entries:
             if not isinstance(entry, Mapping) or not set(entry) <= _ENTRIES or not set(entry) & set(_VALUES):
-                raise AssemblyError(f"joint {entry!r} is no object with friction, cohesion or tension, and between or parts")
+                raise AssemblyError(
+                    f"joint {entry!r} is no object with friction, cohesion or tension, and between or parts"
+                )
             named = {name: _number(entry[name], name) for name in _VALUES if name in entry}
             rows = _rows(entry, made_of, names, contacts)
             strong = named.get("cohesion", 0.0) > 0 or named.get("tension", 0.0) > 0
@@ -137,24 +163,34 @@ class Joints:
                 )
             for name, value in named.items():
                 values[name][rows if name == "friction" else rows & flat] = value
+            if not isinstance(entry.get("ductile", False), bool):
+                raise AssemblyError(f"ductile of a joint is {entry['ductile']!r}; give true or false")
+            if strong or "ductile" in entry:
+                ductile[rows] = entry.get("ductile", False)
             if strong or "sets" in entry:
                 sets[rows] = len(ways) if "sets" in entry else -1
                 ways += [entry["sets"]] if "sets" in entry else []
-        return Joints.of(contacts, **values, setting=ways, sets=sets)
+        return Joints.of(contacts, **values, ductile=ductile, setting=ways, sets=sets)
 
     @staticmethod
     def _frozen(
-        friction: Array, cohesion: Array, tension: Array, setting: tuple[Setting, ...], sets: NDArray[np.int32]
+        friction: Array,
+        cohesion: Array,
+        tension: Array,
+        ductile: NDArray[np.bool_],
+        setting: tuple[Setting, ...],
+        sets: NDArray[np.int32],
     ) -> Joints:
-        for array in (friction, cohesion, tension, sets):
+        for array in (friction, cohesion, tension, ductile, sets):
             array.setflags(write=False)
-        return Joints(friction, cohesion, tension, setting, sets)
+        return Joints(friction, cohesion, tension, ductile, setting, sets)
 
     @property
     def arrays(self) -> tuple[Array, ...]:
         """Everything that a verdict or a replay depends on."""
         ways = [np.array(way).ravel() for way in self.setting]
-        return self.friction, self.cohesion, self.tension, *ways, *([self.sets.astype(np.float64)] if ways else [])
+        kinds = self.ductile.astype(np.float64), *([self.sets.astype(np.float64)] if ways else [])
+        return self.friction, self.cohesion, self.tension, *ways, *kinds
 
     def set_share(self, age: NDArray[np.int32]) -> Array:
         """Return the share of its strength that each contact point has, of the shape of `age`.
@@ -170,7 +206,7 @@ class Joints:
 
     def once_set(self) -> Joints:
         """Return the same joints, which have set from the start."""
-        return Joints(self.friction, self.cohesion, self.tension)
+        return Joints(self.friction, self.cohesion, self.tension, self.ductile)
 
     def among(self, before: Contacts, after: Contacts, parts: int) -> Joints:
         """Return the joints of contacts found anew with more parts, which have none.
@@ -187,12 +223,13 @@ class Joints:
         if not np.array_equal(after.points[kept], before.points):
             raise AssemblyError("the contacts of the parts change with the ground, so joints have no place; fix parts")
         arrays = []
-        for array, rest in ((self.friction, np.nan), (self.cohesion, np.nan), (self.tension, 0.0), (self.sets, -1)):
+        more_of = (self.friction, np.nan), (self.cohesion, np.nan), (self.tension, 0.0), (self.ductile, False)
+        for array, rest in (*more_of, (self.sets, -1)):
             more = np.full(len(kept) if len(array) else 0, rest, array.dtype)
             if len(array):
                 more[kept] = array
             arrays.append(more)
-        return Joints._frozen(*arrays[:3], self.setting, arrays[3])
+        return Joints._frozen(*arrays[:4], self.setting, arrays[4])
 
 
 def _materials(given: Any, names: Sequence[str]) -> list[str]:

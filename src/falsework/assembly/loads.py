@@ -118,9 +118,7 @@ def part_id(given: Any, names: Sequence[str], what: str) -> int:
         given = int(given)
     if isinstance(given, int) and not isinstance(given, bool) and 0 <= given < len(names):
         return given
-    raise AssemblyError(
-        f"{what} {given!r}, which is not there; give an id from 0 to {len(names) - 1} or a name"
-    )
+    raise AssemblyError(f"{what} {given!r}, which is not there; give an id from 0 to {len(names) - 1} or a name")
 
 
 def _numbers(value: Any, what: str, counts: Sequence[int], unit: str) -> Array:

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from falsework.assembly.joints import Joints
-from falsework.assembly.loads import Loads
+from falsework.assembly.fasteners import furnish
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import ContactSettings
@@ -39,13 +38,14 @@ def load_assembly(
     earthquake: float | list[float] | None = None,
     materials: str | list[str] | None = None,
     joints: list[dict[str, Any]] | None = None,
+    fasteners: list[dict[str, Any]] | None = None,
 ) -> Assembly:
     """Read an assembly: a folder of meshes, or one file with one object per part.
 
     `assembly.json` in the folder, or beside the file, gives `name`, `unit`, `density` (one number or one a
     part, kg/m3), `friction`, `boundary` (ids or names of parts), `names`, `contact` (fields of
-    `ContactSettings`), `loads` and `earthquake` (see `Loads.read`), `materials` and `joints` (see
-    `Joints.read`); all of them may be missing. Arguments come before what the file says.
+    `ContactSettings`), `loads` and `earthquake` (see `Loads.read`), `materials` and `joints` (see `Joints.read`), and
+    `fasteners` (see `fasten`); all of them may be missing. Arguments come before what the file says.
 
     Args:
         path: folder or mesh file.
@@ -59,6 +59,7 @@ def load_assembly(
         earthquake: pseudo-static horizontal acceleration in shares of gravity, along x, or along x and y.
         materials: of each part, or one for all.
         joints: objects with `friction`, `cohesion` (Pa) or `tension` (Pa), and `between` (materials) or `parts`.
+        fasteners: objects with `parts`, `at` (m), `tension` (N) and perhaps `shear` (N), `axis` and `ductile`.
 
     Raises:
         InputError: no such path or nothing in it.
@@ -93,19 +94,9 @@ def load_assembly(
         contact_settings=described["contact"] if contact_settings is None else contact_settings,
         ground=ground,
     )
-    acting = Loads.read(
-        described.get("loads") if loads is None else loads,
-        described.get("earthquake") if earthquake is None else earthquake,
-        assembly.names,
-        assembly.mass.center,
-    )
-    joined = Joints.read(
-        described.get("joints") if joints is None else joints,
-        described.get("materials") if materials is None else materials,
-        assembly.names,
-        assembly.contacts,
-    )
-    return assembly if acting is None and joined is None else assembly.replace(loads=acting, joints=joined)
+    given = {"loads": loads, "earthquake": earthquake, "materials": materials, "joints": joints, "fasteners": fasteners}
+    acting = {name: described.get(name) if value is None else value for name, value in given.items()}
+    return furnish(assembly, **acting)
 
 
 def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
@@ -189,6 +180,7 @@ def read_description(source: Path) -> dict[str, Any]:
             ("earthquake", (int, float, list)),
             ("materials", (str, list)),
             ("joints", (list,)),
+            ("fasteners", (list,)),
         ):
             if key in described and (not isinstance(described[key], kinds) or isinstance(described[key], bool)):
                 raise AssemblyError(

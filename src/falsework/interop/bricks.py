@@ -1,8 +1,9 @@
 """Toy bricks that hold each other by studs: an assembly of bricks on a grid, and readers of BrickGPT text and LDraw.
 
-Studs are those of StableLego (Liu et al., IEEE Robotics and Automation Letters 9, 2024; arXiv 2402.10711): a stud meets
-the cavity above it at four points, where the upper brick is one stud wide, or at three, and each point bears a tension of
-0.98 N. Sideways a stud is held by the walls of the cavity, which bear more than any load here.
+Studs are those of StableLego (Liu et al., IEEE Robotics and Automation Letters 9, 2024; arXiv 2402.10711). A stud
+meets the cavity above it at four points, where the upper brick is one stud wide, or at three. Each point bears a
+tension of 0.98 N, also while it slides off. Sideways a stud is held by the walls of the cavity, which bear more than
+any load here.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ Array = NDArray[np.float64]
 STUD_TENSION = 0.98
 """Tension in N that each contact point of a stud bears: 100 g at 9.8 m/s2 (StableLego's configuration)."""
 STUD_FRICTION = 10.0
-"""Tangential over normal force beyond the tension that a point bears, in place of the walls of the cavity: a stud that is
-not about to come off bears many weights sideways."""
+"""Tangential over normal force beyond the tension that a point bears, in place of the walls of the cavity: a stud that
+is not about to come off bears many weights sideways."""
 UNIT = 0.4e-3
 """Metres of an LDraw unit (LDU): a stud is 20 of them wide and a brick 24 high (LDraw file format, revision 1.0.2)."""
 PITCH, HEIGHT = 20, 24
@@ -125,7 +126,7 @@ def assemble_bricks(
         meshes, boundary=boundary, density=densities, friction=STUD_FRICTION, name=name, contacts=contacts
     )
     point = np.diff(contacts.start) * tension / contacts.areas
-    return assembly.replace(joints=Joints.of(contacts, tension=point))
+    return assembly.replace(joints=Joints.of(contacts, tension=point, ductile=True))
 
 
 def _box(name: str, low: Array, high: Array) -> TriangleMesh:
@@ -188,8 +189,8 @@ def load_bricks(path: Path | str, **options: Any) -> Assembly:
     """Read an assembly of bricks.
 
     Text has a brick a line, such as `2x4 (3,0,1)`: studs along x and y, and the place of its lowest corner in studs and
-    layers (BrickGPT, StableText2Brick). An LDraw model (`.ldr`, `.mpd`) may have bricks 1 and 2 studs wide, upright, and
-    models within the file.
+    layers (BrickGPT, StableText2Brick). An LDraw model (`.ldr`, `.mpd`) may have upright bricks, one and two studs
+    wide, and models within the file.
 
     Args:
         path: the file.

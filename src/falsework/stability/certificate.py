@@ -139,7 +139,7 @@ def forces_of_displacement(assembly: Assembly, states: States, displacement: Arr
     stiffness = normal_stiffness(assembly, claim.gravity)
     strength = strength_of(assembly, claim.gravity)
     normal = -stiffness * relative[..., 0]
-    whole = normal >= -_TEARS * strength.pull
+    whole = ~strength.tears | (normal >= -_TEARS * strength.pull)
     tangent = -(claim.stiffness_ratio * stiffness)[:, None] * relative[..., 1:]
     springs = np.concatenate([normal[..., None], tangent], axis=2)
     forces = np.where(whole[..., None], _into_cone(springs, strength, claim.cone)[0], 0.0)
@@ -201,9 +201,9 @@ def residual_bound_of_velocity(
 
     For forces with sum of normals at most `U`, the power of all forces on velocity `w` is at least
     `w . loads - B max_c s_c - T`, weight among the loads, where `s_c` is the most power that contact point `c` can take
-    out per newton of normal force, `T` what tension and cohesion can, and `B` is `U` and the tension of all points. The power is also the acceleration times the momentum of `w`, at most the residual times
-    gravity times the 1-norm of the momentum, angular momenta divided by the radii of gyration (the lemma of
-    Farkas with both bounds in numbers).
+    out per newton of normal force, `T` what tension and cohesion can, and `B` is `U` and the tension of all points. The
+    power is also the acceleration times the momentum of `w`, at most the residual times gravity times the 1-norm of the
+    momentum, angular momenta divided by the radii of gyration (the lemma of Farkas with both bounds in numbers).
 
     Args:
         assembly: the structure.

@@ -31,15 +31,13 @@ class Strength(NamedTuple):
     """Largest tension in N, shape (points,)."""
     stick: Array
     """Largest tangential force in N under that tension, shape (points,)."""
+    tears: NDArray[np.bool_]
+    """Whether the point bears nothing at all where the law of `contact` would have it bear more tension, shape
+    (points,); one that does not tear bears its tension on."""
 
     def of(self, points: NDArray[np.bool_]) -> Strength:
         """Return the strength of some of the points."""
-        return Strength(*(array[points] for array in self))
-
-    @property
-    def dry(self) -> bool:
-        """Whether no point bears tension or sticks."""
-        return not (self.pull.any() or self.stick.any())
+        return Strength(self.friction[points], self.pull[points], self.stick[points], self.tears[points])
 
 
 def strength_of(assembly: Assembly, gravity: float = 9.81) -> Strength:
@@ -52,7 +50,7 @@ def strength_of(assembly: Assembly, gravity: float = 9.81) -> Strength:
     count = len(assembly.contacts.points)
     friction = np.full(count, float(assembly.friction))
     if assembly.joints is None:
-        return Strength(friction, np.zeros(count), np.zeros(count))
+        return Strength(friction, np.zeros(count), np.zeros(count), np.ones(count, bool))
     given = assembly.joints
     friction = np.where(np.isnan(given.friction), friction, given.friction)
     most = FORCE_BOUND * gravity * assembly.mass.mass[~assembly.boundary].sum() / max(count, 1)
@@ -60,4 +58,5 @@ def strength_of(assembly: Assembly, gravity: float = 9.81) -> Strength:
     pull = np.minimum(np.fmin(given.tension, end), most)
     stick = given.cohesion - friction * pull
     # Where cohesion is not given, or the cone ends at the tension but for rounding, there is no disc.
-    return Strength(friction, pull, np.where(stick > 1e-9 * given.cohesion, np.minimum(stick, most), 0.0))
+    stick = np.where(stick > 1e-9 * given.cohesion, np.minimum(stick, most), 0.0)
+    return Strength(friction, pull, stick, ~given.ductile)

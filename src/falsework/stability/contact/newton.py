@@ -34,6 +34,8 @@ _CUT = 0.1
 _LONGEST_STEP = 1e14
 _TEARS = 1.0 + 0.5e-6
 """Times its tension at which a contact point tears, within the rounding that the certificate checker grants."""
+_BONDED_STEPS = 3
+"""Iterations in which a structure with joints that pull is given a chance to stay as it is."""
 _ROUNDS = 12
 """Times that a rest is looked for anew with other points torn."""
 _FAR = 10.0
@@ -206,9 +208,9 @@ def tear(work, contact, pairs, mends):
     With `mends`, torn points whose springs pull less become whole, so that a displacement alone says which are torn.
     """
     whole, sticky, pull, stick, trial = work.pull, work.stick, contact.pull, contact.stick, contact.trial
-    changed = False
+    tears, changed = work.tears, False
     for j in range(work.start[pairs]):
-        if whole[j] + sticky[j] <= 0.0:
+        if not tears[j] or whole[j] + sticky[j] <= 0.0:
             continue
         torn = pull[j] + stick[j] == 0.0
         if trial[j, 0] < -_TEARS * whole[j]:
@@ -344,9 +346,21 @@ def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tole
     close again are whole, as the law has it that knows no history; where that comes to no end, the state is left open.
     """
     mend(work, contact, pairs)
-    result, residual, spent = find_rest(
+    spent = 0
+    if work.pulled[0] > 0.0:
+        # Joints that pull hold mostly everything where it is: the elastic solution, in a step or two of Newton's.
+        begin = contact.displacement.copy()
+        result, residual, spent = find_rest(
+            structure, contact_structure, work, contact, pairs, _BONDED_STEPS, tolerance, _LONGEST_STEP
+        )
+        if result == RESTS and not tear(work, contact, pairs, mends):
+            return result, residual, spent
+        mend(work, contact, pairs)
+        contact.displacement[:] = begin
+    result, residual, taken = find_rest(
         structure, contact_structure, work, contact, pairs, steps, tolerance, first_step
     )
+    spent += taken
     rounds = 0
     while result == RESTS and tear(work, contact, pairs, mends):
         rounds += 1

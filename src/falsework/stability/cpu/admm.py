@@ -19,8 +19,11 @@ from falsework.stability.cpu.layout import (
     point_velocity,
     set_load,
 )
-from falsework.stability.cpu.termination import UNDECIDED, judge
+from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check_primal, judge
 from falsework.utils.kernels import njit
+
+_BONDED = 1e-9
+"""Penalty with which the forces of bonded contacts are in balance to rounding."""
 
 
 @njit(fastmath=FAST, cache=True)
@@ -43,6 +46,31 @@ def factor_admm(structure, work, pairs, rho):
         if a >= 0 and b >= 0:
             filled[block[q]] = True
     return factor(structure.elimination, work.free, diagonal, lower, filled)
+
+
+@njit(fastmath=FAST, cache=True)
+def try_bonded(structure, work, pairs, options):
+    """Try the forces of least size, as all contacts would bear them if they were bonded; return verdict and residual.
+
+    Where joints pull they are mostly admissible, and found at once.
+    """
+    basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
+    z, pull, mu, stick, w, cone = work.z, work.pull, work.friction, work.stick, work.velocity, structure.cone
+    if not factor_admm(structure, work, pairs, _BONDED):
+        return UNDECIDED, np.nan
+    for j in range(start[pairs]):
+        z[j, 0], z[j, 1], z[j, 2] = pull[j], 0.0, 0.0
+    set_load(work, w)
+    add_wrenches(structure, work, pairs, z, w)
+    solve(structure.elimination, work.free, work.diagonal, work.lower, work.filled, w)
+    transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
+    for p in range(pairs):
+        s0, s1, s2, s3, s4, s5 = pair_velocity(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], w)
+        for j in range(start[p], start[p + 1]):
+            t0, t1, t2 = point_velocity(basis, j, s0, s1, s2, s3, s4, s5)
+            z[j, 0], z[j, 1], z[j, 2] = project_joint(cone, pull[j] - t0, -t1, -t2, mu[j], stick[j])
+    worst = check_primal(structure, work, pairs, z, options, work.residual)
+    return (STABLE, worst) if worst < (1.0 - MARGIN) * options.tolerance else (UNDECIDED, worst)
 
 
 @njit(fastmath=FAST, cache=True)

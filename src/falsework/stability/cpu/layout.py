@@ -48,6 +48,7 @@ class KernelArrays(NamedTuple):
     """Scaled tension that each contact point bears, shape (points,); see `Strength`."""
     stick: NDArray[np.float64]
     """Scaled tangential force that it bears at that tension."""
+    tears: NDArray[np.bool_]
     pull_a: NDArray[np.float64]
     """Whitened wrench on part `a` of the points of a pair that all bear their tension, shape (pairs, 6)."""
     pull_b: NDArray[np.float64]
@@ -88,7 +89,7 @@ def build_structure(problem: Problem) -> KernelArrays:
     )
 
 
-def strength_arrays(problem: Problem, strength: Strength) -> dict[str, NDArray[np.float64]]:
+def strength_arrays(problem: Problem, strength: Strength) -> dict[str, NDArray]:
     """Return the fields of `KernelArrays` that say what contact points bear.
 
     Forces of the kernels are those beyond the tension: `f = z - (pull, 0, 0)` with `z` in the friction cone with its
@@ -102,6 +103,7 @@ def strength_arrays(problem: Problem, strength: Strength) -> dict[str, NDArray[n
         "friction": strength.friction,
         "pull": pull,
         "stick": stick,
+        "tears": strength.tears,
         "pull_a": np.einsum("qij,qj->qi", problem.transfer_a, force),
         "pull_b": np.einsum("qij,qj->qi", problem.transfer_b, force),
     }
@@ -129,6 +131,7 @@ class Scratch(NamedTuple):
     friction: NDArray[np.float64]
     pull: NDArray[np.float64]
     stick: NDArray[np.float64]
+    tears: NDArray[np.bool_]
     pulled: NDArray[np.float64]
     """Sum of the tensions that the acting points bear, N, shape (1,)."""
     load: NDArray[np.float64]
@@ -170,6 +173,7 @@ def make_scratch(structure):
         np.zeros(points),
         np.zeros(points),
         np.zeros(points),
+        np.zeros(points, dtype=np.bool_),
         np.zeros(1),
         np.zeros((n, 6)),
         np.zeros((points, 3)),
@@ -205,8 +209,8 @@ def restrict(structure, state, work):
     parts, first, basis, scale = structure.pair_parts, structure.pair_start, structure.basis, structure.force_scale
     free, pair, start = work.free, work.pair, work.start
     slot_a, slot_b, local, local_scale = work.slot_a, work.slot_b, work.basis, work.force_scale
-    friction, pull, stick = structure.friction, structure.pull, structure.stick
-    local_friction, local_pull, local_stick = work.friction, work.pull, work.stick
+    friction, pull, stick, tears = structure.friction, structure.pull, structure.stick, structure.tears
+    local_friction, local_pull, local_stick, local_tears = work.friction, work.pull, work.stick, work.tears
     pull_a, pull_b, load = structure.pull_a, structure.pull_b, work.load
     set_gravity(structure, state, load)
     pulled = 0.0
@@ -229,7 +233,8 @@ def restrict(structure, state, work):
                 for k in range(3):
                     local[points, i, k] = basis[c, i, k]
             local_scale[points] = scale[c]
-            local_friction[points], local_pull[points], local_stick[points] = friction[c], pull[c], stick[c]
+            local_friction[points], local_pull[points] = friction[c], pull[c]
+            local_stick[points], local_tears[points] = stick[c], tears[c]
             pulled += pull[c] * scale[c]
             points += 1
         for r in range(6):

@@ -63,8 +63,9 @@ def check_dual(structure, work, pairs, velocity, options):
     """Return the residual that every force of the cone below the bound leaves at least, as proven by a velocity.
 
     For forces `f` of the cone with sum of normals at most `U W`, `velocity . (G f + g)` is at least
-    `velocity . g - U W max_c support(-G^T velocity)_c`, less what contact points that stick take. It is at most the residual, the largest acceleration
-    times `measure`, times the 1-norm of the momentum of `velocity` divided by `measure`.
+    `velocity . g - U W max_c support(-G^T velocity)_c`, less what contact points that stick take. It
+    is at most the residual, the largest acceleration times `measure`, times the 1-norm of the momentum of `velocity`
+    divided by `measure`.
     """
     free, order, load, mass = work.free, structure.elimination.order, work.load, structure.momentum
     measure = structure.measure

@@ -16,8 +16,9 @@ def nearness_to_limit(assembly: Assembly, state: States, forces: Array) -> Array
     """Return how near each free part is to its limit, from 0 to 1; NaN for the others. Shape (parts,).
 
     Of every contact that presses two shares are taken: of the friction and cohesion that its resultant uses, and of the
-    way from the middle of the contact to its edge at which the resultant acts; of one that pulls, that of its tension. A part has the larger of the two means over its contacts,
-    weighted by their normal forces. Nothing is proven by it; margins are.
+    way from the middle of the contact to its edge at which the resultant acts. Of one that pulls it is that of its
+    tension. A part has the larger of the two means over its contacts, weighted by their normal forces. Nothing is
+    proven by it; margins are.
 
     Args:
         assembly: the structure.
