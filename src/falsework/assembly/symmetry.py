@@ -20,9 +20,8 @@ _ALIKE = 0.1
 def symmetries(assembly: Assembly) -> NDArray[np.intp]:
     """Return permutations of the parts that some turn about a vertical axis, or reflection in a vertical plane, makes.
 
-    Centres of mass, masses and every contact's area times normal have to agree with those of the images; a structure with
-    joints counts as having none. Parts that
-    are boundary may stay where they are: the ground is no smaller for being turned.
+    Centres of mass, masses and every contact's area times normal have to agree with those of the images. Parts that
+    are boundary may stay where they are: the ground is no smaller for being turned. With joints there are none.
 
     Args:
         assembly: the structure.

@@ -54,6 +54,9 @@ _PARTS = {
     "3003": (2, 2), "3002": (3, 2), "3001": (4, 2), "2456": (6, 2), "3007": (8, 2),
 }  # fmt: skip
 """Studs along x and z of LDraw parts."""
+_STIFF = 100.0
+"""Area that a stud stands for, in squares of its width. Sticks of bricks bend by more than the thousandth of their
+length that counts as falling, and yet stand; the scale of the stiffness changes displacements but no force."""
 _LINE = re.compile(r"\s*(\d+)x(\d+)\s*\(\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*\)\s*")
 _FACES = np.array(
     [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
@@ -164,7 +167,7 @@ def _contacts(bricks: Sequence[Brick], low: NDArray, high: NDArray, plate: bool)
         frames.append([[0.0, 0.0, up], [1.0, 0.0, 0.0], [0.0, up, 0.0]])
         points.append(UNIT * np.column_stack([plane, np.full(len(plane), low[above, 2])]))
         start.append(start[-1] + len(plane))
-        areas.append((PITCH * UNIT) ** 2 * len(axes))
+        areas.append(_STIFF * (PITCH * UNIT) ** 2 * len(axes))
     return Contacts(
         np.array(parts, np.int32).reshape(-1, 2),
         np.array(frames).reshape(-1, 3, 3),
