@@ -11,6 +11,7 @@ import pytest
 from falsework.assembly import Joints, fasten, library
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
+from falsework.search import find_plans
 from falsework.stability import ExactSolver, Replayer, Stability, StabilitySettings, Verdict, verify_certificates
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.judges.discrete_elements import settle
@@ -187,6 +188,11 @@ def test_the_checker_refuses_more_tension_than_there_is(scenes: Any) -> None:
         assert not verify_certificates(joined(block, tension=1.05 * weight), state, falls, settings.claim).any()
 
 
+def test_equilibrium_refuses_joints_that_set(scenes: Any) -> None:
+    with pytest.raises(InputError, match="joints that set need the criterion contact"):
+        Stability(setting_bracket(scenes, 3), StabilitySettings(criterion="equilibrium"))
+
+
 def test_no_forces_are_proven_beside_the_bound_of_others(scenes: Any) -> None:
     """Both certificates bound the same residual: no velocity proves more than forces leave."""
     assembly = random_joints(library.build("arch:blocks=7"), 1)
@@ -206,6 +212,51 @@ def test_a_torn_joint_stays_torn(scenes: Any) -> None:
     states = np.array([[2, 0, 0], [2, 2, 0], [2, 1, 0], [2, 1, 2], [2, 1, 1]], np.uint8)
     for strength, falls_at in ((2.05, None), (1.95, 4), (0.95, 2)):
         assert Replayer(joined(chain, tension=strength * weight)).replay(states).falls_at == falls_at
+
+
+def setting_bracket(scenes: Any, steps: int) -> Any:
+    """A bracket glued to a wall with glue that sets, and three blocks to stack elsewhere meanwhile.
+
+    Bearing the moment of its weight takes five sixths of the strength.
+    """
+    blocks = [scenes.box([-3, -3, level - 2], [-2, -2, level - 1], f"block-{level}") for level in range(3)]
+    wall = scenes.box([-1, 0, -1], [0, 1, 4], "wall")
+    yard = scenes.make([wall, scenes.box([0, 0, 0], [0.5, 1, 1], "bracket"), *blocks], [0, 2])
+    glued = (yard.contacts.parts == (0, 1)).all(axis=1)
+    weight = 9.81 * yard.mass.mass[1]
+    return joined(
+        yard,
+        tension=np.where(glued, 0.6 * weight, 0.0),
+        cohesion=np.where(glued, 50 * weight, 0.0),
+        setting=[((0, 0), (steps, 1))],
+        sets=np.where(glued, 0, -1),
+    )
+
+
+@pytest.mark.parametrize(("steps", "falls_at"), [(4, None), (5, 5)])
+def test_glue_bears_what_it_has_set_to(scenes: Any, steps: int, falls_at: int | None) -> None:
+    """Four steps after the bracket was placed the robot lets go; five sixths of five steps are more than four."""
+    states = [[2, 0, 2, 0, 0], [2, 2, 2, 0, 0], [2, 2, 2, 2, 0], [2, 2, 2, 1, 0], [2, 2, 2, 1, 2], [2, 1, 2, 1, 2]]
+    yard = setting_bracket(scenes, steps)
+    assert Replayer(yard).replay(states).falls_at == falls_at
+    assert Stability(yard).check(states[-1]).stable.all()  # once it has set
+    replayer = Replayer(yard)
+    history = replayer.replay(states[:1]).histories[0]
+    stood = []
+    for before, after in zip(np.array(states[:-1], np.uint8), np.array(states[1:], np.uint8), strict=True):
+        stands_on, history = replayer.step(history, before, after)
+        stood.append(stands_on)
+    assert stood == [True] * 4 + [falls_at is None]
+
+
+def test_a_plan_waits_for_the_glue(scenes: Any) -> None:
+    yard = setting_bracket(scenes, 2)
+    found = find_plans(yard, robots=2)
+    assert found.found
+    states = found.plans[0].assembly_states
+    placed, let_go = (int(np.argmax(states[:, 1] == value)) for value in (2, 1))
+    assert let_go - placed >= 2
+    assert Replayer(yard).replay(states).good
 
 
 def test_an_edge_that_tears_lets_the_rest_fall(scenes: Any) -> None:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from falsework.assembly.draft import Block, Draft
 from falsework.assembly.joints import Joints
 from falsework.assembly.model import Assembly
 from falsework.assembly.store import part_ids
@@ -208,10 +209,34 @@ def load_bricks(path: Path | str, **options: Any) -> Assembly:
     for key in given:
         if key not in ("density", "boundary"):
             raise InputError(f"{path} has bricks, which have their own {key}; leave it out")
-    bricks = _read_text(path) if path.suffix.lower() == ".txt" else _read_ldraw(path)
+    bricks = _read(path)
     if isinstance(given.get("boundary"), list):
         given["boundary"] = part_ids(given["boundary"], [str(number) for number in range(len(bricks))])
     return assemble_bricks(bricks, name=path.stem, **given)
+
+
+def read_bricks(path: Path | str, *, unit: str | None = None) -> Draft:
+    """Read bricks and their baseplate as parts of their own, without the studs.
+
+    Args:
+        path: the file.
+        unit: may not be given, since bricks have their size.
+
+    Raises:
+        InputError: as `load_bricks`, or a unit.
+        AssemblyError: as `load_bricks`.
+    """
+    if unit is not None:
+        raise InputError(f"{path} has bricks, which have their own unit; leave it out")
+    assembly = assemble_bricks(_read(Path(path)))
+    parts = zip(assembly.meshes, assembly.boundary.tolist(), strict=True)
+    return Draft.of(
+        Path(path), 1.0, [Block(mesh.name, mesh.vertices, mesh.faces.tolist(), fixed) for mesh, fixed in parts]
+    )
+
+
+def _read(path: Path) -> list[Brick]:
+    return _read_text(path) if path.suffix.lower() == ".txt" else _read_ldraw(path)
 
 
 def _text(path: Path) -> str:
