@@ -17,6 +17,7 @@ from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import Cone
 from falsework.stability.reference.conic_program import into_cone
 from falsework.stability.settings import CpuSettings, GpuSettings
+from falsework.stability.strength import Strength
 
 Decided = Callable[[str, float, Cone], NDArray[np.int8]]
 CONES: tuple[Cone, ...] = ("octagon", "quadratic")
@@ -73,8 +74,9 @@ def test_contacts_do_not_pull(scenes: Any, cone: Cone, friction: float) -> None:
 @pytest.mark.parametrize("friction", [0.0, 1e-8, 0.5])
 def test_forces_of_the_exact_solver_end_in_the_cone(cone: Cone, friction: float) -> None:
     """A pull of a solver's last digits becomes no force at all; forces in the cone stay as they are."""
+    dry = Strength(*np.array([friction, 0.0, 0.0]), np.array(True))
     pull, slip, within = [-1e-9, 1e-9, 0.0], [2.0, 3.0, -4.0], [2.0, friction, 0.0]
-    pulled, slipped, kept = into_cone(np.array([pull, slip, within]), friction, cone)
+    pulled, slipped, kept = into_cone(np.array([pull, slip, within]), dry, cone)
     assert not pulled.any()
     assert slipped[0] == 2.0
     np.testing.assert_allclose(slipped[1] * -4.0, slipped[2] * 3.0)

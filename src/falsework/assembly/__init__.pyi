@@ -4,10 +4,12 @@ from falsework.assembly.doctor import PartReport as PartReport
 from falsework.assembly.doctor import diagnose as diagnose
 from falsework.assembly.draft import Block as Block
 from falsework.assembly.draft import Draft as Draft
+from falsework.assembly.fasteners import fasten as fasten
 from falsework.assembly.interfaces import InterfaceComparison as InterfaceComparison
 from falsework.assembly.interfaces import StoredInterface as StoredInterface
 from falsework.assembly.interfaces import compare_interfaces as compare_interfaces
 from falsework.assembly.interfaces import interface_contacts as interface_contacts
+from falsework.assembly.joints import Joints as Joints
 from falsework.assembly.load import load_structure as load_structure
 from falsework.assembly.load import register_reader as register_reader
 from falsework.assembly.loads import Loads as Loads

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
 from falsework.errors import AssemblyError, InputError
+from falsework.stability.strength import Strength, strength_of
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -18,8 +19,6 @@ Cone = Literal["octagon", "quadratic"]
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FORCE_BOUND = 1e3
-"""Default bound on the sum of all normal forces, in weights of the structure (the paper bounds forces too)."""
 TOLERANCE = 1e-4
 """Default largest residual of a stable state, a share of gravity; the paper allows 1e-3 m/s2 (section 4)."""
 
@@ -50,6 +49,9 @@ class Problem:
     part_b: NDArray[np.int32]
     """Part on which the force acts, shape (points,)."""
     friction: float
+    """Coefficient of friction of contact points to which no joint gives another."""
+    strength: Strength
+    """What each contact point bears."""
     cone: Cone
     wrench_a: Array
     """Wrench on part `a` of a unit force, shape (points, 6, 3), N and Nm per N."""
@@ -174,6 +176,7 @@ def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float 
     return Problem(
         parts=assembly.part_count,
         friction=float(assembly.friction),
+        strength=strength_of(assembly, gravity),
         cone=cone,
         weight=float(gravity * mass.mass[~immovable].sum()),
         **arrays,

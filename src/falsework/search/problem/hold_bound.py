@@ -69,6 +69,8 @@ class HoldBound:
         """Verdicts requested."""
         same = {name: getattr(settings, name) for name in ("gravity", "tolerance", "force_bound")}
         equilibrium = StabilitySettings(criterion="equilibrium", cone=settings.friction_cone, **same)
+        if assembly.joints is not None:  # those that set bear less before
+            assembly = assembly.replace(joints=assembly.joints.once_set())
         self._oracle = Stability(assembly, equilibrium)
         self._clock = clock
         fixed = np.zeros(task.part_count, dtype=bool)

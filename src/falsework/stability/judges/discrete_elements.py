@@ -195,6 +195,8 @@ def _typical_weight(assembly: Assembly) -> float:
 
 def _model(assembly: Assembly) -> tuple[float, Model]:
     """Return the size of a typical part, metres, and the structure measured in it."""
+    if assembly.joints is not None:
+        raise InputError("the discrete-element method knows no joints; replay by the contact law instead")
     contacts, mass = assembly.contacts, assembly.mass
     boxes = np.array([np.ptp(mesh.bounds, axis=0) for mesh in assembly.meshes])
     size = float(np.median(boxes.max(axis=1)))

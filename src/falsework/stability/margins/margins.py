@@ -172,7 +172,7 @@ class MarginFinder:
         row, bracket = found
         direction = tuple(self.directions[row].tolist())
         horizontal = self._bound(state, bracket, self._times(start.condition, loads[row]), direction=direction)
-        if self._assembly.loads is None:
+        if self._assembly.loads is None and self._assembly.joints is None:
             # Weight and a horizontal acceleration `a g` are the weight on a ground tilted by atan(a), times a factor;
             # forces, displacements and velocities that prove one prove the other by that factor.
             tilted = Bracket(
@@ -245,7 +245,8 @@ class MarginFinder:
         return self._bound(state, bracket, times, shift=1.0, part=int(installed[row]), direction=(0.0, 0.0, -1.0))
 
     def _total_factor(self, state: States, start: Answer) -> Bound:
-        if self._assembly.loads is None:  # forces that balance the weights balance any multiple of them
+        if self._assembly.loads is None and self._assembly.joints is None:
+            # Forces that balance the weights balance any multiple of them.
             return self._unbounded(state, start)
         load = np.where((state != REMOVED)[:, None], self.weights[:, None] * np.array([0, 0, -1.0, 0, 0, 0]), 0.0)
         bracket = self._along(state, start, load, guess=1.0, cap=LARGEST_FACTOR - 1.0)
