@@ -231,6 +231,13 @@ class Joints:
             arrays.append(more)
         return Joints._frozen(*arrays[:4], self.setting, arrays[4])
 
+    def of_points(self, kept: NDArray[np.bool_]) -> Joints:
+        """Return the joints of some contact points, shape (points,)."""
+        sets = self.sets[kept] if len(self.sets) else self.sets
+        return Joints._frozen(
+            self.friction[kept], self.cohesion[kept], self.tension[kept], self.ductile[kept], self.setting, sets
+        )
+
 
 def _materials(given: Any, names: Sequence[str]) -> list[str]:
     """Return the material of each part; a part beyond those given is the ground."""

@@ -116,6 +116,7 @@ def with_props(assembly: Assembly, props: Sequence[Prop]) -> Assembly:
         mass=MassProperties(**joined),
         contacts=merged,
         loads=loads,
+        joints=None if assembly.joints is None else assembly.joints.among(contacts, merged, parts),
         props=tuple(head.prop for head in heads),
     )
     for array in (propped.boundary, propped.density):
@@ -129,7 +130,7 @@ def keep_props(assembly: Assembly, kept: Sequence[int]) -> Assembly:
     stays = (assembly.contacts.parts < bare).all(axis=1)
     contacts = assembly.contacts
     blocks = np.split(contacts.points, contacts.start[1:-1])
-    loads = assembly.loads
+    loads, joints = assembly.loads, assembly.joints
     plain = _replace(
         assembly,
         meshes=assembly.meshes[:bare],
@@ -145,6 +146,7 @@ def keep_props(assembly: Assembly, kept: Sequence[int]) -> Assembly:
             areas=contacts.areas[stays],
         ),
         loads=None if loads is None else _replace(loads, wrench=loads.wrench[:bare]),
+        joints=None if joints is None else joints.of_points(stays[contacts.contact_of_point]),
         props=(),
     )
     return with_props(plain, [assembly.props[k] for k in kept])
