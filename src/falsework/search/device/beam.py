@@ -258,7 +258,7 @@ class DeviceBeam(LevelSearch):
             # Candidates are in random order now, so the first ones are a fair sample.
             order = order[:room]
             sample = order[: _SAMPLES_PER_CLUSTER * width]
-            centers = find_centers(self._written(level, stable.take(sample)), words[sample], width, self.shards)
+            centers = find_centers(self._written(level, stable.take(sample)), words[sample], width)
             mine, _ = self.shards.block(len(order))
             joined = torch.stack(centers.assign(self._written(level, stable.take(order[mine]))), dim=1).int()
             labels, distance = self.shards.gather_blocks(joined, len(order)).unbind(dim=1)

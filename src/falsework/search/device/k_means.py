@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import import_torch, mix, uniform
 
 if TYPE_CHECKING:
@@ -59,9 +58,7 @@ class Centers:
         return labels, ((self.scaled[labels] - self.scale * x) ** 2).sum(dim=1).long()
 
 
-def find_centers(
-    points: torch.Tensor, words: torch.Tensor, clusters: int, shards: ProcessGroup = ProcessGroup()
-) -> Centers:
+def find_centers(points: torch.Tensor, words: torch.Tensor, clusters: int) -> Centers:
     """Lloyd's algorithm from seeds drawn in rounds.
 
     The seeds are those of k-means++ with a round of draws in place of each single one: points are drawn with
@@ -73,7 +70,6 @@ def find_centers(
         points: different from each other, `uint8`, values 0, 1 and 2, shape (count, dimensions).
         words: random word of each point, int64, shape (count,).
         clusters: number of clusters, at most `count`.
-        shards: processes that each assign a share of the points; all are given the same points.
     """
     torch = import_torch()
     if not 1 <= clusters <= len(points):
@@ -85,12 +81,9 @@ def find_centers(
     centers = Centers(_seeds(x, words, clusters) * scale, scale)
     # One row a point: its values, and a one to count it.
     rows = torch.cat([points, torch.ones_like(points[:, :1])], dim=1).int()
-    mine, _ = shards.block(len(x))
     for _ in range(_LLOYD_ITERATIONS):
         sums = torch.zeros((clusters, dimensions + 1), dtype=torch.int32, device=x.device)
-        # Processes exchange labels, which are fewer bytes than sums.
-        labels = shards.gather_blocks(centers.nearest(x[mine]).int(), len(x))
-        sums.index_add_(0, labels, rows)
+        sums.index_add_(0, centers.nearest(x), rows)
         size = sums[:, -1:]
         mean = (sums[:, :-1].double() * scale / size).round_().float()
         centers = Centers(torch.where(size > 0, mean, centers.scaled), scale)

@@ -26,6 +26,7 @@ typedef unsigned int uint32_t;
 #define KERNEL(bounds) extern "C" __global__ void __launch_bounds__ bounds
 #define POPCOUNT __popc
 #define RECIPROCAL_ROOT rsqrt
+#define RECIPROCAL(x) __fdividef(1.0f, x)
 template <class T>
 DEVICE T load(const T* p) {
   return __ldg(p);
@@ -217,14 +218,16 @@ DEVICE int lane_bits(int items) {
   while (bits < 3 && items << (bits + 1) <= THREADS) bits++;
   return bits;
 }
-template <class T>
-DEVICE T sum_lanes(T x, int bits) {
+// All numbers take a step of the sum before any takes the next, so that they do not wait for each other.
+template <class T, int N>
+DEVICE void sum_lanes(T (&x)[N], int bits) {
 #ifdef __CUDACC__
-  for (int step = (1 << bits) >> 1; step; step >>= 1) x += __shfl_xor_sync(0xffffffffu, x, step);
+  for (int step = (1 << bits) >> 1; step; step >>= 1)
+#pragma unroll
+    for (int k = 0; k < N; k++) x[k] += __shfl_xor_sync(0xffffffffu, x[k], step);
 #else
-  (void)bits;
+  (void)x, (void)bits;
 #endif
-  return x;
 }
 
 DEVICE double finite_or_huge(double x) { return x < kHuge ? x : kHuge; }  // also for NaN

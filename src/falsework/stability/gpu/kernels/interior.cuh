@@ -50,11 +50,8 @@ PHASE void prepare(const Structure& s, const State& a, const Interior& q, double
         }
       }
     }
-#pragma unroll
-    for (int k = 0; k < 6; k++) sum[k] = sum_lanes(sum[k], bits);
-    if (WithMatrix)
-#pragma unroll
-      for (int k = 0; k < 21; k++) local[k] = sum_lanes(local[k], bits);
+    sum_lanes(sum, bits);
+    if (WithMatrix) sum_lanes(local, bits);
     if (slot >= a.groups || lane) continue;
     write_group_wrench(s, a, slot, g, sum, q.wrench);
     if (WithMatrix)

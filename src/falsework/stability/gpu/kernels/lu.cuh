@@ -170,7 +170,7 @@ DEVICE void invert_blocks(float* blocks, int count, double& bad) {
     for (int k = 0; k < 6; k++) {
       float pivot = __shfl_sync(0xffffffffu, row[k], k, 8);
       good = good && fabs(pivot) > 1e-30f && (i <= k || fabs(pivot) >= 0.1f * fabs(row[k]));
-      float inverse = 1.0f / pivot, share = i == k ? 0.0f : row[k];
+      float inverse = RECIPROCAL(pivot), share = i == k ? 0.0f : row[k];
       row[k] = i == k ? 1.0f : 0.0f;
 #pragma unroll
       for (int j = 0; j < 6; j++) {
@@ -221,8 +221,7 @@ PHASE bool factor_general(const State& a, General m) {
           add_products(x, other + a.stored[right] * 36, sum);
         }
       }
-#pragma unroll
-      for (int k = 0; k < 6; k++) sum[k] = sum_lanes(sum[k], bits);
+      sum_lanes(sum, bits);
       if (t < rows && lane == 0) {
         float x[6];
         load_row(row, x);
@@ -270,14 +269,14 @@ PHASE void solve_general(const State& a, General m, float* x, float* between, fl
     int first = a.level_node[level] * 6, items = a.level_node[level + 1] * 6 - first, bits = lane_bits(items);
     for (int t0 = 0; t0 < items << bits; t0 += THREADS) {
       int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), i = (first + t) / 6, r = first + t - i * 6;
-      float sum = 0;
+      float sum[1] = {0};
       if (t < items)
         for (int k = a.row[i] + lane, last = a.row[i + 1]; k < last; k += 1 << bits) {
           int b = a.row_block[k];
-          sum += dot6(m.lower + a.stored[b] * 36 + r * 6, x + a.block_column[b] * 6);
+          sum[0] += dot6(m.lower + a.stored[b] * 36 + r * 6, x + a.block_column[b] * 6);
         }
-      sum = sum_lanes(sum, bits);
-      if (t < items && lane == 0) x[first + t] -= sum;
+      sum_lanes(sum, bits);
+      if (t < items && lane == 0) x[first + t] -= sum[0];
     }
     SYNC;
   }
@@ -287,15 +286,15 @@ PHASE void solve_general(const State& a, General m, float* x, float* between, fl
     int first = a.level_node[level] * 6, items = a.level_node[level + 1] * 6 - first, bits = lane_bits(items);
     for (int t0 = 0; t0 < items << bits; t0 += THREADS) {
       int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), j = (first + t) / 6, c = first + t - j * 6;
-      float sum = 0;
+      float sum[1] = {0};
       if (t < items)
         for (int place = a.place_first[j] + lane, last = a.place_first[j + 1]; place < last; place += 1 << bits) {
           const float* u = m.upper + place * 36 + c;
           const float* y = out + a.block_row[a.place_block[place]] * 6;
-          sum += (u[0] * y[0] + u[6] * y[1]) + (u[12] * y[2] + u[18] * y[3]) + (u[24] * y[4] + u[30] * y[5]);
+          sum[0] += (u[0] * y[0] + u[6] * y[1]) + (u[12] * y[2] + u[18] * y[3]) + (u[24] * y[4] + u[30] * y[5]);
         }
-      sum = sum_lanes(sum, bits);
-      if (t < items && lane == 0) out[first + t] = between[first + t] - sum;
+      sum_lanes(sum, bits);
+      if (t < items && lane == 0) out[first + t] = between[first + t] - sum[0];
     }
     SYNC;
   }

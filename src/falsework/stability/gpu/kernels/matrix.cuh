@@ -161,8 +161,7 @@ PHASE bool factor(const State& a, Matrix<T> m) {
           for (int k = 0; k < 6; k++) sum[k] += dot6(x, y + k * 6);
         }
       }
-#pragma unroll
-      for (int k = 0; k < 6; k++) sum[k] = sum_lanes(sum[k], bits);
+      sum_lanes(sum, bits);
       if (in && lane == 0)
 #pragma unroll
         for (int k = 0; k < 6; k++) row[k] -= sum[k];
@@ -307,14 +306,14 @@ DEVICE void solve_by_levels(const State& a, Matrix<T> m, T* x, T* between, T* ou
     int first = a.level_node[level] * 6, items = a.level_node[level + 1] * 6 - first, bits = lane_bits(items);
     for (int t0 = 0; t0 < items << bits; t0 += THREADS) {
       int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), i = (first + t) / 6, r = first + t - i * 6;
-      T sum = T(0);
+      T sum[1] = {T(0)};
       if (t < items)
         for (int k = a.row[i] + lane, last = a.row[i + 1]; k < last; k += 1 << bits) {
           int b = a.row_block[k];
-          if (b >= 0) sum += dot6(m.lower + a.at(b) * 36 + r * 6, x + a.block_column[b] * 6);
+          if (b >= 0) sum[0] += dot6(m.lower + a.at(b) * 36 + r * 6, x + a.block_column[b] * 6);
         }
-      sum = sum_lanes(sum, bits);
-      if (t < items && lane == 0) x[first + t] -= sum;
+      sum_lanes(sum, bits);
+      if (t < items && lane == 0) x[first + t] -= sum[0];
     }
     SYNC;
   }
@@ -329,20 +328,20 @@ DEVICE void solve_by_levels(const State& a, Matrix<T> m, T* x, T* between, T* ou
     int first = a.level_node[level] * 6, items = a.level_node[level + 1] * 6 - first, bits = lane_bits(items);
     for (int t0 = 0; t0 < items << bits; t0 += THREADS) {
       int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), j = (first + t) / 6, c = first + t - j * 6;
-      T sum = T(0);
+      T sum[1] = {T(0)};
       if (t < items) {
         if (lane == 0)
-          for (int k = c; k < 6; k++) sum += m.diagonal[j * 36 + k * 6 + c] * between[j * 6 + k];
+          for (int k = c; k < 6; k++) sum[0] += m.diagonal[j * 36 + k * 6 + c] * between[j * 6 + k];
         for (int b = a.column[j] + lane, last = a.column[j + 1]; b < last; b += 1 << bits) {
           int place = a.at(b);
           if (place < 0) continue;
           const T* l = m.lower + place * 36 + c;
           const T* y = out + a.block_row[b] * 6;
-          sum -= (l[0] * y[0] + l[6] * y[1]) + (l[12] * y[2] + l[18] * y[3]) + (l[24] * y[4] + l[30] * y[5]);
+          sum[0] -= (l[0] * y[0] + l[6] * y[1]) + (l[12] * y[2] + l[18] * y[3]) + (l[24] * y[4] + l[30] * y[5]);
         }
       }
-      sum = sum_lanes(sum, bits);
-      if (t < items && lane == 0) out[first + t] = sum;
+      sum_lanes(sum, bits);
+      if (t < items && lane == 0) out[first + t] = sum[0];
     }
     SYNC;
   }

@@ -87,8 +87,7 @@ PHASE void evaluate(
         add_point_force(p, n, x, y, sum);
       }
     }
-#pragma unroll
-    for (int k = 0; k < 6; k++) sum[k] = sum_lanes(sum[k], bits);
+    sum_lanes(sum, bits);
     if (slot < a.groups && lane == 0) write_group_wrench(s, a, slot, g, sum, q.wrench);
   }
   SYNC;
@@ -104,8 +103,7 @@ PHASE void evaluate(
         const double* from = q.wrench + ((code & 1) * 6 + half * 3) * a.groups + (code >> 1);
         f[0] += from[0], f[1] += from[a.groups], f[2] += from[2 * a.groups];
       }
-#pragma unroll
-    for (int r = 0; r < 3; r++) f[r] = sum_lanes(f[r], bits);
+    sum_lanes(f, bits);
     if (t >= a.nodes * 2 || lane) continue;
     int j = a.node[node];
     const double* u = displacement + t * 3;
@@ -148,8 +146,9 @@ PHASE void write_tangent(const Structure& s, const State& a, const Newton& q) {
       for (int i = lane; i < count; i += 1 << bits) {
         const double* kept = q.trial + i * 3 * a.groups + slot;
         float n = float(kept[0]), x = float(kept[a.groups]), y = float(kept[2 * a.groups]);
-        if (n < 0) continue;
+        Point<float> p = point_of(s, i, g, 0.0f);
         float kn = float(load(s.stiffness + i * s.groups + g)), kt = float(s.tangential) * kn;
+        if (n < 0) continue;
         float k10 = 0, k20 = 0, k11 = kt, k12 = 0, k21 = 0, k22 = kt, size = gauge(x, y);
         if (size > mu * n) {
           float ex = x / size, ey = y / size, gx, gy, share = kt * mu * n / size;
@@ -158,7 +157,6 @@ PHASE void write_tangent(const Structure& s, const State& a, const Newton& q) {
           k11 = share * (1 - ex * gx), k12 = -share * ex * gy;
           k21 = -share * ey * gx, k22 = share * (1 - ey * gy);
         }
-        Point<float> p = point_of(s, i, g, 0.0f);
         float column[6][3];  // the point's 6 x 3 map
 #pragma unroll
         for (int k = 0; k < 3; k++) {
@@ -179,8 +177,7 @@ PHASE void write_tangent(const Structure& s, const State& a, const Newton& q) {
         }
       }
     }
-#pragma unroll
-    for (int k = 0; k < 36; k++) local[k] = sum_lanes(local[k], bits);
+    sum_lanes(local, bits);
     if (slot >= a.groups || lane) continue;
     float* out = q.local + slot * 36;
 #pragma unroll
