@@ -14,8 +14,9 @@ from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Progress, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
 
-_REBINDINGS = 4
-"""Times in a row that the beam comes back from before robots were bound to a part that they could not let go of."""
+_LOOKED_FARTHER, _BOUND_OTHERWISE, _WIDE_NEARBY = 1, 2, 3
+"""How the beam comes back the first times: with more states ahead; from before robots were bound to a part that they
+could not let go of, which is avoided; and wider, but from near by."""
 _TRIALS = 3
 """Times in a row that the beam comes back as narrow as it was, with other random preferences, before it is widened."""
 _DISORDER = 0.3
@@ -50,7 +51,7 @@ class AdaptiveSettings:
     def beam(self, failures: int, number: int = 0, avoided: tuple[int, ...] = ()) -> BeamSettings:
         """Return settings of the beam after so many deaths in a row at one place, and `number` deaths altogether."""
         widened, trial = self.trial(failures)
-        width = self.width * _WIDENING_FACTOR**widened
+        width = self.width * _WIDENING_FACTOR ** (1 if failures == _WIDE_NEARBY else widened)
         return BeamSettings(
             width=width,
             direction=self.direction,
@@ -67,7 +68,7 @@ class AdaptiveSettings:
     @staticmethod
     def trial(failures: int) -> tuple[int, int]:
         """Return how often the beam is widened after so many deaths, and which trial of that width it is."""
-        return divmod(max(failures - 1 - _REBINDINGS, 0), _TRIALS + 1)
+        return divmod(max(failures - _WIDE_NEARBY, 0), _TRIALS + 1)
 
 
 class AdaptiveBeam:
@@ -161,15 +162,14 @@ class AdaptiveBeam:
         robots, bound = search.task.robots, search.bound()
         widened, trial = self.settings.trial(failures)
         retreat, avoided = _RETREAT_LEVELS * _RETREAT_FACTOR**widened * 2 ** max(trial - 1, 0), ()
-        if failures == 1:
+        if failures == _LOOKED_FARTHER:
             retreat = robots
-        elif failures <= _REBINDINGS + 1 and bound is not None:
+        elif failures == _BOUND_OTHERWISE and bound is not None:
             part, since = bound
-            avoided = tuple(sorted({*search.settings.avoided, part}))
-            retreat = level - since + robots
-        settings = self.settings.beam(failures, self._deaths + 1, avoided)
-        if settings.width > widest:
+            avoided, retreat = (part,), level - since + robots
+        if self.settings.width * _WIDENING_FACTOR**widened > widest:
             return False
+        settings = self.settings.beam(failures, self._deaths + 1, avoided)
         self._failures, self._farthest = failures, max(self._farthest, level)
         self._deaths += 1
         self._easy_from = self._farthest + 2 * _RETREAT_LEVELS

@@ -20,6 +20,8 @@ from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 _WARM_STEPS = 64
 """Iterations from the displacement of the parent before a state is tested for equilibrium; they go on where it is."""
+_MORE_STEPS = 64
+"""Iterations that follow in large structures where no certificate is asked for: a search has other states to try."""
 _NEAR_STEPS = 32
 """Iterations of the parts near the difference before those of the whole structure."""
 _MANY_PARTS = 64
@@ -103,7 +105,9 @@ class ContactSolver:
             chosen, start, force = states[rows], displacement[rows], forces[rows] if len(forces) else forces
             verdict, residual = np.full(len(rows), UNDECIDED, verdicts.verdict.dtype), verdicts.residual[rows]
             taken, result = steps[rows], found[rows]
-            options = self.contact_options._replace(warm_steps=self.contact_options.steps)
+            many = not certificates and (chosen == INSTALLED).sum(axis=1).max() >= _MANY_PARTS
+            limit = min(_MORE_STEPS, self.contact_options.steps) if many else self.contact_options.steps
+            options = self.contact_options._replace(warm_steps=limit)
             kernel = self.structure, self.contact_structure, chosen, chosen, options
             rest_range(*kernel, start, force, np.ones(len(rows), bool), verdict, residual, taken, result)
             displacement[rows], steps[rows], found[rows] = start, taken, result
