@@ -126,8 +126,8 @@ class SupportPlanner:
 
         widths = [_WIDENING**k for k in range(1 + int(np.log(settings.width) / np.log(_WIDENING) + 1e-9))]
         # The other end is looked from once a wider beam from the first failed: of most structures it costs more.
-        ranks = sorted((i + j, i, j) for i in range(len(widths)) for j in range(len(settings.directions)))
-        beams = [beam(settings.directions[j], widths[i]) for _, i, j in ranks]
+        ranks = sorted((i + j, j, i) for i in range(len(widths)) for j in range(len(settings.directions)))
+        beams = [beam(settings.directions[j], widths[i]) for _, j, i in ranks]
         if (STAGE[task.target] >= STAGE[task.start]).all():
             beams.insert(min(3, len(beams)), once)
         if int((task.start != REMOVED).sum()) - int(task.boundary.sum()) <= _FEW_PARTS:
