@@ -2,11 +2,12 @@
 
     python benchmarks/support.py --structures dome-37 dome-90 vault --deadline 60
 
-Each question is `robots_needed` with a deadline of its own, one after the other. `robots` is the fewest with which a
-plan was found, `least` the number below which it is proven that none exists; with props that is not looked for. Where
-at most two robots suffice with every part held once, holding again cannot save one (a single robot that lets a part go
-is where it was before), and is not asked about. Where the structure has no floor of its own under most parts that could
-take a prop, it is put on a ground for all questions.
+With every part held once, `robots_needed` is asked: `robots` is the fewest with which a plan was found, `least` the
+number below which it is proven that none exists. With holding again and with props, a plan for one robot less is looked
+for, and again for one less, each with the deadline anew; where none is found, `robots` stays, since a plan without them
+is a plan. A single robot that lets a part go is where it was before, so holding again alone is not tried with one.
+Where the structure has no floor of its own under most parts that could take a prop, it is put on a ground for all
+questions.
 """
 
 from __future__ import annotations
@@ -21,10 +22,9 @@ import tyro
 from record import report, write_to
 from states import find
 
-from falsework.assembly import Assembly, load_structure, prop_places, with_props
+from falsework.assembly import Assembly, keep_props, load_structure, prop_places, with_props
 from falsework.errors import AssemblyError
-from falsework.search import PlannerSettings, RobotsNeeded, robots_needed, validate_plan
-from falsework.search.plans.plan_source import structure_of_plan
+from falsework.search import PlannerSettings, find_plans, robots_needed, structure_of_plan, validate_plan
 
 
 @dataclass(frozen=True)
@@ -51,21 +51,42 @@ def places_of(assembly: Assembly) -> int:
         return 0
 
 
-def answer_of(found: RobotsNeeded, assembly: Assembly, seconds: float) -> dict[str, Any]:
-    """Figures of an answer; its plan is checked anew."""
-    good = None
-    if found.plan is not None:
-        good = validate_plan(found.plan, structure_of_plan(found.plan, structure=assembly)).good
+def once(options: Options, assembly: Assembly) -> dict[str, Any]:
+    """Ask for the fewest robots that hold every part once; the plan is checked anew."""
+    begun = time.perf_counter()
+    settings = PlannerSettings(seed=options.seed)
+    found = robots_needed(assembly, settings=settings, deadline=options.deadline)
     return {
         "robots": found.robots,
         "least": found.least,
-        "proven": found.proven,
-        "impossible": bool(found.impossible),
         "steps": None if found.plan is None else len(found.plan),
-        "check": good,
+        "check": None if found.plan is None else validate_plan(found.plan, assembly).good,
         "verdicts": found.verdicts,
-        "seconds": seconds,
+        "seconds": time.perf_counter() - begun,
     }
+
+
+def fewer(options: Options, assembly: Assembly, known: dict[str, Any], **rules: Any) -> dict[str, Any]:
+    """Look for plans with fewer robots than are known to suffice, as long as there are some."""
+    begun, answer = time.perf_counter(), {key: known[key] for key in ("robots", "steps", "check")} | {"verdicts": 0}
+    while answer["robots"] > 1 and (rules.get("props") or answer["robots"] > 2):
+        found = find_plans(
+            assembly,
+            robots=answer["robots"] - 1,
+            settings=PlannerSettings(seed=options.seed),
+            deadline=options.deadline,
+            support=True,
+            **rules,
+        )
+        answer["verdicts"] += found.result.counters.asked
+        if not found.found:
+            answer["reached"] = found.result.reached / found.result.steps
+            break
+        (plan,) = found.plans
+        structure = structure_of_plan(plan, structure=keep_props(assembly, ()))
+        good = validate_plan(plan, structure).good
+        answer |= {"robots": plan.robots, "steps": len(plan), "check": good}
+    return answer | {"seconds": time.perf_counter() - begun}
 
 
 def measure(options: Options, name: str) -> None:
@@ -75,27 +96,13 @@ def measure(options: Options, name: str) -> None:
     grounded = assembly.with_ground()
     added = own < places_of(grounded) / 2
     assembly = grounded if added else assembly
-    settings = PlannerSettings(seed=options.seed)
-
-    def ask(structure: Assembly, **rules: Any) -> dict[str, Any]:
-        begun = time.perf_counter()
-        found = robots_needed(structure, settings=settings, deadline=options.deadline, **rules)
-        return answer_of(found, assembly, time.perf_counter() - begun)
-
-    answers = {"once": ask(assembly)}
-    most = answers["once"]["robots"]
-    if most is None or most > 2:
-        answers["again"] = ask(assembly, support=True)
-        fewer = answers["again"]["robots"]
-        most = fewer if most is None or (fewer is not None and fewer < most) else most
-    else:
-        answers["again"] = {"robots": most, "least": answers["once"]["least"], "by_theorem": True}
-    places = 0
-    if most is None or most > 1:
-        places = places_of(assembly)
-        propped = with_props(assembly, prop_places(assembly)) if places else None
-        for props in options.props if propped is not None else ():
-            answers[f"props_{props}"] = ask(propped, support=True, props=props)
+    places = places_of(assembly)
+    answers = {"once": once(options, assembly)}
+    if answers["once"]["robots"] is not None:
+        known = answers["again"] = fewer(options, assembly, answers["once"])
+        propped = with_props(assembly, prop_places(assembly)) if places else assembly
+        for props in options.props if places and known["robots"] > 1 else ():
+            known = answers[f"props_{props}"] = fewer(options, propped, known, props=props)
     report(
         "support robots",
         structure=name,

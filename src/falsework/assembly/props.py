@@ -246,7 +246,8 @@ class _Columns:
         if points[0][2] - max(floors) < side:
             return None, "has no room above its floor"
         axis = _upright(normal, np.arctan(_PAD) - np.arctan(assembly.friction))
-        return _Head(Prop(part, tuple(float(value) for value in points[0]), float(min(floors))), corners, axis), ""
+        x, y, z = (float(value) for value in points[0])
+        return _Head(Prop(part, (x, y, z), float(min(floors))), corners, axis), ""
 
     def _hits(self, x: float, y: float) -> list[tuple[float, int, Array]]:
         """Return height, part and normal where a vertical line meets faces, from below."""

@@ -32,7 +32,7 @@ class AskRobotsNeeded(JudgingCommand):
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots-needed vault",
         "falsework robots-needed arch --deadline 300 --out fewest.json",
-        "falsework robots-needed vault --ground --support --props 2",
+        "falsework robots-needed arch --support",
     )
 
     structure: StructureOptions

@@ -124,17 +124,15 @@ class SupportPlanner:
         def beam(direction, width: int) -> Callable[[], SupportBeam]:
             return lambda: SupportBeam(task, oracle, direction, guide=guide, width=width, seed=settings.seed)
 
-        widths = [_WIDENING**k for k in range(1, 1 + int(np.log(settings.width) / np.log(_WIDENING) + 1e-9))]
-        few = int((task.start != REMOVED).sum()) - int(task.boundary.sum()) <= _FEW_PARTS
-        first, *others = (beam(direction, 1) for direction in settings.directions)
-        return [
-            first,
-            *([once] if (STAGE[task.target] >= STAGE[task.start]).all() else []),
-            *others,
-            *([lambda: SupportEverywhere(task, oracle, state_limit=_FEW_STATES)] if few else []),
-            *(beam(direction, width) for width in widths for direction in settings.directions),
-            lambda: SupportEverywhere(task, oracle, state_limit=STATE_LIMIT),
-        ]
+        widths = [_WIDENING**k for k in range(1 + int(np.log(settings.width) / np.log(_WIDENING) + 1e-9))]
+        # The other end is looked from once a wider beam from the first failed: of most structures it costs more.
+        ranks = sorted((i + j, j, i) for i in range(len(widths)) for j in range(len(settings.directions)))
+        beams = [beam(settings.directions[j], widths[i]) for _, j, i in ranks]
+        if (STAGE[task.target] >= STAGE[task.start]).all():
+            beams.insert(min(3, len(beams)), once)
+        if int((task.start != REMOVED).sum()) - int(task.boundary.sum()) <= _FEW_PARTS:
+            beams.insert(1, lambda: SupportEverywhere(task, oracle, state_limit=_FEW_STATES))
+        return [*beams, lambda: SupportEverywhere(task, oracle, state_limit=STATE_LIMIT)]
 
     def _take(self, route: Route) -> None:
         """Take over a route whose replay stands; else rule the state out in which it falls."""
