@@ -26,13 +26,13 @@ from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeu
 from falsework.robots.planning.expected_times import BalanceGuide
 from falsework.robots.planning.failure_report import Explanation, explain
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
-from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
+from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node, PathSegment
 from falsework.robots.planning.progress import HybridProgress, Progress
 from falsework.robots.planning.reordering import reorder
 from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.planning.trajectory_assembly import make_robot_plan
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.search.problem.guide import Guide, MemoizedGuide, SupportGuide
 from falsework.search.problem.result import Outcome, Route, SearchResult
 from falsework.search.problem.task import Task
@@ -165,6 +165,7 @@ class _Search:
         self.dead: set[bytes] = set()
         self.impossible: dict[tuple[bytes, int], set[int]] = {}
         """Actions that fail at keyframes, with the robots that are in their way."""
+        self.timed: dict[PathSegment, Trajectory | None] = {}
         self.counts: Counter[str] = Counter()
         self.attempt = 0
         self.unreachable: list[int] | None = None
@@ -415,7 +416,9 @@ class _Search:
 
     def _timed(self, root: Node, chain: list[Edge]) -> RobotPlan:
         route, task, forces = self._route(root, chain), self.solvability.task, self.settings.forces
-        return make_robot_plan(self.assembly, self.cell, task, self.oracle, route, root, chain, forces=forces)
+        return make_robot_plan(
+            self.assembly, self.cell, task, self.oracle, route, root, chain, forces=forces, timed=self.timed
+        )
 
     def _statistics(self) -> dict[str, Any]:
         return {

@@ -35,6 +35,8 @@ _JOIN_WIDTH = 6
 """States that it keeps at each step."""
 _JOIN_VERDICTS = 48
 """Verdicts that it asks for before it gives up: what does not join soon rarely does."""
+_FEWEST_JOIN_VERDICTS = 12
+"""What it asks for at least where ways that were found took fewer."""
 _VERDICTS_PER_WAY = 100
 """Verdicts that a way to solvable states may cost on average, before others are asked for only where none is known."""
 _FIRST_BEAM_WIDTH = 256
@@ -79,7 +81,8 @@ class SolvabilityCheck:
         self.postponed: tuple[int, ...] = ()
         self.fallen: tuple[Route, int] | None = None
         """Where `prepare` finds nothing: the plan that came farthest in its replay, and the state in which it falls."""
-        self._left = self._joined = 0
+        self._left = 0
+        self._costs: list[int] = []  # verdicts that each way to a solvable state took
         self.spent = 0
         """Verdicts that were asked for on ways to solvable states."""
         self._preferred: set[bytes] = set()
@@ -267,7 +270,7 @@ class SolvabilityCheck:
     @property
     def worth_asking(self) -> bool:
         """Whether states that were not known to be solvable turned out to be at a bearable cost so far."""
-        return self.spent <= _VERDICTS_PER_WAY * (self._joined + 3)
+        return self.spent <= _VERDICTS_PER_WAY * (len(self._costs) + 3)
 
     def _join(self, start: States) -> bool:
         """Search forwards from a stable state until one is met that is solvable; all on the way then are."""
@@ -281,9 +284,16 @@ class SolvabilityCheck:
                 if len(fallen):
                     continue
             self._solvable |= {state.tobytes() for state in way}
-            self._joined += 1
+            self._costs.append(self._allowance() - self._left)
             return True
         return False
+
+    def _allowance(self) -> int:
+        """Return the verdicts that a search for a way may ask for: somewhat more than most that were found took."""
+        if len(self._costs) < _JOIN_LEVELS:
+            return _JOIN_VERDICTS
+        usual = 1.5 * float(np.percentile(self._costs, 75))
+        return int(np.clip(usual, _FEWEST_JOIN_VERDICTS, _JOIN_VERDICTS))
 
     def _way_to_solvable(self, start: States, refused: set[bytes]) -> States | None:
         """Return states from a stable one to the last before one that is solvable; holds on the way are not judged.
@@ -292,7 +302,7 @@ class SolvabilityCheck:
             start: where to begin, shape (parts,).
             refused: states that are not stable.
         """
-        self._left = _JOIN_VERDICTS
+        self._left = self._allowance()
         ways: States = start[None, None]
         judged: States = start[None]  # on each way, the last state that has a verdict
         for _ in range(_JOIN_LEVELS):
