@@ -172,6 +172,17 @@ TABLES = {
         ),
         benchmark="margins plans",
     ),
+    "bricks": Table(
+        "bricks",
+        (("bricks", "{bricks}"), ("contact points", "{points}"), ("robots", "{robots}")),
+        (
+            ("steps of the plan", "{steps}"),
+            ("plan, s of processors", "{plan_processor_s}"),
+            ("verdict, ms of processors", "{verdict_processor_ms}"),
+            ("verdict from the state before, ms of processors", "{next_verdict_processor_ms}"),
+        ),
+        benchmark="bricks cost",
+    ),
     "first-minute": Table(
         "first_minute",
         (("command", "{what}"), ("compiled code", "{cache}")),

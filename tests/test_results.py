@@ -34,6 +34,7 @@ SMOKE = {
     "contact": ["all", "--structures", "arch:blocks=5", "--seeds", "1", "--repeat", "1"],
     "judges": ["plans", "--structures", "arch:blocks=5", "--draws", "1"],
     "margins": ["truth", "--cases", "1"],
+    "bricks": ["--heights", "1", "--repeats", "1"],
     "first_minute": ["--commands", "help", "--before", "", "--repeats", "1"],
     "scaling": ["--alone", "--parts", "60", "--repeats", "1"],
     "replan": ["complete", "--structures", "arch:blocks=5", "--seeds", "1"],

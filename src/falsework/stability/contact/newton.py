@@ -356,7 +356,9 @@ def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tole
         if result == RESTS and not tear(work, contact, pairs, mends):
             return result, residual, spent
         mend(work, contact, pairs)
-        contact.displacement[:] = begin
+        for j in range(len(begin)):  # entry by entry, lest the text of errors be compiled
+            for r in range(6):
+                contact.displacement[j, r] = begin[j, r]
     result, residual, taken = find_rest(
         structure, contact_structure, work, contact, pairs, steps, tolerance, first_step
     )
