@@ -130,6 +130,70 @@ def test_what_was_checked_is_known_to_judge(arch: Assembly, states: NDArray) -> 
     assert stability.counters.cpu + stability.counters.exact == before
 
 
+def judged(arch: Assembly) -> tuple[Stability, NDArray[np.uint8]]:
+    """An oracle of a complete arch and of it with one part held, each judged from the state before."""
+    stability = Stability(arch)
+    whole = complete_state(arch.boundary)
+    held = whole.copy()
+    held[4] = 2
+    assert stability.judge(np.stack([whole, held]), parents=np.stack([whole, whole])).stable.all()
+    return stability, np.stack([whole, held])
+
+
+def test_what_was_judged_is_proven_from_memory(arch: Assembly) -> None:
+    stability, states = judged(arch)
+    again, cold = stability.check_again(states), Stability(arch).check(states)
+    assert again.stable.all() and cold.stable.all()
+    assert (again.proof == Proof.DISPLACEMENT).all()
+    assert verify_certificates(arch, states, again, stability.settings.claim).all()
+    assert (again.iterations < cold.iterations).all()
+    assert balanced(stability)
+
+
+def test_nothing_is_proven_from_memory_that_was_not_judged(arch: Assembly) -> None:
+    stability, states = judged(arch)
+    other = states[1].copy()
+    other[5] = 2
+    assert stability.check_again(np.stack([other, states[0]])).stable.tolist() == [False, True]
+    assert Stability(arch).check_again(states).undecided.all()
+    equilibrium = Stability(arch, StabilitySettings(criterion="equilibrium"))
+    equilibrium.judge(states, parents=states)
+    assert equilibrium.check_again(states).undecided.all()
+
+
+def test_a_displacement_that_proves_nothing_is_not_passed_on(arch: Assembly) -> None:
+    stability, states = judged(arch)
+    fallen = states[0].copy()
+    fallen[3] = 0
+    assert stability.check(fallen).unstable[0]
+    stability._guesses[fallen.tobytes()] = stability._guesses[states[0].tobytes()]
+    assert stability.check_again(fallen[None]).undecided[0]
+
+
+def test_the_next_state_is_checked_from_the_one_before(arch: Assembly) -> None:
+    stability = Stability(arch)
+    whole = complete_state(arch.boundary)
+    held, fallen = whole.copy(), whole.copy()
+    held[4], fallen[4] = 2, 0
+    known = stability.check(np.stack([whole, whole]))
+    asked = stability.counters.asked
+    found = stability.check_next(np.stack([held, fallen]), np.stack([whole, whole]), known)
+    assert found.stable.tolist() == [True, False]
+    assert found.unstable.tolist() == [False, True]
+    assert verify_certificates(arch, np.stack([held, fallen]), found, stability.settings.claim).all()
+    assert stability.counters.asked == asked + 2
+    assert balanced(stability)
+
+
+def test_the_next_state_is_checked_from_rest_where_nothing_is_known_of_the_one_before(arch: Assembly) -> None:
+    stability = Stability(arch)
+    whole = complete_state(arch.boundary)
+    held = whole.copy()
+    held[4] = 2
+    for known in (stability.check(whole).without_certificates(), stability.check(np.where(whole == 1, 0, whole))):
+        assert stability.check_next(held[None], whole[None], known).stable[0]
+
+
 @pytest.mark.parametrize("structure", ["arch:blocks=9,thickness=0.25", "wall:bricks=4,courses=4", "dome"])
 def test_warm_starts_change_no_verdict(structure: str) -> None:
     """Children that start from their parent's forces get the verdicts that they get on their own."""

@@ -75,6 +75,8 @@ class Stability:
     """
 
     def __init__(self, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> None:
+        if settings.criterion == "equilibrium" and assembly.joints is not None and assembly.joints.setting:
+            raise InputError("joints that set need the criterion contact; equilibrium knows no steps")
         self.assembly = assembly
         self.settings = settings
         self.problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
@@ -161,6 +163,25 @@ class Stability:
                 verdict = self.check_next(state[None], neighbour[None], self.check(neighbour))
         return verdict
 
+    def check_again(self, states: States) -> Verdicts:
+        """Check states `(batch, parts)` from the displacements at which `judge` found them at rest.
+
+        Returns:
+            Verdicts of stable, with certificates; undecided where no displacement is in memory or it no longer proves
+            the state.
+        """
+        found = Verdicts.blank(len(states), points=self.problem.points, parts=self.problem.parts, displaced=True)
+        known = [row for row, state in enumerate(states) if state.tobytes() in self._guesses]
+        if not isinstance(self._cpu, ContactSolver) or self._choose(len(known)) is not self._cpu or not known:
+            return found
+        rows = np.array(known)
+        guess = np.array([self._guesses[states[row].tobytes()] for row in known], dtype=np.float64)
+        again = self._cpu.check(states[rows], parents=states[rows], guess=guess)
+        good = again.stable & self._accept(states[rows], again)
+        self._put(states[rows[good]], again[good])
+        found.put(rows[good], again[good])
+        return found
+
     def check_next(self, states: States, before: States, known: Verdicts) -> Verdicts:
         """Check states `(batch, parts)`, under `contact` first from the displacements `known` of those before them."""
         if not isinstance(self._cpu, ContactSolver) or known.displacement is None:
@@ -168,9 +189,7 @@ class Stability:
         guess = np.where(known.stable[:, None, None], known.displacement, np.nan)
         found = self._cpu.check(states, parents=before, guess=guess)
         good = found.stable & self._accept(states, found)
-        self.counters.asked += int(good.sum())
-        self._count(found[good])
-        self._cache.store(states[good], found.verdict[good], found.residual[good])
+        self._put(states[good], found[good])
         if not good.all():
             found.put(np.flatnonzero(~good), self.check(states[~good]))
         return found
@@ -378,6 +397,12 @@ class Stability:
             self._guesses[state.tobytes()] = guess
         while len(self._guesses) > self._guesses_limit:
             self._guesses.popitem(last=False)
+
+    def _put(self, states: States, verdicts: Verdicts) -> None:
+        """Count verdicts that were checked, and remember them."""
+        self.counters.asked += len(states)
+        self._count(verdicts)
+        self._cache.store(states, verdicts.verdict, verdicts.residual)
 
     def _count(self, verdicts: Verdicts) -> None:
         self.counters.cpu += int((verdicts.decided_by == Solver.CPU).sum())

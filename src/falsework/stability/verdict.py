@@ -164,8 +164,6 @@ class Verdicts:
 def proof_of(verdict: NDArray[np.int8], criterion: Criterion = "equilibrium") -> NDArray[np.int8]:
     """Return the kind of proof that belongs to each verdict; for `SLIDES` the forces that prove equilibrium."""
     stable = Proof.DISPLACEMENT if criterion == "contact" else Proof.FORCES
-    return np.select(
-        [verdict == Verdict.STABLE, verdict == Verdict.UNSTABLE, verdict == Verdict.SLIDES],
-        [stable, Proof.VELOCITY, Proof.FORCES],
-        Proof.NONE,
-    ).astype(np.int8)
+    by_verdict = {Verdict.SLIDES: Proof.FORCES, Verdict.UNSTABLE: Proof.VELOCITY, Verdict.STABLE: stable}
+    table = [int(by_verdict.get(kind, Proof.NONE)) for kind in sorted(Verdict)]
+    return np.array(table, dtype=np.int8)[verdict.astype(np.intp) - min(Verdict)]

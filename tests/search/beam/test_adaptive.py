@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ def test_wide_enough_it_decides_like_the_enumeration(rules: Any, direction: Dire
 
 def test_widens_and_becomes_narrow_again(rules: Any) -> None:
     """One hard place near the beginning, then easy going: the beam ends as narrow as it began."""
-    parts = 140
+    parts = 400
     oracle = rules.blocks(parts)
     # Part 90 carries everything else, and the guide puts it last among those that may go in first.
     oracle.supports[1:] = [[frozenset({90})] if part != 90 else [frozenset()] for part in range(1, parts)]
@@ -51,6 +52,43 @@ def test_widens_and_becomes_narrow_again(rules: Any) -> None:
     assert result.found
     assert beam.search.settings.width == 1
     assert len(beam.search.levels[-20].states) <= 1 + 64
+
+
+def test_comes_back_before_what_robots_are_bound_to(rules: Any) -> None:
+    """The guide begins with a part that only stands last of all: a robot waits at it while it could lay the others."""
+    parts = 8
+    oracle = rules.blocks(parts)
+    oracle.supports[7] = [frozenset(range(1, 7))]
+    oracle.supports[1:7] = [[frozenset({part - 1})] for part in range(1, 7)]
+    task = Task.create(rules.ground(parts), 1)
+    beam = AdaptiveBeam(task, oracle, AdaptiveSettings(), guide=misled)
+    search = beam.search
+    search.settings = replace(search.settings, lookahead=1)
+    search.run()
+    assert search.done and not search.found
+    assert search.bound() == (7, 1)
+    search.rewind(0, replace(search.settings, avoided=(7,)))
+    assert search.step()
+    assert search.levels[-1].states[0, 7] == 0
+
+
+def test_nothing_is_bound_where_states_hold_different_parts(rules: Any) -> None:
+    task = Task.create(rules.ground(5), 2)
+    search = AdaptiveBeam(task, rules.blocks(5), AdaptiveSettings()).search
+    assert search.bound() is None
+    search.step()
+    assert len(search.levels[-1].states) > 1
+    assert search.bound() is None
+
+
+@pytest.mark.parametrize("failures", range(12))
+def test_comes_back_wider_only_after_other_ways(failures: int) -> None:
+    """With more states ahead, with other holds, wider from near by; then three random ways, then wider from afar."""
+    settings = AdaptiveSettings(width=2)
+    beam = settings.beam(failures)
+    assert beam.width == (8 if failures in (3, 7, 8, 9, 10) else 32 if failures > 10 else 2)
+    assert (beam.disorder > 0) == (failures in (4, 5, 6, 8, 9, 10))
+    assert beam.lookahead == (64 if failures == 0 else 512 if failures > 10 else 256)
 
 
 def test_stops_in_between_and_goes_on(rules: Any) -> None:

@@ -40,6 +40,18 @@ def test_the_last_verdict_counts() -> None:
     assert known.failed(keys).tolist() == [False, False]
 
 
+def test_hopeless_where_nothing_held_can_be_let_go_of() -> None:
+    known = memory()
+    states = np.array([[2, 2, 0, 0, 0, 0, 0, 0], [2, 2, 0, 0, 2, 0, 0, 0], [2, 2, 2, 0, 0, 0, 0, 0]], dtype=np.uint8)
+    held = (states == 2) & (np.arange(8) != 0)
+    assert not known.hopeless(states, held, 1).any()
+    alone = states[:1].copy()
+    alone[0, 1] = 1
+    known.learn(known.keys(alone, np.array([1])), np.array([False]))
+    # The second holds a part that was not tried yet, the third one that may keep the first.
+    assert known.hopeless(states, held, 1).tolist() == [True, False, False]
+
+
 @pytest.mark.parametrize("direction", Direction)
 def test_impossible_stays_proven(rules: Any, direction: Direction) -> None:
     """An arch of six with one robot: moves that failed before are tried last, but they are tried."""

@@ -14,6 +14,9 @@ from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Progress, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
 
+_LOOKED_FARTHER, _BOUND_OTHERWISE, _WIDE_NEARBY = 1, 2, 3
+"""How the beam comes back the first times: with more states ahead; from before robots were bound to a part that they
+could not let go of, which is avoided; and wider, but from near by."""
 _TRIALS = 3
 """Times in a row that the beam comes back as narrow as it was, with other random preferences, before it is widened."""
 _DISORDER = 0.3
@@ -25,11 +28,13 @@ _RETREAT_FACTOR = 4
 _RETREAT_LEVELS = 8
 """... than so many levels; each trial of one width begins twice as far back as the last."""
 _LOOKAHEAD_STATES = 64
-"""States that need no verdict which the narrowest beam keeps, so that the next level has a choice."""
+"""States without a need for a verdict that the narrowest beam keeps, so that the next level has a choice."""
+_FARTHER_LOOKAHEAD = 256
+"""The same after a death."""
 _LOOKAHEAD_PER_WIDTH = 16
 """The same for wide beams, as a multiple of the width."""
 _PLACE = ("failures", "deaths", "farthest", "easy_from")
-"""What a beam remembers of the places where it died."""
+"""Fields of the memory of places where beams died."""
 
 
 @dataclass(frozen=True)
@@ -43,21 +48,27 @@ class AdaptiveSettings:
     seed: int = 0
     """Same seed, same machine, same result."""
 
-    def beam(self, failures: int, number: int = 0) -> BeamSettings:
+    def beam(self, failures: int, number: int = 0, avoided: tuple[int, ...] = ()) -> BeamSettings:
         """Return settings of the beam after so many deaths in a row at one place, and `number` deaths altogether."""
-        widened, trial = divmod(failures, _TRIALS + 1)
-        width = self.width * _WIDENING_FACTOR**widened
+        widened, trial = self.trial(failures)
+        width = self.width * _WIDENING_FACTOR ** (1 if failures == _WIDE_NEARBY else widened)
         return BeamSettings(
             width=width,
             direction=self.direction,
             diversity="none",
-            lookahead=max(_LOOKAHEAD_STATES, _LOOKAHEAD_PER_WIDTH * width),
+            lookahead=max(_LOOKAHEAD_STATES if failures == 0 else _FARTHER_LOOKAHEAD, _LOOKAHEAD_PER_WIDTH * width),
             commit=width == 1,
             retries=0,
             disorder=_DISORDER * trial,
+            avoided=avoided,
             number=number,
             seed=self.seed,
         )
+
+    @staticmethod
+    def trial(failures: int) -> tuple[int, int]:
+        """Return how often the beam is widened after so many deaths, and which trial of that width it is."""
+        return divmod(max(failures - _WIDE_NEARBY, 0), _TRIALS + 1)
 
 
 class AdaptiveBeam:
@@ -107,9 +118,7 @@ class AdaptiveBeam:
                 return result
             elif not self._widen(widest):
                 if not result.undecided and not result.sliding:
-                    limit = (
-                        f"beams of up to {self.search.settings.width} states a level died; wider ones may come through"
-                    )
+                    limit = f"beams up to a width of {self.search.settings.width} died; wider ones may come through"
                     result = replace(result, limit=limit)
                 return result
 
@@ -147,15 +156,22 @@ class AdaptiveBeam:
 
     def _widen(self, widest: int) -> bool:
         """Go back and come again, another way or wider; False if that would be too wide."""
-        level = len(self.search.levels) - 1
+        search = self.search
+        level = len(search.levels) - 1
         failures = 1 if level > self._farthest + 2 else self._failures + 1
-        settings = self.settings.beam(failures, self._deaths + 1)
-        if settings.width > widest:
+        robots, bound = search.task.robots, search.bound()
+        widened, trial = self.settings.trial(failures)
+        retreat, avoided = _RETREAT_LEVELS * _RETREAT_FACTOR**widened * 2 ** max(trial - 1, 0), ()
+        if failures == _LOOKED_FARTHER:
+            retreat = robots
+        elif failures == _BOUND_OTHERWISE and bound is not None:
+            part, since = bound
+            avoided, retreat = (part,), level - since + robots
+        if self.settings.width * _WIDENING_FACTOR**widened > widest:
             return False
+        settings = self.settings.beam(failures, self._deaths + 1, avoided)
         self._failures, self._farthest = failures, max(self._farthest, level)
         self._deaths += 1
         self._easy_from = self._farthest + 2 * _RETREAT_LEVELS
-        widened, trial = divmod(failures, _TRIALS + 1)
-        retreat = _RETREAT_LEVELS * _RETREAT_FACTOR**widened * 2 ** max(trial - 1, 0)
-        self.search.rewind(max(level - retreat, 0), settings)
+        search.rewind(max(level - retreat, 0), settings)
         return True

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import Mask, States
+from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
 from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier, Level, expand
@@ -31,6 +31,8 @@ _RETREAT_LEVELS = 8
 """Levels that a beam goes back when it is tried again ..."""
 _RETREAT_FACTOR = 4
 """... and this many times more each further time."""
+_RELUCTANCE = 1.0
+"""Scores of a guide are shares of 1; fixing a part that is avoided counts so much less."""
 _REPORTED_STATES = 64
 """States handed back as deepest and as rejected, at most."""
 
@@ -101,6 +103,9 @@ class BeamSearch(LevelSearch):
             if scores.shape != mask.shape:
                 raise InputError(f"the guide returned scores of shape {scores.shape}; expected {mask.shape}")
             score = score + scores[frontier.parent, frontier.action]
+        if settings.avoided:
+            avoided = np.isin(frontier.action % self.task.part_count, settings.avoided) & frontier.fixing
+            score = score - _RELUCTANCE * avoided
         if settings.disorder > 0:
             draw = np.random.default_rng((settings.seed, settings.number))
             preference = draw.uniform(-settings.disorder, settings.disorder, self.task.part_count)
@@ -188,6 +193,22 @@ class BeamSearch(LevelSearch):
                 stable = self._judge.stable(here.states[waiting], parents)
                 here.grounded[waiting] = np.where(stable, 1, -1)
         return here.grounded[rows] > 0
+
+    def bound(self) -> tuple[int, int] | None:
+        """Return the part that all states of the last level hold and have held longest, and since which level.
+
+        Returns:
+            None where they hold no part in common.
+        """
+        held = (self.levels[-1].states == HELD) & (self.task.origin(self.settings.direction) != HELD)
+        common, row = held.all(axis=0), 0
+        for level in range(len(self.levels) - 1, 0, -1):
+            row = int(self.levels[level].parent[row])
+            still = common & (self.levels[level - 1].states[row] == HELD)
+            if not still.any():
+                return None if not common.any() else (int(np.flatnonzero(common)[0]), level)
+            common = still
+        return None
 
     def rewind(self, level: int, settings: BeamSettings) -> None:
         """Discard all levels after `level` and continue from there with other settings.

@@ -56,6 +56,24 @@ class FailureMemory:
             keys[rows] ^= self._moved[part[rows], states[rows][np.arange(len(ring)), part[rows]]]
         return keys
 
+    def hopeless(self, states: States, held: Mask, loosened: int) -> Mask:
+        """Return in which states every robot holds a part that, when last tried, failed once it was let go of.
+
+        Args:
+            states: shape (batch, parts).
+            held: parts that robots hold, shape (batch, parts).
+            loosened: value of a part after that.
+
+        Returns:
+            Shape (batch,).
+        """
+        row, part = np.nonzero(held)
+        after = states[row]
+        after[np.arange(len(row)), part] = loosened
+        hopeless = np.ones(len(states), dtype=bool)
+        hopeless[row[~self.failed(self.keys(after, part))]] = False
+        return hopeless
+
     def failed(self, keys: NDArray[np.uint64]) -> Mask:
         """Return which moves failed when they were last tried. Shape (batch,)."""
         return np.array([self.known.get(key, False) for key in keys.tolist()], dtype=bool)

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import Mask, States
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
 from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier
 from falsework.search.beam.k_means import k_means
 from falsework.search.problem.oracle import CountingOracle
+from falsework.search.problem.task import Direction
 
 Rows = NDArray[np.int64]
 Confirmed = Callable[[Rows], Mask]
@@ -21,6 +22,8 @@ _ENOUGH = 4
 """Moves that failed before are tried where fewer than one in so many of the states wanted is found without them."""
 _THOROUGH_WIDTH = 64
 """States wanted from which all moves are tried: beams so wide are to prove that there is no plan."""
+_EXAMINED = 1024
+"""Candidates looked up in the memory of failures at once."""
 _VERDICT_BATCH = 2
 """Candidates asked for at once at least, once the first were not enough: enough to share two cores. The first mostly
 are, and a stable state costs ten times the verdict of one that falls."""
@@ -111,7 +114,23 @@ class Selector:
         fixed = self.order(np.flatnonzero(frontier.fixing), promise, lookahead)
         if commit and len(proven) >= width:
             fixed = fixed[held[fixed] <= held[proven].max()]
+        if self.failures is not None and width < _THOROUGH_WIDTH:
+            fixed = self._hopeful_first(fixed, lookahead, self.failures)
         return self._choice(np.concatenate([proven, fixed[:lookahead]]), rejected)
+
+    def _hopeful_first(self, fixed: Rows, wanted: int, failures: FailureMemory) -> Rows:
+        """Return candidates that fixing a part leads to, those first from which a move is left that has not failed."""
+        task, direction = self.frontier.task, self.frontier.direction
+        loosened = INSTALLED if direction is Direction.ASSEMBLY else REMOVED
+        hopeful: list[Rows] = []
+        hopeless: list[Rows] = []
+        while len(fixed) and sum(map(len, hopeful)) < wanted:
+            some, fixed = fixed[:_EXAMINED], fixed[_EXAMINED:]
+            states = self.frontier.states(some)
+            bad = failures.hopeless(states, (states == HELD) & ~task.boundary, loosened)
+            hopeful.append(some[~bad])
+            hopeless.append(some[bad])
+        return np.concatenate([*hopeful, *hopeless, fixed])
 
     def _likely_ones(
         self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmed

@@ -32,6 +32,8 @@ class BeamSettings:
     disorder: float = 0.0
     """Spread of a random preference for each part, which is added to the scores of the guide; above 0 where the order
     of the guide led to a dead end."""
+    avoided: tuple[int, ...] = ()
+    """Parts that are fixed after all others where the guide would fix them: robots could not let go of them again."""
     number: int = 0
     """Draws the preferences, together with the seed."""
     seed: int = 0
@@ -40,6 +42,7 @@ class BeamSettings:
     """Bound on candidates times parts that are written down and clustered at once; beyond it a random sample is."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "avoided", tuple(self.avoided))  # a list where it was read from a file
         if self.width < 1:
             raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
         if self.lookahead < 0:

@@ -7,16 +7,33 @@ contacts in equal increments; after each, points that slid keep the friction tha
 
 from __future__ import annotations
 
-from falsework.stability.contact.kernel import lacks_contact
+import numpy as np
+
+from falsework.stability.contact.kernel import NEAR_RINGS, lacks_contact
 from falsework.stability.contact.law import contact_force
-from falsework.stability.contact.newton import MOVES_AWAY, RESTS, evaluate, find_rest, make_contact_scratch
+from falsework.stability.contact.newton import (
+    MOVES_AWAY,
+    OPEN,
+    RESTS,
+    come_to_rest,
+    evaluate,
+    find_rest,
+    make_contact_scratch,
+    mend,
+)
 from falsework.stability.cpu.layout import make_scratch, restrict, set_gravity
+from falsework.stability.cpu.neighbourhood import hold_far_parts
 from falsework.utils.kernels import njit
 
 
 @njit(cache=True)
-def _load_history(structure, contact_structure, work, contact, pairs, springs):
-    """Bring stiffness, spring forces and gravity into the compact order of a state."""
+def _load_history(structure, contact_structure, state, work, contact, springs, torn, set_share, missing, share):
+    """Lay a state out with the spring forces that it remembers, under gravity less a share of the missing wrenches.
+
+    Returns:
+        How many pairs of parts act on each other, and how many parts can move.
+    """
+    pairs, count = restrict(structure, state, work)
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
         for j in range(work.start[p], work.start[p + 1]):
@@ -24,11 +41,22 @@ def _load_history(structure, contact_structure, work, contact, pairs, springs):
             contact.tangential[j] = contact_structure.tangential[j + shift]
             for k in range(3):
                 contact.offset[j, k] = springs[j + shift, k]
-    set_gravity(structure, work, contact.load)
+            if torn[j + shift]:
+                work.pull[j], work.stick[j] = 0.0, 0.0
+            elif len(set_share):
+                work.pull[j] *= set_share[j + shift]
+                work.stick[j] *= set_share[j + shift]
+    mend(work, contact, pairs)
+    set_gravity(structure, state, contact.load)
+    for j in range(len(work.free)):
+        if work.free[j]:
+            for r in range(6):
+                contact.load[j, r] -= share * missing[j, r]
+    return pairs, count
 
 
 @njit(cache=True)
-def _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs):
+def _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn):
     """Add the increment to the displacement, and remember the spring forces with friction cut back to the law."""
     order, turn = structure.elimination.order, structure.acceleration
     for j in range(len(work.free)):
@@ -42,8 +70,11 @@ def _keep_history(structure, contact_structure, work, contact, pairs, displaceme
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
         for j in range(work.start[p], work.start[p + 1]):
-            n = contact.trial[j, 0]
-            _, x, y = contact_force(structure.cone, structure.friction, n, contact.trial[j, 1], contact.trial[j, 2])
+            n, mu, pull, stick = contact.trial[j, 0], work.friction[j], contact.pull[j], contact.stick[j]
+            _, x, y = contact_force(structure.cone, mu, pull, stick, n, contact.trial[j, 1], contact.trial[j, 2])
+            if work.pull[j] + work.stick[j] > pull + stick:
+                torn[j + shift] = True
+                work.pull[j], work.stick[j] = 0.0, 0.0
             springs[j + shift, 0], springs[j + shift, 1], springs[j + shift, 2] = n, x, y
             contact.offset[j, 0], contact.offset[j, 1], contact.offset[j, 2] = n, x, y
     contact.displacement[:] = 0.0
@@ -59,14 +90,14 @@ def _movement(contact_structure, displacement, part):
 
 
 @njit(cache=True)
-def place_new(structure, before, state, noise, displacement, springs):
+def place_new(structure, before, state, noise, displacement, springs, torn):
     """Reset what a step brings in: parts where they were planned, contact points without force.
 
     Args:
         structure: see there.
         before, state: shape (parts,).
         noise: tangential spring forces of new contact points, shape (points, 2).
-        displacement, springs: the history, changed in place.
+        displacement, springs, torn: the history, changed in place.
     """
     for part in range(len(state)):
         if before[part] == 0 or state[part] == 0:
@@ -77,52 +108,109 @@ def place_new(structure, before, state, noise, displacement, springs):
         if before[a] == 0 or before[b] == 0 or state[a] == 0 or state[b] == 0:
             for j in range(structure.pair_start[q], structure.pair_start[q + 1]):
                 springs[j, 0], springs[j, 1], springs[j, 2] = 0.0, noise[j, 0], noise[j, 1]
+                torn[j] = False
 
 
 @njit(cache=True)
-def settle_step(structure, contact_structure, state, options, increments, work, contact, displacement, springs):
+def settle_step(
+    structure,
+    contact_structure,
+    before,
+    state,
+    options,
+    increments,
+    work,
+    contact,
+    near,
+    displacement,
+    springs,
+    torn,
+    set_share,
+):
     """Let a structure with history come to rest in a state.
+
+    The parts near the change come to rest first, the others staying where they are, since few of these move much.
 
     Args:
         structure, contact_structure, options, work, contact: see there.
-        state: shape (parts,).
+        before, state: shape (parts,).
         increments: in how many the missing wrenches are taken up; all of gravity where the history is empty.
         displacement: of the parts since they were placed, m and rad, shape (parts, 6); changed in place.
         springs: scaled spring forces of all contact points, shape (points, 3); changed in place.
+        near: scratch, shape (parts,).
+        torn: contact points whose tension was exceeded, shape (points,); changed in place.
+        set_share: share of its strength that each contact point has, shape (points,), or (0,) where it is all.
 
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations; the part that moved most, and its movement in m.
     """
-    pairs, count = restrict(structure, state, work)
+    missing = np.zeros((len(work.free), 6))
+    pairs, count = _load_history(
+        structure, contact_structure, state, work, contact, springs, torn, set_share, missing, 0.0
+    )
     if count == 0:
         return RESTS, 0.0, 0, -1, 0.0
-    _load_history(structure, contact_structure, work, contact, pairs, springs)
     contact.displacement[:] = 0.0
     spent, result, residual = 0, RESTS, 0.0
     evaluate(structure, work, contact, pairs, contact.displacement, contact.trial, contact.residual)
-    missing = contact.residual.copy()
-    load = contact.load.copy()
+    for j in range(len(work.free)):
+        if work.free[j]:
+            for r in range(6):
+                missing[j, r] = contact.residual[j, r]
     count = increments
     if lacks_contact(work, pairs):
         result, count = MOVES_AWAY, 0
+    kept, free = hold_far_parts(structure, state, before, NEAR_RINGS, near)
     for k in range(1, count + 1):
         share = 1.0 - k / count
-        for j in range(len(work.free)):
-            if work.free[j]:
-                for r in range(6):
-                    contact.load[j, r] = load[j, r] - share * missing[j, r]
-        result, residual, taken = find_rest(
-            structure,
-            contact_structure,
-            work,
-            contact,
-            pairs,
-            options.steps,
-            options.tolerance,
-            options.first_step,
+        result = OPEN
+        contact.displacement[:] = 0.0
+        if kept > 0 and 2 * kept <= free:
+            pairs, _ = _load_history(
+                structure, contact_structure, near, work, contact, springs, torn, set_share, missing, share
+            )
+            result, residual, taken = find_rest(
+                structure,
+                contact_structure,
+                work,
+                contact,
+                pairs,
+                options.near_steps,
+                options.tolerance,
+                options.first_step,
+            )
+            spent += taken
+        pairs, _ = _load_history(
+            structure, contact_structure, state, work, contact, springs, torn, set_share, missing, share
         )
-        spent += taken
-        _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs)
+        if result == RESTS:
+            result, residual, taken = come_to_rest(
+                structure,
+                contact_structure,
+                work,
+                contact,
+                pairs,
+                options.warm_steps,
+                options.tolerance,
+                options.warm_first_step,
+                work.start[pairs] < 0,
+            )
+            spent += taken
+        if result != RESTS:
+            contact.displacement[:] = 0.0
+            result, residual, taken = come_to_rest(
+                structure,
+                contact_structure,
+                work,
+                contact,
+                pairs,
+                options.steps,
+                options.tolerance,
+                options.first_step,
+                work.start[pairs] < 0,
+            )
+            spent += taken
+        _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn)
         if result != RESTS:
             break
     part, movement = -1, 0.0
@@ -147,6 +235,8 @@ def replay_range(
     noise,
     displacement,
     springs,
+    torn,
+    set_share,
     result,
     residual,
     iterations,
@@ -159,11 +249,13 @@ def replay_range(
         states: shape (steps + 1, parts); the history belongs to the first, unless `fresh`.
         fresh: whether the first state has no history.
         options, increments, noise: as in `settle_step` and `place_new`.
-        displacement, springs: the history before and after each state, shapes (steps + 1, parts, 6) and
-            (steps + 1, points, 3); the first entry is given, the others are written.
+        displacement, springs, torn: the history before and after each state, shapes (steps + 1, parts, 6),
+            (steps + 1, points, 3) and (steps + 1, points); the first entry is given, the others are written.
+        set_share: as in `settle_step`, shape (steps + 1, points) or (steps + 1, 0).
         result, residual, iterations, part, movement: out, one entry a state.
     """
     work, contact = make_scratch(structure), make_contact_scratch(structure)
+    near = np.empty(states.shape[1], np.uint8)
     for i in range(len(states)):
         settles = fresh
         if i > 0:
@@ -174,7 +266,8 @@ def replay_range(
             for j in range(springs.shape[1]):
                 for k in range(3):
                     springs[i, j, k] = springs[i - 1, j, k]
-            place_new(structure, states[i - 1], states[i], noise, displacement[i], springs[i])
+                torn[i, j] = torn[i - 1, j]
+            place_new(structure, states[i - 1], states[i], noise, displacement[i], springs[i], torn[i])
             settles = False
             for p in range(states.shape[1]):
                 # Holding a part changes nothing; letting go of one or taking one away does.
@@ -184,13 +277,17 @@ def replay_range(
             result[i], residual[i], iterations[i], part[i], movement[i] = settle_step(
                 structure,
                 contact_structure,
+                states[max(i - 1, 0)],
                 states[i],
                 options,
                 increments,
                 work,
                 contact,
+                near,
                 displacement[i],
                 springs[i],
+                torn[i],
+                set_share[i],
             )
             if result[i] != RESTS:
                 return i

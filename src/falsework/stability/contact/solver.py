@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,8 +18,12 @@ from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
-_WARM_STEPS = 16
-"""Iterations from the displacement of the parent before a state that may be in equilibrium is loaded from rest."""
+_WARM_STEPS = 64
+"""Iterations from the displacement of the parent before a state is tested for equilibrium; they go on where it is."""
+_MORE_STEPS = 64
+"""Iterations that follow in large structures where no certificate is asked for: a search has other states to try."""
+_NEAR_STEPS = 32
+"""Iterations of the parts near the difference before those of the whole structure."""
 _MANY_PARTS = 64
 """Free parts from which iterations start from the displacement of the parent even where a part is let go: in fewer, the
 parts near it, which come to rest first, are most of the structure."""
@@ -34,8 +36,8 @@ class ContactSolver:
     A state that differs from its parent is first searched for parts that fall near the difference, with a proof
     (`neighbourhood.py`). Then a displacement is looked for (`newton.py`), from that of the parent where it is known;
     where there is one the state is stable. Where there is none, the solver of the equilibrium problem says whether the
-    state is unstable, with its proof. If it is not, and was not loaded from rest yet, it is now; where that finds none
-    either, the state slides.
+    state is unstable, with its proof. If it is not, iterations that were on their way go on; where parts move away, the
+    state slides.
     """
 
     def __init__(self, assembly: Assembly, problem: Problem, settings: StabilitySettings) -> None:
@@ -45,7 +47,7 @@ class ContactSolver:
         self.contact_structure = build_contact_structure(assembly, problem, settings.gravity, settings.stiffness_ratio)
         self._options = kernel_options(settings)
         self.contact_options = ContactOptions(
-            settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS, FIRST_STEP, WARM_FIRST_STEP
+            settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS, _NEAR_STEPS, FIRST_STEP, WARM_FIRST_STEP
         )
         self._workers = Workers(settings.cpu.threads)
 
@@ -98,16 +100,16 @@ class ContactSolver:
         found = np.full(batch, RESTS, np.int8)
         cold = False  # forces hold no guess
 
-        def rest(chosen: States, origin: States, start: NDArray[np.float64], *arrays: NDArray[Any]) -> int:
-            kernel = self.structure, self.contact_structure, chosen, origin, self.contact_options
-            return rest_range(*kernel, start, *arrays)
-
-        def load_from_rest(rows: NDArray[np.intp]) -> None:
-            count, chosen = len(rows), states[rows]
-            start, force = np.zeros((count, problem.parts, 6)), forces[rows] if len(forces) else forces
-            verdict, residual = np.full(count, UNDECIDED, verdicts.verdict.dtype), verdicts.residual[rows]
+        def go_on(rows: NDArray[np.intp]) -> None:
+            """Iterate on from where iterations ended; arrays that are indexed by `rows` are copies."""
+            chosen, start, force = states[rows], displacement[rows], forces[rows] if len(forces) else forces
+            verdict, residual = np.full(len(rows), UNDECIDED, verdicts.verdict.dtype), verdicts.residual[rows]
             taken, result = steps[rows], found[rows]
-            rest(chosen, chosen, start, force, np.zeros(count, bool), verdict, residual, taken, result)
+            many = not certificates and (chosen == INSTALLED).sum(axis=1).max() >= _MANY_PARTS
+            limit = min(_MORE_STEPS, self.contact_options.steps) if many else self.contact_options.steps
+            options = self.contact_options._replace(warm_steps=limit)
+            kernel = self.structure, self.contact_structure, chosen, chosen, options
+            rest_range(*kernel, start, force, np.ones(len(rows), bool), verdict, residual, taken, result)
             displacement[rows], steps[rows], found[rows] = start, taken, result
             at_rest = rows[result == RESTS]
             verdicts.verdict[at_rest], verdicts.residual[at_rest] = STABLE, residual[result == RESTS]
@@ -125,13 +127,12 @@ class ContactSolver:
                 and not fall_range(self.structure, chosen, parents[rows], RINGS, self._options, motion, *tail)
             ):
                 return
-            if rest(
-                chosen, origins[rows], displacement[rows], force, warm[rows], verdict, residual, taken, found[rows]
-            ):
+            kernel = self.structure, self.contact_structure, chosen, origins[rows], self.contact_options
+            if rest_range(*kernel, displacement[rows], force, warm[rows], verdict, residual, taken, found[rows]):
                 solve_range(self.structure, chosen, self._options, force, motion, cold, *tail)
-                again = np.flatnonzero(warm[rows] & (found[rows] != RESTS) & (verdict != UNSTABLE))
+                again = np.flatnonzero(warm[rows] & (found[rows] == OPEN) & (verdict != UNSTABLE))
                 if len(again):
-                    load_from_rest(again + rows.start)
+                    go_on(again + rows.start)
 
         self._workers.run(work, batch)
         verdict, moves = verdicts.verdict, found == MOVES_AWAY

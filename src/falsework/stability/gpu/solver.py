@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
+from falsework.errors import InputError
 from falsework.stability.contact.kernel import build_contact_structure
 from falsework.stability.cpu.cones import CONES
 from falsework.stability.gpu.contact_layout import add_contact
@@ -104,6 +105,8 @@ class GpuSolver:
         *,
         make_driver: Callable[[dict[str, int]], Driver] | None = None,
     ) -> None:
+        if assembly.joints is not None:
+            raise InputError("joints are not checked on a GPU; use the solver cpu (--solver cpu) or auto")
         self.problem = problem
         self.settings = settings
         self.layout = build_layout(problem)
