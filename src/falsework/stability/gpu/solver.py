@@ -80,9 +80,9 @@ class GpuSolver:
 
     The same methods as on the processor, with the same certificates. Of the equilibrium problem (`CpuSolver`), ADMM
     iterates in float32, both proofs are found in float64, and an interior point method in float64 takes what ADMM
-    leaves open (`docs/decisions/0011`). Under the criterion `contact` (`ContactSolver`), Newton iterations in float64
-    then say which of the states that are not proven unstable come to rest (`docs/decisions/0013`). Each method is one
-    kernel; lists on the device hand states from one to the next.
+    leaves open (`docs/decisions/0011`). Under the criterion `contact` (`ContactSolver`), Newton iterations say which of
+    the states that are not proven unstable come to rest, with steps in float32 and proofs in float64
+    (`docs/decisions/0013`). Lists on the device hand states from one kernel to the next.
 
     Args:
         assembly: the structure.
