@@ -152,14 +152,14 @@ def test_says_how_far_it_came(rules: Any) -> None:
 
 def test_no_plan_found_is_not_no_plan(rules: Any) -> None:
     """With width one and no choice ahead of a hard place the planner gives up, and says that it did."""
-    oracle = rules.blocks(200)
-    # Everything needs part 199, which the guide tries last; 64 candidates ahead do not reach it.
-    oracle.supports[1:] = [[frozenset({199})] if part != 199 else [frozenset()] for part in range(1, 200)]
+    oracle = rules.blocks(400)
+    # Everything needs part 399, which the guide tries last; 256 candidates ahead do not reach it.
+    oracle.supports[1:] = [[frozenset({399})] if part != 399 else [frozenset()] for part in range(1, 400)]
 
     def guide(states: Any, actions: Any, direction: Direction) -> Any:
-        return np.tile(-np.arange(200.0), 2)[None].repeat(len(states), axis=0)
+        return np.tile(-np.arange(400.0), 2)[None].repeat(len(states), axis=0)
 
-    task = Task.create(rules.ground(200), 1)
+    task = Task.create(rules.ground(400), 1)
     settings = PlannerSettings(width=1, directions=(Direction.ASSEMBLY,))
     result = Planner(task, oracle, settings, guide=guide).run()
     assert result.outcome is Outcome.NOT_FOUND

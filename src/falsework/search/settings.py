@@ -24,7 +24,7 @@ class PlannerSettings:
     """Effort of a search for plans."""
 
     width: int = 64
-    """Widest beam that is tried before giving up."""
+    """Widest beam that is tried before giving up, except for some levels where a beam died."""
     directions: tuple[Direction, ...] = _BOTH
     """Ends from which to search, in turn."""
     alternatives: int = 1

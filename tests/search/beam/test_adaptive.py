@@ -65,7 +65,8 @@ def test_comes_back_before_what_robots_are_bound_to(rules: Any) -> None:
     search = beam.search
     search.settings = replace(search.settings, lookahead=1)
     search.run()
-    assert search.done and not search.found
+    assert search.done
+    assert not search.found
     assert search.bound() == (7, 1)
     search.rewind(0, replace(search.settings, avoided=(7,)))
     assert search.step()

@@ -74,10 +74,12 @@ class AdaptiveSettings:
 class AdaptiveBeam:
     """Beam search that takes another way where it dies, then a wider one, and narrows again afterwards.
 
-    Where the beam dies, it is taken back some levels and prefers other parts, at random; if it dies there again, back
-    farther, and after some trials wider. A narrow beam that takes another way costs a fraction of a wide one, whose
-    states are mostly the same parts in another order. Once it is well past the place, it follows its guide again, and
-    is narrow. Verdicts asked before are in the oracle's memory, so going over the same ground costs little.
+    Where the beam dies, it first comes back from near by: with more states ahead, then without binding a robot to the
+    part that all its last states hold, then wider. After that it is taken back some levels and prefers other parts, at
+    random; if it dies there again, back farther, and after some trials wider. A narrow beam that takes another way
+    costs a fraction of a wide one, whose states are mostly the same parts in another order. Once it is well past the
+    place, it follows its guide again, and is narrow. Verdicts asked before are in the oracle's memory, so going over
+    the same ground costs little.
     """
 
     def __init__(self, task: Task, oracle: Oracle, settings: AdaptiveSettings, *, guide: Guide | None = None) -> None:
@@ -97,7 +99,7 @@ class AdaptiveBeam:
         """Search until the goal is reached, a beam wider than `widest` would be needed, or `stop` returns true.
 
         Args:
-            widest: limit on the width; run again with a larger one to go on.
+            widest: limit on the width, except near by where the beam dies; run again with a larger one to go on.
             progress: called after every level.
             stop: asked before every level.
         """
