@@ -38,7 +38,7 @@ def fewest(rules: str) -> Callable[[Runs, Runs], str]:
     """Return a column with the fewest robots with which a plan was found under some rules."""
 
     def write(runs: Runs, _: Runs) -> str:
-        answer = runs[0].get(rules)
+        answer = next((run[rules] for run in runs if rules in run), None)
         if answer is None:
             return ""
         return "not found" if answer["robots"] is None else str(answer["robots"])
@@ -549,6 +549,7 @@ TABLES = {
             ("holding again", fewest("again")),
             ("and one prop", fewest("props_1")),
             ("and two props", fewest("props_2")),
+            ("deadline of each question, s", "{deadline}"),
         ),
         benchmark="support robots",
     ),

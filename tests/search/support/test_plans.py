@@ -164,11 +164,17 @@ def test_props_replace_a_robot(propped: Plan, propped_arch: Assembly) -> None:
 
 
 def test_a_plan_has_only_the_props_that_it_uses(propped_arch: Assembly) -> None:
-    """Two robots need none, so the plan is one of the arch without places for any."""
-    plan = find_plans(propped_arch, robots=2, support=True, props=1).plans[0]
+    """Of a route that uses none, it is a plan of the arch without places for any."""
+    arch = keep_props(propped_arch, [])
+    plain = find_plans(arch, robots=2, forces=False).plans[0]
+    away = np.zeros((len(plain.states), len(propped_arch.props)), dtype=np.uint8)
+    route = SupportRoute.through(np.concatenate([plain.states, away], axis=1))
+    task = task_of(propped_arch, 2, support=True, props=1)
+    plan = plan_of(route, propped_arch, task, Stability(propped_arch))
     assert plan.props == ()
     assert not plan.support
-    assert plan.identity == keep_props(propped_arch, []).identity
+    assert plan.identity == arch.identity
+    assert np.array_equal(plan.states, plain.states)
 
 
 def test_files_of_props(propped: Plan, tmp_path: Path) -> None:
