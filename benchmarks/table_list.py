@@ -524,6 +524,29 @@ TABLES = {
         ),
         where=lambda record: "checked_good" in record and quiet(record),
     ),
+    "robots-contact": Table(
+        "robots",
+        (("cell", "{cell}"), ("arms", "{robots}")),
+        (
+            ("plan found", "{found}"),
+            ("CPU time, s", "{cpu_seconds}"),
+            ("searches", "{attempts}"),
+            ("dead ends", "{dead_ends}"),
+            ("passed the independent check", "{check}"),
+        ),
+        benchmark="robots plan",
+        where=lambda record: record.get("criterion") == "contact",
+    ),
+    "robots-midway": Table(
+        "robots",
+        (("cell", "{cell}"), ("arms", "{robots}")),
+        (
+            ("plans from midway", "{runs}"),
+            ("CPU time, s", "{fresh_cpu_seconds}"),
+            ("CPU time with graph and verdicts of the first plan, s", "{kept_cpu_seconds}"),
+        ),
+        benchmark="robots midway",
+    ),
     "robots-together": Table(
         "robots",
         (("cell", "{cell}"),),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from falsework.errors import InputError, StateError
 from falsework.robots.model.cell import Cell, Obstacle, Placement
 from falsework.robots.model.shapes import block
 from falsework.robots.planning.hybrid_planner import HybridResult, HybridSettings, plan_robots
-from falsework.robots.planning.keyframe_graph import KeyframeSettings
+from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Direction, Task
 from falsework.search.plans.plan_check import validate_plan
@@ -172,6 +172,34 @@ def test_a_partial_plan_is_a_plan(column: Assembly, cell: Cell, oracle: Stabilit
     assert validate_plan(found.partial.plan, column).good
     assert found.partial.statistics["failure"]["outcome"] == "not_found"
     assert found.explanation.hopeless is not None
+
+
+def test_a_dead_end_leads_back_to_the_hold_that_causes_it(
+    column: Assembly, cell: Cell, oracle: Stability, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first grip of the plan lets its part never go: what other arms do meanwhile is not varied before it."""
+
+    def dead_ends() -> int:
+        graph, parts, bad = KeyframeGraph(column, cell), column.part_count, []
+        plain = graph.edges
+
+        def edges(node: Node, action: int) -> Iterator[Edge]:
+            for edge in plain(node, action):
+                robot = edge.robot
+                if not bad:
+                    bad.append((robot, action + parts, edge.node.configurations[robot].tobytes()))
+                if (robot, action, node.configurations[robot].tobytes()) not in bad:
+                    yield edge
+
+        monkeypatch.setattr(graph, "edges", edges)
+        result = plan_robots(column, cell, graph=graph, oracle=oracle)
+        assert result.found
+        assert bad
+        return result.statistics["dead_ends"]
+
+    found = dead_ends()
+    monkeypatch.setattr("falsework.robots.planning.hybrid_planner._Search._blamed", lambda *_: set())
+    assert 0 < found < dead_ends()
 
 
 def test_a_structure_that_locks_itself_is_proven_so(cell: Cell) -> None:

@@ -154,6 +154,15 @@ def test_another_abstract_plan_costs_a_bounded_number_of_verdicts(monkeypatch: p
     assert len(solvability) == known
 
 
+def test_ways_that_are_never_found_cost_little_more_than_those_that_are() -> None:
+    solvability = SolvabilityCheck(ARCH, TASK, Stability(ARCH))
+    assert solvability.prepare().found
+    first, state = solvability._allowance(), complete_state(ARCH.boundary)
+    solvability._costs = [1] * 20
+    assert solvability._allowance() < first
+    assert any(solvability.solvable(state, action) for action in solvability.legal(state))
+
+
 def test_a_forbidden_state_takes_its_only_ways_with_it() -> None:
     """One part at a time on one way: whatever comes before the forbidden state is not solvable any more."""
     oracle = Stability(ARCH)

@@ -293,11 +293,7 @@ class _Search:
         tried, probes, worked = 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         idle: list[Edge] = []
         before = self.solvability.spent
-        actions = self.ranking.actions(node, self.attempt, rng)
-        if not self.solvability.worth_asking:
-            probes = 0
-            actions.sort(key=lambda action: not self.solvability.known(node.state, action))
-        for action in actions:
+        for action in self.ranking.actions(node, self.attempt, rng):
             if (node.key, action) in self.impossible or self.deadline_passed():
                 continue
             if not self.solvability.known(node.state, action):

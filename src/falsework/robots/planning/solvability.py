@@ -37,8 +37,6 @@ _JOIN_VERDICTS = 48
 """Verdicts that it asks for before it gives up: what does not join soon rarely does."""
 _FEWEST_JOIN_VERDICTS = 12
 """What it asks for at least where ways that were found took fewer."""
-_VERDICTS_PER_WAY = 100
-"""Verdicts that a way to solvable states may cost on average, before others are asked for only where none is known."""
 _FIRST_BEAM_WIDTH = 256
 """Widest beam for the first plan."""
 _VARIED_BEAM_WIDTH = 16
@@ -266,11 +264,6 @@ class SolvabilityCheck:
 
     def _after(self, state: States, action: int) -> States:
         return self.task.follow(state[None], np.array([action]), Direction.DISASSEMBLY)[0]
-
-    @property
-    def worth_asking(self) -> bool:
-        """Whether states that were not known to be solvable turned out to be at a bearable cost so far."""
-        return self.spent <= _VERDICTS_PER_WAY * (len(self._costs) + 3)
 
     def _join(self, start: States) -> bool:
         """Search forwards from a stable state until one is met that is solvable; all on the way then are."""
