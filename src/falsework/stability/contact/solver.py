@@ -49,6 +49,8 @@ class ContactSolver:
         self.contact_options = ContactOptions(
             settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS, _NEAR_STEPS, FIRST_STEP, WARM_FIRST_STEP
         )
+        self._quick = self.contact_options._replace(steps=0, warm_steps=0)
+        self._pulls = bool(problem.strength.pull.any())
         self._workers = Workers(settings.cpu.threads)
 
     def check(
@@ -100,6 +102,15 @@ class ContactSolver:
         found = np.full(batch, RESTS, np.int8)
         cold = False  # forces hold no guess
 
+        def stay(rows: slice) -> bool:
+            """Find the states that joints which pull hold where they are, in an iteration or two; return if all."""
+            start, verdict, residual = displacement[rows].copy(), verdicts.verdict[rows], verdicts.residual[rows]
+            kernel = self.structure, self.contact_structure, states[rows], states[rows], self._quick
+            cold_start = np.zeros(len(start), bool)
+            left = rest_range(*kernel, start, forces[rows], cold_start, verdict, residual, steps[rows], found[rows])
+            displacement[rows] = np.where((verdict == STABLE)[:, None, None], start, displacement[rows])
+            return left == 0
+
         def go_on(rows: NDArray[np.intp]) -> None:
             """Iterate on from where iterations ended; arrays that are indexed by `rows` are copies."""
             chosen, start, force = states[rows], displacement[rows], forces[rows] if len(forces) else forces
@@ -120,6 +131,8 @@ class ContactSolver:
             verdict, residual, taken = verdicts.verdict[rows], verdicts.residual[rows], steps[rows]
             tail = verdict, residual, verdicts.iterations[rows], taken
             motion, force, chosen = velocity[rows], forces[rows], states[rows]
+            if self._pulls and stay(rows):
+                return
             # Proofs are asked for mostly of states that stand.
             if (
                 parents is not None
