@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.search.problem.result import Route
+
 Array = NDArray[np.float64]
 
 
@@ -86,6 +88,25 @@ class Explanation:
             "details": list(self.details),
             "text": self.text,
         }
+
+
+def fall_in_words(what: str, route: Route, row: int, names: Sequence[str], plans: int = 0) -> str:
+    """Return in words where the replay of a plan falls.
+
+    Args:
+        what: the plan.
+        route: its states and actions.
+        row: the state, by its number in the order of assembly.
+        names: of the parts.
+        plans: how many such plans there were.
+    """
+    place = "at the beginning"
+    if row:
+        action, parts = int(route.actions[::-1][row - 1]), len(names)
+        doing = "inserting" if action >= parts else "releasing"
+        place = f"at step {row} of assembly, {doing} {names[action % parts]}"
+    counted = f" ({plans} such plans)" if plans else ""
+    return f"every state of a {what} stood, but built up in order it fell {place}{counted}"
 
 
 def explain(

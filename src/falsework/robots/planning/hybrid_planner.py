@@ -23,8 +23,9 @@ from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic
+from falsework.robots.planning.dead_ends import FailedActions
 from falsework.robots.planning.expected_times import BalanceGuide
-from falsework.robots.planning.failure_report import Explanation, explain
+from falsework.robots.planning.failure_report import Explanation, explain, fall_in_words
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
 from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node, PathSegment
 from falsework.robots.planning.progress import HybridProgress, Progress
@@ -163,8 +164,7 @@ class _Search:
         self.best: list[Edge] = []
         self.tried: Counter[tuple[str, int]] = Counter()
         self.dead: set[bytes] = set()
-        self.impossible: dict[tuple[bytes, int], set[int]] = {}
-        """Actions that fail at keyframes, with the robots that are in their way."""
+        self.failures = FailedActions(self.graph, self.solvability)
         self.timed: dict[PathSegment, Trajectory | None] = {}
         self.counts: Counter[str] = Counter()
         self.attempt = 0
@@ -178,8 +178,7 @@ class _Search:
         self.abstract = self.solvability.prepare(self.deadline_passed)
         if not self.abstract.found:
             if self.solvability.fallen is not None:
-                place = self._place(*self.solvability.fallen)
-                self.fallen = f"every state of a plan stood, but built up in order it fell {place}"
+                self.fallen = fall_in_words("plan", *self.solvability.fallen, self.assembly.names)
             return self.failed(root, self._abstract_outcome(), self.fallen)
         if self.task.steps == 0:
             return self.solved(root, [])
@@ -206,21 +205,11 @@ class _Search:
                 limit = f"{self.attempt} searches did not do{f'; {self.fallen}' if self.fallen else ''}"
         return self.failed(root, "not_found", limit)
 
-    def _place(self, route: Route, row: int) -> str:
-        """Return a state in the order of assembly, in words."""
-        if row == 0:
-            return "at the beginning"
-        action, parts = int(route.actions[::-1][row - 1]), self.assembly.part_count
-        doing = "inserting" if action >= parts else "releasing"
-        return f"at step {row} of assembly, {doing} {self.assembly.names[action % parts]}"
-
     def depth_first_pass(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
         """Return the edges of a plan whose replay stands by one search in depth; None after too many dead ends."""
-        nodes, chain = [root], []
-        options = [self._options(root, rng)]
+        nodes, chain, options = [root], [], [self._options(root, rng)]
         causes: list[set[int]] = [set()]  # of the dead ends after each keyframe: numbers of earlier edges
         dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
-        target = self.task.target
         while nodes:
             if self.deadline_passed():
                 return None
@@ -228,7 +217,7 @@ class _Search:
             if edge is None:
                 self.dead.add(nodes[-1].key)
                 self._note_dead_end(nodes[-1], len(chain))
-                blamed = causes[-1] | self._blamed(nodes[-1], chain)
+                blamed = causes[-1] | self.failures.blamed(nodes[-1], chain)
                 back = max(blamed, default=len(chain) - 1)
                 del nodes[back + 1 :], options[back + 1 :], causes[back + 1 :], chain[max(back, 0) :]
                 if nodes:
@@ -243,7 +232,7 @@ class _Search:
                 self.best = list(chain)
                 self.tried.clear()
             self._report(dead_ends)
-            if np.array_equal(edge.node.state, target):
+            if np.array_equal(edge.node.state, self.task.target):
                 keep = self._keyframes_before_fall(root, chain)
                 if keep is None:
                     return chain
@@ -269,10 +258,7 @@ class _Search:
         if row is None:
             return None
         self.counts["replays_fallen"] += 1
-        self.fallen = (
-            f"every state of a plan with motions stood, but built up in order it fell {self._place(route, row)} "
-            f"({self.counts['replays_fallen']} such plans)"
-        )
+        self.fallen = fall_in_words("plan with motions", route, row, self.assembly.names, self.counts["replays_fallen"])
         self.best = []  # what falls is not handed back as a part of a plan either
         self.dead.clear()
         forbidden = self.solvability.forbid(route, row)
@@ -280,28 +266,23 @@ class _Search:
             return 0
         return len(chain) - forbidden
 
-    def _blamed(self, node: Node, chain: list[Edge]) -> set[int]:
-        """Return the holds, numbers of edges, without which an action that failed at a keyframe might not have."""
-        robots: set[int] = set()
-        for action in self.solvability.legal(node.state):
-            robots |= self.impossible.get((node.key, action), set())
-        last = {edge.robot: number for number, edge in enumerate(chain)}
-        return {last[robot] for robot in robots if node.held[robot] is not None and robot in last}
-
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Yield edges out of a keyframe in the order in which to try them."""
         tried, probes, worked = 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         idle: list[Edge] = []
-        before = self.solvability.spent
+        verdicts = 0
         for action in self.ranking.actions(node, self.attempt, rng):
-            if (node.key, action) in self.impossible or self.deadline_passed():
+            if (node, action) in self.failures or self.deadline_passed():
                 continue
             if not self.solvability.known(node.state, action):
                 # Where nothing has worked yet, there is no cheaper way on than to ask, or than going back at last.
-                if (probes <= 0 and worked) or self.solvability.spent - before > _LAST_VERDICTS:
+                if (probes <= 0 and worked) or verdicts > _LAST_VERDICTS:
                     continue
                 probes -= 1
-            if not self.solvability.solvable(node.state, action):
+            spent = self.solvability.spent
+            solvable = self.solvability.solvable(node.state, action)
+            verdicts += self.solvability.spent - spent
+            if not solvable:
                 self.counts["unsolvable"] += 1
                 continue
             self.counts["actions"] += 1
@@ -318,36 +299,24 @@ class _Search:
             worked |= found > 0
             if not found:
                 self.counts["rejected"] += 1
-                self.impossible[node.key, action] = self._in_the_way(node, action)
+                self.failures.add(node, action)
             tried += 1
             if tried == _ACTIONS_PER_KEYFRAME:
                 break
         yield from idle
 
-    def _in_the_way(self, node: Node, action: int) -> set[int]:
-        """Return the robots that kept an action from success: those that others met, and one with a useless grip."""
-        parts, names = self.assembly.part_count, [robot.name for robot in self.cell.robots]
-        # Another grip might have let a part go.
-        found = {node.held.index(action - parts)} if action >= parts else set()
-        for reason in self.graph.reasons.recent:
-            for body in reason.pair or ():
-                found |= {k for k, name in enumerate(names) if k != reason.robot and body.startswith(f"{name} ")}
-        return found
-
     def _note_dead_end(self, node: Node, depth: int) -> None:
         """Actions that failed where the search came farthest."""
         if depth < len(self.best):
             return
-        parts = self.assembly.part_count
-        for action in self.solvability.legal(node.state):
-            if (node.key, action) in self.impossible:
-                self.tried["hold" if action < parts else "remove", action % parts] += 1
+        for action in self.failures.of(node):
+            self.tried["hold" if action < len(node.state) else "remove", action % len(node.state)] += 1
 
     def _hopeless(self) -> bool:
         """Return whether a part must leave that no robot can hold even where it stands alone."""
         if self.unreachable is None:
-            leaving = np.flatnonzero((self.task.target == REMOVED) & (self.task.start != REMOVED))
-            self.unreachable = [part for part in leaving.tolist() if not self.graph.reachable(part)]
+            leaving = np.flatnonzero((self.task.target == REMOVED) & (self.task.start != REMOVED)).tolist()
+            self.unreachable = [part for part in leaving if not self.graph.reachable(part)]
         return bool(self.unreachable)
 
     def deadline_passed(self) -> bool:
@@ -422,11 +391,7 @@ class _Search:
             "seed": self.settings.seed,
             "seconds": round(time.perf_counter() - self.began, 3),
             "attempts": self.attempt,
-            "dead_ends": self.counts["dead_ends"],
-            "actions": self.counts["actions"],
-            "rejected": self.counts["rejected"],
-            "unsolvable": self.counts["unsolvable"],
-            "replays_fallen": self.counts["replays_fallen"],
+            **{key: self.counts[key] for key in ("dead_ends", "actions", "rejected", "unsolvable", "replays_fallen")},
             "solvable_states": len(self.solvability),
             "free_motions": self.graph.cache.motions,
             "free_motions_used_again": self.graph.cache.motions_kept,

@@ -1,0 +1,56 @@
+"""Actions that fail at keyframes, and the holds that are to blame: where a search goes back to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, Node
+from falsework.robots.planning.solvability import SolvabilityCheck
+
+
+class FailedActions:
+    """Actions without a motion, each with the robots that are in its way.
+
+    Conflict-directed backjumping: Prosser, Hybrid algorithms for the constraint satisfaction problem (1993).
+    """
+
+    def __init__(self, graph: KeyframeGraph, solvability: SolvabilityCheck) -> None:
+        """Nothing has failed yet.
+
+        Args:
+            graph: keyframes, which log why motions fail.
+            solvability: knows the legal actions.
+        """
+        self.graph, self.solvability = graph, solvability
+        self._robots: dict[tuple[bytes, int], set[int]] = {}
+
+    def __contains__(self, entry: tuple[Node, int]) -> bool:
+        node, action = entry
+        return (node.key, action) in self._robots
+
+    def add(self, node: Node, action: int) -> None:
+        """Note an action that has just failed: in its way are robots that others met, and the one with the part."""
+        parts, names = self.graph.assembly.part_count, [robot.name for robot in self.graph.cell.robots]
+        found = {node.held.index(action - parts)} if action >= parts else set()
+        for reason in self.graph.reasons.recent:
+            for body in reason.pair or ():
+                found |= {k for k, name in enumerate(names) if k != reason.robot and body.startswith(f"{name} ")}
+        self._robots[node.key, action] = found
+
+    def of(self, node: Node) -> list[int]:
+        """Return the actions that have failed at a keyframe."""
+        return [action for action in self.solvability.legal(node.state) if (node, action) in self]
+
+    def blamed(self, node: Node, chain: Sequence[Edge]) -> set[int]:
+        """Return the holds without which an action that failed at a keyframe might not have.
+
+        Args:
+            node: the keyframe.
+            chain: the edges that lead to it.
+
+        Returns:
+            Numbers of edges.
+        """
+        robots = {robot for action in self.of(node) for robot in self._robots[node.key, action]}
+        last = {edge.robot: number for number, edge in enumerate(chain)}
+        return {last[robot] for robot in robots if node.held[robot] is not None and robot in last}
