@@ -80,3 +80,16 @@ def _keys(states: States) -> list[tuple[bytes, int]]:
     present = np.packbits(states != REMOVED, axis=1)
     held = np.packbits(states == HELD, axis=1)
     return [(p.tobytes(), int.from_bytes(h.tobytes(), "big")) for p, h in zip(present, held, strict=True)]
+
+
+def unique_rows(states: States) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first row of every distinct state, and which of them each row is."""
+    keys = np.ascontiguousarray(states).view(np.dtype((np.void, states.shape[1]))).ravel()
+    _, first, back = np.unique(keys, return_index=True, return_inverse=True)
+    return first, back
+
+
+def unique_states(states: States) -> tuple[States, NDArray[np.intp]]:
+    """Return every distinct state once, and which of them each row is."""
+    first, back = unique_rows(states)
+    return states[first], back

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -14,10 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states
 from falsework.errors import InputError
-from falsework.stability.cache import VerdictCache
+from falsework.stability.cache import VerdictCache, unique_rows, unique_states
 from falsework.stability.certificate import verify_certificates
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
+from falsework.stability.counters import Counters
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.margins.conditions import Prober
@@ -37,34 +37,6 @@ _BATCH = 32 * 1024 * 1024
 """Bytes of contact forces or displacements in work at once."""
 _WORTH_A_GPU = 8
 """States from which `auto` takes the GPU: a launch costs what the processor needs for a few states."""
-
-
-@dataclass
-class Counters:
-    """Numbers of queries to the oracle, by the solver that answered."""
-
-    asked: int = 0
-    """Number of requested states, repetitions included."""
-    cached: int = 0
-    """Number of states answered from the cache."""
-    by_monotonicity: int = 0
-    """Answered because a proof of another state holds for this one."""
-    cpu: int = 0
-    """Decided by the solver on the processor."""
-    gpu: int = 0
-    """Decided by the solver on the GPU."""
-    exact: int = 0
-    """Decided by the exact solver."""
-    undecided: int = 0
-    """Left open by all solvers."""
-    rejected: int = 0
-    """Proofs of the fast solver that the checker did not accept; the exact solver then decided."""
-    warm: int = 0
-    """Solved from the forces or the displacement of a parent."""
-
-    def to_dict(self) -> dict[str, int]:
-        """Plain numbers for reports."""
-        return asdict(self)
 
 
 class Stability:
@@ -125,7 +97,7 @@ class Stability:
         """
         batch = as_states(states, self.assembly.boundary)
         self.counters.asked += len(batch)
-        unique, back = _unique(batch)
+        unique, back = unique_states(batch)
         solver = self._choose(len(unique))
         if solver is None:
             verdicts = self.exact.check(unique)
@@ -224,7 +196,7 @@ class Stability:
             self._pass_on(batch[verdict == Verdict.STABLE], origins[verdict == Verdict.STABLE])
         rest = np.flatnonzero(verdict == 0)
         if len(rest):
-            first, back = _unique_rows(batch[rest])
+            first, back = unique_rows(batch[rest])
             rows = rest[first]
             solved = self._solve(batch[rows], None if origins is None else origins[rows])
             self._count(solved)
@@ -409,15 +381,3 @@ class Stability:
         self.counters.gpu += int((verdicts.decided_by == Solver.GPU).sum())
         self.counters.exact += int(np.isin(verdicts.decided_by, (Solver.EXACT, Solver.GUROBI)).sum())
         self.counters.undecided += int(verdicts.undecided.sum())
-
-
-def _unique_rows(states: States) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first row of every distinct state, and which of them each row is."""
-    keys = np.ascontiguousarray(states).view(np.dtype((np.void, states.shape[1]))).ravel()
-    _, first, back = np.unique(keys, return_index=True, return_inverse=True)
-    return first, back
-
-
-def _unique(states: States) -> tuple[States, NDArray[np.intp]]:
-    first, back = _unique_rows(states)
-    return states[first], back
