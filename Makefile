@@ -11,7 +11,8 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
-PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# Modules are compiled when they are first imported; to compile all that comes along takes a minute.
+PIP    := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
 OUT    ?= out
 
 # Numba and BLAS would each start a thread per core inside the solvers' own threads.

@@ -6,7 +6,8 @@
 
 A case is a structure, by the name of a real one (FALSEWORK_DATA, else the folder `shared` beside the repository), of a
 built-in one, or by its path, and a width. `seconds` is the whole search from the origin to plan and levels on the
-host, after a narrow search that compiles the kernels (`warm_up_seconds`); `phases` is from another run of the same
+host: median and range of `repeats`, after a narrow search that compiles the kernels (`warm_up_seconds`) and a first
+search of the same width that takes memory from the device (`first_seconds`); `phases` is from another run of the same
 search that waits after each phase, so its sum may exceed `seconds`. `levels` is a hash over all states kept: equal
 hashes, equal searches, on any number of processes. `disagree` counts states kept, out of `checked` drawn at random,
 that the solver on the processor does not call stable. With `--host`, the beam of the processor runs as well, at widths
@@ -26,7 +27,7 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
-from record import report, write_to
+from record import report, spread, write_to
 from states import find
 
 from falsework.assembly import Assembly, load_structure
@@ -52,6 +53,8 @@ class Options:
     """Widest case for which the beam of the processor is timed too; 0 for none."""
     checked: int = 256
     """Kept states whose verdicts are compared with those of the processor."""
+    repeats: int = 5
+    """Searches that are timed."""
     phases: bool = True
     """Run each search a second time to time its phases."""
     graph: bool = False
@@ -108,18 +111,24 @@ def measure(case: str, options: Options, shards: ProcessGroup, device: torch.dev
     begin = time.perf_counter()
     search(min(8, int(width))).run()
     warm_up = time.perf_counter() - begin
-    beam = search(int(width))
-    wait(device)
-    begin = time.perf_counter()
-    result = beam.run()
-    states = beam.states()
-    seconds = time.perf_counter() - begin
+    seconds = []
+    for _ in range(1 + options.repeats):
+        beam = search(int(width))
+        wait(device)
+        begin = time.perf_counter()
+        result = beam.run()
+        states = beam.states()
+        seconds.append(time.perf_counter() - begin)
+    first, *timed = seconds
+    measured = spread(timed or seconds)
     row = {
         "structure": name,
         "robots": options.robots,
         "width": int(width),
         "processes": shards.size,
-        "seconds": round(seconds, 3),
+        "seconds": round(measured["median"], 3),
+        "seconds_range": [round(measured["least"], 3), round(measured["most"], 3)],
+        "first_seconds": round(first, 3),
         "warm_up_seconds": round(warm_up, 2),
         "found": result.found,
         "states": result.counters.states,

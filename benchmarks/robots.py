@@ -5,6 +5,7 @@
     python benchmarks/robots.py vault-62-b --seeds 5
     python benchmarks/robots.py bottle-12 --seeds 5
     python benchmarks/robots.py dome-72
+    python benchmarks/robots.py dome-37 --midway --seeds 5
     python benchmarks/robots.py random --cells 20
     python benchmarks/robots.py dome-37 --policy RUN
     python benchmarks/robots.py dome-37 --together --seeds 10
@@ -15,6 +16,8 @@ memory to a proven plan with timed motions, compilation not counted. The last li
 `--together`: each seed is planned twice, one robot at a time and with robots that move at the same time;
 `makespan_share` is the makespan of the second over the first plan, `extra_seconds` what it took longer, and
 `delayed` random runs of its schedule are simulated, `checked_runs` of them by Pinocchio and Coal.
+`--midway`: each seed is planned, then planned again from three of its keyframes at which a part is held, as after a
+disruption: `fresh` from structure and cell alone, `kept` with the keyframe graph and the verdicts of the first plan.
 `random`: dome-37 in cells with random bases of two arms from which every part can be held; success and, for each
 failure, the explanation. `--policy`: a run of `falsework train` for that structure as guide. `--no-check` leaves the
 check by Pinocchio and Coal out. The structures are read from FALSEWORK_DATA, else from the folder `shared` beside the
@@ -51,6 +54,7 @@ from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.simulation import simulate
 from falsework.search.problem.guide import Guide
+from falsework.search.problem.task import Task
 from falsework.stability import Stability
 
 STRUCTURES = {
@@ -77,6 +81,7 @@ class Arguments:
     policy: Path | None = None
     no_check: bool = False
     together: bool = False
+    midway: bool = False
     delayed: int = 1000
     checked_runs: int = 3
     out: Path | None = None
@@ -129,11 +134,13 @@ def building(name: str, arguments: Arguments) -> None:
     """Seeds of one built-in cell, then median and worst."""
     assembly, cell = structure(STRUCTURES[name]), load_cell(name)
     guide = None if arguments.policy is None else policy_guide(arguments.policy, assembly, cell)
-    seconds, found, good = [], 0, 0
+    seconds, cpu, attempts, found, good = [], [], [], 0, 0
     for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
         result, fields = once(assembly, cell, seed, arguments.deadline, check=not arguments.no_check, guide=guide)
         report("robots plan", cell=name, robots=cell.robot_count, guided=guide is not None, **fields, seeds=(seed,))
         seconds.append(fields["seconds"])
+        cpu.append(fields["cpu_seconds"])
+        attempts.append(fields["attempts"])
         found += result.found
         good += bool(fields.get("check"))
     report(
@@ -145,6 +152,8 @@ def building(name: str, arguments: Arguments) -> None:
         found=found,
         checked_good=None if arguments.no_check else good,
         seconds=spread(seconds),
+        cpu_seconds=spread(cpu),
+        attempts=spread(attempts),
         seeds=tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds)),
     )
 
@@ -152,7 +161,7 @@ def building(name: str, arguments: Arguments) -> None:
 def together(name: str, arguments: Arguments) -> None:
     """Seeds of one built-in cell, one robot at a time and together, then the median of the ratios."""
     assembly, cell = structure(STRUCTURES[name]), load_cell(name)
-    shares, bounds, extra, good = [], [], [], 0
+    shares, bounds, extra, extra_cpu, good = [], [], [], [], 0
     seeds = tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
     for seed in seeds:
         alone = HybridSettings(seed=seed, deadline=arguments.deadline)
@@ -160,17 +169,20 @@ def together(name: str, arguments: Arguments) -> None:
         begun, work = time.perf_counter(), time.process_time()
         before = plan_robots(assembly, cell, settings=alone).plan
         middle, used = time.perf_counter(), time.process_time()
-        found = plan_robots(assembly, cell, settings=hasty).plan
-        plan = None if found is None else schedule_plan(found, assembly, cell)
+        graph = KeyframeGraph(assembly, cell, settings=hasty.keyframes, seed=seed)
+        found = plan_robots(assembly, cell, settings=hasty, graph=graph).plan
+        plan = None if found is None else schedule_plan(found, assembly, cell, parts=graph.parts)
         seconds, cpu = time.perf_counter() - middle, time.process_time() - used
         if before is None or plan is None or plan.schedule is None:
-            report("robots together seed", cell=name, found=False, seeds=(seed,))
+            both = {"found_sequential": before is not None, "cpu_seconds": round(time.process_time() - work, 1)}
+            report("robots together seed", cell=name, found=False, **both, seeds=(seed,))
             continue
         fields = _checked(plan, assembly, cell, arguments)
         good += bool(fields["check"])
         shares.append(plan.makespan / before.seconds)
         bounds.append(plan.schedule.lower_bound / plan.makespan)
         extra.append(seconds - (middle - begun))
+        extra_cpu.append(cpu - (used - work))
         report(
             "robots together seed",
             cell=name,
@@ -182,7 +194,7 @@ def together(name: str, arguments: Arguments) -> None:
             lower_bound=round(plan.schedule.lower_bound, 2),
             makespan_share=round(shares[-1], 3),
             extra_seconds=round(extra[-1], 1),
-            extra_cpu_seconds=round(cpu - (used - work), 1),
+            extra_cpu_seconds=round(extra_cpu[-1], 1),
             **fields,
             seeds=(seed,),
         )
@@ -196,6 +208,56 @@ def together(name: str, arguments: Arguments) -> None:
         makespan_share=spread(shares),
         bound_share=spread(bounds),
         extra_seconds=spread(extra),
+        extra_cpu_seconds=spread(extra_cpu),
+        seeds=seeds,
+    )
+
+
+def midway(name: str, arguments: Arguments) -> None:
+    """Plan again from keyframes of plans at which a part is held, then report medians."""
+    assembly, cell = structure(STRUCTURES[name]), load_cell(name)
+    seeds = tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
+    seconds: dict[str, list[float]] = {"fresh": [], "kept": []}
+    cpu: dict[str, list[float]] = {"fresh": [], "kept": []}
+    tried = good = 0
+    for seed in seeds:
+        settings = HybridSettings(seed=seed, deadline=arguments.deadline)
+        graph, oracle = KeyframeGraph(assembly, cell, seed=seed), Stability(assembly)
+        first = plan_robots(assembly, cell, settings=settings, graph=graph, oracle=oracle).plan
+        if first is None:
+            continue
+        busy = [k for k, frame in enumerate(first.keyframes) if any(part is not None for part in frame.held)]
+        for row in np.quantile(busy, (0.25, 0.5, 0.75), method="nearest").astype(int).tolist():
+            frame, task = (
+                first.keyframes[row],
+                Task.create(
+                    assembly.boundary, cell.robot_count, start=first.plan.states[row], identity=assembly.identity
+                ),
+            )
+            for kind in ("fresh", "kept"):
+                again = {"graph": graph, "oracle": oracle} if kind == "kept" else {}
+                begun, work = time.perf_counter(), time.process_time()
+                plan = plan_robots(
+                    assembly,
+                    cell,
+                    task=task,
+                    configurations=frame.configurations,
+                    held=frame.held,
+                    settings=settings,
+                    **again,
+                ).plan
+                seconds[kind].append(time.perf_counter() - begun)
+                cpu[kind].append(time.process_time() - work)
+                tried += 1
+                good += plan is not None and (arguments.no_check or check_robot_plan(plan, assembly, cell).good)
+    report(
+        "robots midway",
+        cell=name,
+        robots=cell.robot_count,
+        runs=tried,
+        checked_good=good,
+        **{f"{kind}_seconds": spread(seconds[kind]) for kind in seconds},
+        **{f"{kind}_cpu_seconds": spread(cpu[kind]) for kind in cpu},
         seeds=seeds,
     )
 
@@ -283,6 +345,8 @@ def main() -> None:
     for name in names:
         if arguments.together:
             together(name, arguments)
+        elif arguments.midway:
+            midway(name, arguments)
         elif name == "random":
             random_layouts(arguments)
         else:

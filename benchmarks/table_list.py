@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from table_model import Record, Runs, Table, look_up, number, spread
 
 
@@ -30,6 +32,18 @@ def behind(runs: Runs, _: Runs) -> str:
     """Write whether a policy is ahead of the paper's."""
     ours, paper = look_up(runs[0], "test.success"), look_up(runs[0], "paper.test")
     return f"{'ahead' if ours > paper else 'behind'} by {number(abs(ours - paper), '%')}"
+
+
+def fewest(rules: str) -> Callable[[Runs, Runs], str]:
+    """Return a column with the fewest robots with which a plan was found under some rules."""
+
+    def write(runs: Runs, _: Runs) -> str:
+        answer = runs[0].get(rules)
+        if answer is None:
+            return ""
+        return "not found" if answer["robots"] is None else str(answer["robots"])
+
+    return write
 
 
 STRUCTURE = (("structure", "{structure}"),)
@@ -73,6 +87,20 @@ TABLES = {
             ("same verdict", "{agree}"),
         ),
         benchmark="contact steps",
+    ),
+    "judges": Table(
+        "judges",
+        STRUCTURE,
+        (
+            ("states", "{states}"),
+            ("replay", "{replay.stands}"),
+            ("replays under other numbers that stand", "{varied_stands} of {varied}"),
+            ("discrete elements, step by step", "{built.stands}"),
+            ("from the proven forces", "{proven.stands}"),
+            ("from nothing", "{settled.stands}"),
+            ("LMGC90: stand, fall, not judged", "{lmgc90.stands}, {lmgc90.falls}, {lmgc90.not judged}"),
+        ),
+        benchmark="judges plans",
     ),
     "replays": Table(
         "contact",
@@ -143,6 +171,17 @@ TABLES = {
             ("plan made for it, s", "{maximise_s}"),
         ),
         benchmark="margins plans",
+    ),
+    "bricks": Table(
+        "bricks",
+        (("bricks", "{bricks}"), ("contact points", "{points}"), ("robots", "{robots}")),
+        (
+            ("steps of the plan", "{steps}"),
+            ("plan, s of processors", "{plan_processor_s}"),
+            ("verdict, ms of processors", "{verdict_processor_ms}"),
+            ("verdict from the state before, ms of processors", "{next_verdict_processor_ms}"),
+        ),
+        benchmark="bricks cost",
     ),
     "first-minute": Table(
         "first_minute",
@@ -497,6 +536,21 @@ TABLES = {
             ("passed the independent check", "{check}"),
         ),
         benchmark="robots together seed",
+    ),
+    "support": Table(
+        "support",
+        STRUCTURE,
+        (
+            ("parts", "{parts}"),
+            ("floor", "{floor}"),
+            ("places for props", "{places}"),
+            ("fewest robots, every part held once", fewest("once")),
+            ("proven to be needed", "{once.least}"),
+            ("holding again", fewest("again")),
+            ("and one prop", fewest("props_1")),
+            ("and two props", fewest("props_2")),
+        ),
+        benchmark="support robots",
     ),
     "viewer": Table("viewer", (("parts", "{parts}"),), (("one step of the page, ms", "{step_ms}"),), "viewer page"),
 }

@@ -39,7 +39,7 @@ SUBPACKAGES = {
     "geometry": ("mesh", "contact", "clearance"),
     "assembly": ("library",),
     "stability": ("cpu", "contact", "gpu", "reference", "margins", "judges"),
-    "search": ("problem", "beam", "margins", "plans", "device"),
+    "search": ("problem", "beam", "margins", "plans", "support", "device"),
     "learn": ("config", "env", "networks", "data", "algorithms", "training"),
     "robots": ("model", "kernels", "kinematics", "motion", "cells", "grasping", "plans", "schedule", "planning"),
     "viewer": ("pictures", "page"),

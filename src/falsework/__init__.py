@@ -7,6 +7,7 @@ from falsework.utils.lazy import lazy_exports as _lazy_exports
 __getattr__, __dir__, __all__ = _lazy_exports(__name__)
 
 # Formats of other programs; they are read by a package that `assembly` must not know.
-for _module, _format in (("compas_read", "compas"), ("rhino_read", "rhino"), ("step_read", "step")):
+_FORMATS = (("bricks", "bricks"), ("compas_read", "compas"), ("rhino_read", "rhino"), ("step_read", "step"))
+for _module, _format in _FORMATS:
     _place = f"falsework.interop.{_module}"
     _register_reader(f"{_place}:is_{_format}", f"{_place}:load_{_format}", f"{_place}:read_{_format}")

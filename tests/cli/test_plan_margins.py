@@ -31,15 +31,27 @@ def test_a_plan_keeps_its_margins_and_check_verifies_them(falsework: Run, tmp_pa
     assert "does not keep tilt=30deg" in more.error
 
 
-def test_an_overstated_margin_is_found(falsework: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kind", "value", "words"),
+    [
+        ("friction", 0.05, "recorded friction of 0.05"),
+        ("tilt", 0.6, "recorded tilt of 34.4 deg"),
+        ("tilt", None, "recorded tilt without bound"),
+        ("push", 1e4, "recorded push of 1e+04 N"),
+    ],
+)
+def test_an_overstated_margin_is_found(
+    falsework: Run, tmp_path: Path, kind: str, value: float | None, words: str
+) -> None:
     plan = tmp_path / "plan.json"
-    assert falsework("plan", "arch:blocks=7", "--out", plan, "--margin", "friction=1.1").code == 0
+    demands = "friction=1.1,tilt=1deg,push=5N"
+    assert falsework("plan", "arch:blocks=5", "--out", plan, "--margin", demands).code == 0
     data = json.loads(plan.read_text())
-    data["margins"]["measured"]["friction"][0] = 0.05
+    data["margins"]["measured"][kind][0] = value
     plan.write_text(json.dumps(data))
     checked = falsework("check", plan)
     assert checked.code == 1
-    assert "recorded friction of 0.05" in checked.error
+    assert words in checked.error
 
 
 def test_the_weakest_step_is_as_strong_as_the_bound_lets_it(falsework: Run, tmp_path: Path) -> None:

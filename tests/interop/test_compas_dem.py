@@ -118,6 +118,16 @@ def test_contacts_are_found_where_none_were_computed() -> None:
     assert len(list(compas_dem.solve(problem).edges())) == 3
 
 
+@pytest.mark.parametrize("share", [0.98, 1.02])
+def test_a_mohr_coulomb_law_with_cohesion(share: float) -> None:
+    """A stack turned by 15 degrees stays if `c A` is what `W sin a` exceeds `mu W cos a` by in the lowest joint."""
+    problem, angle = stack(tilt=15.0), np.radians(15.0)
+    weight = 3 * 2000 * 9.81
+    cohesion = share * weight * (np.sin(angle) - 0.2 * np.cos(angle))
+    problem.set_contact_model("MohrCoulomb", mu=0.2, c=cohesion, t_c=cohesion)
+    assert (compas_dem.solve(problem, criterion="equilibrium").metadata["verdict"] == "stable") == (share > 1)
+
+
 def test_loads_are_refused() -> None:
     problem = stack()
     group = problem.add_boundary_condition("live")

@@ -26,6 +26,7 @@ from falsework.stability import StabilitySettings, build_problem
 from falsework.stability.gpu.driver import kernel_source
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.settings import EQUILIBRIUM
+from falsework.stability.strength import strength_of
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")
 
@@ -124,7 +125,8 @@ def least_residual(
     """Smallest residual that admissible forces reach, by the simplex method on rays of the cones.
 
     Everything is taken from the geometry: each contact point pushes along `directions` rays
-    `n + widen * mu * (cos a t1 + sin a t2)`, and the parts' Newton and Euler equations are written out. The
+    `n + widen * mu * (cos a t1 + sin a t2)`, one that bears tension pulls by it beforehand, one that sticks may take
+    tangential forces of a bounded sum beside, and the parts' Newton and Euler equations are written out. The
     residual is the largest acceleration by gravity, angular ones times the largest radius of gyration of their part.
     """
     contacts, mass = assembly.contacts, assembly.mass
@@ -135,34 +137,52 @@ def least_residual(
     gyration = {part: np.sqrt(np.linalg.norm(mass.inertia[part], 2) / mass.mass[part]) for part in free}
     inverse_inertia = {part: np.linalg.inv(mass.inertia[part]) for part in free}
     angles = 2 * np.pi * np.arange(directions) / directions
+    strength = strength_of(assembly, gravity)
     columns: list[NDArray] = []
+    discs: list[tuple[NDArray, float]] = []
+    pulled, tension = np.zeros(6 * len(free)), 0.0
+
+    def wrench(a: int, b: int, point: NDArray, force: NDArray) -> NDArray:
+        column = np.zeros(6 * len(free))
+        for part, sign in ((a, -1), (b, 1)):
+            if part in row_of:
+                moment = np.cross(point - mass.center[part], sign * force)
+                column[row_of[part] : row_of[part] + 3] = sign * force / (mass.mass[part] * gravity)
+                turn = inverse_inertia[part] @ moment
+                column[row_of[part] + 3 : row_of[part] + 6] = turn * gyration[part] / gravity
+        return column
+
     for contact in range(len(contacts)):
         a, b = (int(part) for part in contacts.parts[contact])
         if state[a] == 0 or state[b] == 0 or (a not in row_of and b not in row_of):
             continue
         normal, first, second = contacts.frames[contact]
-        for point in contacts.points[contacts.start[contact] : contacts.start[contact + 1]]:
+        for number in range(contacts.start[contact], contacts.start[contact + 1]):
+            point = contacts.points[number]
+            pulled -= strength.pull[number] * wrench(a, b, point, normal)
+            tension += strength.pull[number]
             for angle in angles:
-                force = normal + widen * assembly.friction * (np.cos(angle) * first + np.sin(angle) * second)
-                column = np.zeros(6 * len(free))
-                for part, sign in ((a, -1), (b, 1)):
-                    if part in row_of:
-                        moment = np.cross(point - mass.center[part], sign * force)
-                        column[row_of[part] : row_of[part] + 3] = sign * force / (mass.mass[part] * gravity)
-                        turn = inverse_inertia[part] @ moment
-                        column[row_of[part] + 3 : row_of[part] + 6] = turn * gyration[part] / gravity
-                columns.append(column)
+                slip = widen * (np.cos(angle) * first + np.sin(angle) * second)
+                columns.append(wrench(a, b, point, normal + strength.friction[number] * slip))
+                if strength.stick[number] > 0:
+                    discs.append((wrench(a, b, point, slip), strength.stick[number]))
     weight = gravity * mass.mass[~assembly.boundary].sum()
-    fall = np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], len(free))
+    fall = np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], len(free)) + pulled
     if not columns:
         return 1.0
-    moved = sp.csc_matrix(np.array(columns).T * weight)
+    rays, total = len(columns), len(columns) + len(discs)
+    moved = sp.csc_matrix(np.array(columns + [column for column, _ in discs]).T * weight)
     one = np.ones((6 * len(free), 1))
-    press = sp.csc_matrix(np.append(np.ones(len(columns)), 0.0)[None])
+    press = sp.csc_matrix(np.r_[np.ones(rays), np.zeros(total - rays + 1)][None])
+    cells = np.arange(total - rays)
+    shape = (len(cells) // directions, total + 1)
+    stuck = sp.csc_matrix((np.ones(len(cells)), (cells // directions, rays + cells)), shape)
     answer = linprog(
-        np.append(np.zeros(len(columns)), 1.0),
-        A_ub=sp.vstack([sp.hstack([moved, -one]), sp.hstack([-moved, -one]), press]),
-        b_ub=np.concatenate([-fall, fall, [force_bound]]),
+        np.append(np.zeros(total), 1.0),
+        A_ub=sp.vstack([sp.hstack([moved, -one]), sp.hstack([-moved, -one]), press, stuck]),
+        b_ub=np.concatenate(
+            [-fall, fall, [force_bound + tension / weight], [most / weight for _, most in discs[::directions]]]
+        ),
         method="highs",
     )
     assert answer.status == 0, answer.message

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,9 @@ from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import Cone
 from falsework.stability.reference.conic_program import into_cone
 from falsework.stability.settings import CpuSettings, GpuSettings
+from falsework.stability.strength import Strength
 
+Decided = Callable[[str, float, Cone], NDArray[np.int8]]
 CONES: tuple[Cone, ...] = ("octagon", "quadratic")
 
 
@@ -32,6 +35,18 @@ def decided(assembly: Assembly, states: NDArray[np.uint8], cone: Cone) -> NDArra
 
 def some_states(scenes: Any, assembly: Assembly) -> NDArray[np.uint8]:
     return np.unique(scenes.random_states(assembly, 16, seed=51, shares=(0.25, 0.6, 0.15)), axis=0)
+
+
+@pytest.fixture(scope="module")
+def decided_with(scenes: Any) -> Decided:
+    """As `decided`, on a few states of a built-in structure with another friction; several tests compare with it."""
+
+    @cache
+    def verdicts(name: str, friction: float, cone: Cone) -> NDArray[np.int8]:
+        assembly = library.build(name).replace(friction=friction)
+        return decided(assembly, some_states(scenes, assembly), cone)
+
+    return verdicts
 
 
 def under_a_ceiling(scenes: Any, friction: float) -> Assembly:
@@ -59,8 +74,9 @@ def test_contacts_do_not_pull(scenes: Any, cone: Cone, friction: float) -> None:
 @pytest.mark.parametrize("friction", [0.0, 1e-8, 0.5])
 def test_forces_of_the_exact_solver_end_in_the_cone(cone: Cone, friction: float) -> None:
     """A pull of a solver's last digits becomes no force at all; forces in the cone stay as they are."""
+    dry = Strength(*np.array([friction, 0.0, 0.0]), np.array(True))
     pull, slip, within = [-1e-9, 1e-9, 0.0], [2.0, 3.0, -4.0], [2.0, friction, 0.0]
-    pulled, slipped, kept = into_cone(np.array([pull, slip, within]), friction, cone)
+    pulled, slipped, kept = into_cone(np.array([pull, slip, within]), dry, cone)
     assert not pulled.any()
     assert slipped[0] == 2.0
     np.testing.assert_allclose(slipped[1] * -4.0, slipped[2] * 3.0)
@@ -78,10 +94,12 @@ def test_contacts_do_not_pull_on_a_gpu(scenes: Any, on_host: Callable[..., Any],
 
 
 @pytest.mark.parametrize("name", ["polycube", "bottle", "wall:bricks=3,courses=3", "corbel"])
-def test_without_friction_both_cones_are_the_same_ray(scenes: Any, simplex: Callable[..., float], name: str) -> None:
+def test_without_friction_both_cones_are_the_same_ray(
+    scenes: Any, simplex: Callable[..., float], decided_with: Decided, name: str
+) -> None:
     assembly = library.build(name).replace(friction=0.0)
     states = some_states(scenes, assembly)
-    octagon, quadratic = (decided(assembly, states, cone) for cone in CONES)
+    octagon, quadratic = (decided_with(name, 0.0, cone) for cone in CONES)
     assert {Verdict.STABLE, Verdict.UNSTABLE} == set(octagon.tolist())
     np.testing.assert_array_equal(octagon, quadratic)
     least = np.array([simplex(assembly, state, directions=1) for state in states])
@@ -112,13 +130,9 @@ def test_the_interior_point_method_needs_no_friction(scenes: Any, request: pytes
 @pytest.mark.parametrize("cone", CONES)
 @pytest.mark.parametrize("friction", [1e-12, 1e-10, 2e-9, 1e-8, 1e-7, 1e-6, 1e-5])
 @pytest.mark.parametrize("name", ["polycube", "bottle"])
-def test_next_to_no_friction_is_decided(scenes: Any, name: str, friction: float, cone: Cone) -> None:
+def test_next_to_no_friction_is_decided(decided_with: Decided, name: str, friction: float, cone: Cone) -> None:
     """What stands without friction stands with a little, and what falls with more falls with a little."""
-    assembly = library.build(name).replace(friction=friction)
-    states = some_states(scenes, assembly)
-    verdict = decided(assembly, states, cone)
-    without = decided(assembly.replace(friction=0.0), states, cone)
-    more = decided(assembly.replace(friction=1e-3), states, cone)
+    verdict, without, more = (decided_with(name, value, cone) for value in (friction, 0.0, 1e-3))
     assert (verdict[without == Verdict.STABLE] == Verdict.STABLE).all()
     assert (verdict[more == Verdict.UNSTABLE] == Verdict.UNSTABLE).all()
 
@@ -126,10 +140,9 @@ def test_next_to_no_friction_is_decided(scenes: Any, name: str, friction: float,
 @pytest.mark.parametrize("cone", CONES)
 @pytest.mark.parametrize("friction", [1e4, 1e6, 1e8])
 @pytest.mark.parametrize("name", ["bottle", "wall", "stack"])
-def test_more_friction_than_anything_has_is_decided(scenes: Any, name: str, friction: float, cone: Cone) -> None:
-    assembly = library.build(name).replace(friction=friction)
-    states = some_states(scenes, assembly)
-    verdict = decided(assembly, states, cone)
+def test_more_friction_than_anything_has_is_decided(
+    decided_with: Decided, name: str, friction: float, cone: Cone
+) -> None:
+    verdict, less = (decided_with(name, value, cone) for value in (friction, 10.0))
     assert {Verdict.STABLE, Verdict.UNSTABLE} == set(verdict.tolist())
-    less = decided(assembly.replace(friction=10.0), states, cone)
     assert (verdict[less == Verdict.STABLE] == Verdict.STABLE).all()

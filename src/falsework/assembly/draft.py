@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.interfaces import StoredInterface, compare_interfaces, interface_contacts
+from falsework.assembly.joints import Joints
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.assembly.store import part_ids, support_names
 from falsework.errors import AssemblyError, InputError, MeshError
@@ -34,7 +35,8 @@ class Block:
     """Polygons, counter-clockwise seen from outside."""
     support: bool = False
     attributes: Mapping[str, Any] = field(default_factory=dict)
-    """Attributes of the part; `density` (kg/m3) and `friction` are used."""
+    """Attributes of the part; `density` (kg/m3), `friction`, and the `cohesion` and `tension` (Pa) of all contacts are
+    used."""
     key: Hashable = None
     """Name of the part by which interfaces of the file refer to it."""
 
@@ -153,6 +155,8 @@ class Draft:
             contact_settings=contact_settings or ContactSettings(),
             contacts=interface_contacts(meshes, self.interfaces) if interfaces == "stored" else None,
         )
+        strength = {name: max(self._values(name), default=None) for name in ("cohesion", "tension")}
+        assembly = assembly.replace(joints=Joints.throughout(assembly.contacts, **strength))
         if interfaces == "compare":
             compare_interfaces(interface_contacts(meshes, self.interfaces), assembly.contacts).warn(assembly.names)
         return assembly

@@ -17,8 +17,8 @@ _READERS: list[tuple[str, str, str]] = []
 """Probe, reader and reader of unchecked parts of each format, as `package.module:function`; imported at the first file
 that they may know."""
 
-LOAD_OPTIONS = ("loads", "earthquake")
-"""Options that load a structure and that its reader need not know."""
+LOAD_OPTIONS = ("loads", "earthquake", "materials", "joints", "fasteners")
+"""Options that load or join the parts of a structure and that its reader need not know."""
 
 
 def register_reader(probe: str, reader: str, parts: str = "") -> None:
@@ -51,20 +51,21 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     """Load a structure by the name of a built-in one, such as `arch:blocks=15`, or by its path.
 
     A path is a folder or file of meshes, with or without `assembly.json`, or a file of another format: COMPAS data,
-    Rhino, STEP; `assembly.json` beside it is read too. A bare name that is
-    both means the built-in structure; `./arch` is the folder.
+    Rhino, STEP, bricks; `assembly.json` beside it is read too. A bare name that is both means the built-in structure;
+    `./arch` is the folder.
 
     Args:
         structure: name of a built-in structure with its parameters, or a folder or file.
-        options: unit, density (kg/m3), friction, boundary, ground, contact_settings, loads and earthquake as for
-            `load_assembly`, and interfaces (`found`, `stored` or `compare`) as for `load_compas`; None is as good as
-            left out. A built-in structure takes neither unit nor contact_settings, and only COMPAS data store
-            interfaces.
+        options: unit, density (kg/m3), friction, boundary, ground, contact_settings, loads, earthquake, materials,
+            joints and fasteners as for `load_assembly`, and interfaces (`found`, `stored` or `compare`) as for
+            `load_compas`; None is as good as left out. A built-in structure takes neither unit nor contact_settings,
+            and only COMPAS data store interfaces.
 
     Raises:
         InputError: neither a path nor a built-in structure, or an option that it does not take.
     """
     from falsework.assembly import library
+    from falsework.assembly.fasteners import furnish
     from falsework.assembly.store import load_assembly
 
     text = str(structure)
@@ -78,7 +79,7 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
             if _resolve(probe)(path):
                 options = {**described_options(path), **given}
                 acting = {name: options.pop(name, None) for name in LOAD_OPTIONS}
-                return _loaded(_resolve(reader)(path, **options), acting)
+                return furnish(_resolve(reader)(path, **options), **acting)
         if given.pop("interfaces", "found") != "found":
             raise InputError(f"{text} is made of meshes and stores no interfaces; leave out --interfaces")
         return load_assembly(path, **given)
@@ -91,15 +92,7 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     assembly = library.build(text, density=given.pop("density", None), friction=given.pop("friction", None))
     if given:
         assembly = assembly.replace(**given)
-    return _loaded(assembly.with_ground() if ground else assembly, acting)
-
-
-def _loaded(assembly: Assembly, acting: dict[str, Any]) -> Assembly:
-    """Return the assembly under the loads of `LOAD_OPTIONS` that are given."""
-    from falsework.assembly.loads import Loads
-
-    loads = Loads.read(acting["loads"], acting["earthquake"], assembly.names, assembly.mass.center)
-    return assembly if loads is None else assembly.replace(loads=loads)
+    return furnish(assembly.with_ground() if ground else assembly, **acting)
 
 
 def described_options(path: Path) -> dict[str, Any]:

@@ -69,7 +69,7 @@ class Loads:
         for entry in entries or []:
             if not isinstance(entry, Mapping) or "part" not in entry or not set(entry) <= _ENTRIES:
                 raise AssemblyError(f"load {entry!r} is no object with part, force and perhaps at and moment")
-            part = _part(entry["part"], names)
+            part = part_id(entry["part"], names, "a load acts on part")
             force = _numbers(entry.get("force", [0, 0, 0]), f"the force on part {names[part]}", (3,), "N")
             moment = _numbers(entry.get("moment", [0, 0, 0]), f"the moment on part {names[part]}", (3,), "Nm")
             if "at" in entry:
@@ -110,17 +110,15 @@ class Loads:
         return wrench
 
 
-def _part(given: Any, names: Sequence[str]) -> int:
-    """Return the id of a part that is given by id or by name."""
+def part_id(given: Any, names: Sequence[str], what: str) -> int:
+    """Return the id of a part that is given by id or by name; `what` begins the message where it is not there."""
     if isinstance(given, str) and given in names:
         return list(names).index(given)
     if isinstance(given, str) and given.isdecimal():
         given = int(given)
     if isinstance(given, int) and not isinstance(given, bool) and 0 <= given < len(names):
         return given
-    raise AssemblyError(
-        f"a load acts on part {given!r}, which is not there; give an id from 0 to {len(names) - 1} or a name"
-    )
+    raise AssemblyError(f"{what} {given!r}, which is not there; give an id from 0 to {len(names) - 1} or a name")
 
 
 def _numbers(value: Any, what: str, counts: Sequence[int], unit: str) -> Array:

@@ -12,7 +12,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
+from falsework.assembly.prop import Prop
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
@@ -54,6 +56,10 @@ class Assembly:
     """Whether the contacts were given, such as interfaces that a file stores, and not found from the meshes."""
     loads: Loads | None = None
     """Loads beside the weight of the parts."""
+    props: tuple[Prop, ...] = ()
+    """Props that states may have: the last parts, which never move and need no robot; see `with_props`."""
+    joints: Joints | None = None
+    """Friction, cohesion and tension of the contacts, where they are not dry or differ."""
 
     @staticmethod
     def from_meshes(
@@ -152,6 +158,13 @@ class Assembly:
         return len(self.meshes)
 
     @property
+    def immovable(self) -> NDArray[np.bool_]:
+        """Parts that never move and that no robot holds, boundary and props; shape (parts,)."""
+        mask = self.boundary.copy()
+        mask[self.part_count - len(self.props) :] = True
+        return mask
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the parts."""
         return tuple(mesh.name for mesh in self.meshes)
@@ -180,6 +193,11 @@ class Assembly:
         if self.loads is not None:
             for array in (self.loads.wrench, self.loads.acceleration):
                 digest.update(b"loads" + (array + 0.0).astype("<f8").tobytes())
+        if self.props:
+            digest.update(f"{len(self.props)} props".encode())
+        if self.joints is not None:
+            for array in self.joints.arrays:
+                digest.update(b"joints" + np.nan_to_num(array + 0.0, nan=-1.0).astype("<f8").tobytes())
         return digest.hexdigest()
 
     def applied_wrench(self, gravity: float = 9.81) -> NDArray[np.float64]:
@@ -205,8 +223,9 @@ class Assembly:
         density: ArrayLike | None = None,
         friction: float | None = None,
         loads: Loads | None = None,
+        joints: Joints | None = None,
     ) -> Assembly:
-        """Return the same parts with another name, boundary, density, friction or loads; contacts are kept.
+        """Return the same parts with another name, boundary, density, friction, loads or joints; contacts are kept.
 
         Raises:
             AssemblyError: as `from_meshes`.
@@ -224,6 +243,7 @@ class Assembly:
             friction=self.friction if friction is None else _friction(friction),
             mass=self.mass if density is None else mass_properties(self.meshes, densities),
             loads=self.loads if loads is None else loads,
+            joints=self.joints if joints is None else _joints(joints, self.contacts),
         )
         for array in (fixed, densities):
             array.setflags(write=False)
@@ -243,12 +263,13 @@ class Assembly:
             ground=True,
             contacts=self.contacts if self.contacts_given else None,
         )
-        if self.loads is None:
-            return grounded
-        wrench = np.concatenate([self.loads.wrench, np.zeros((1, 6))])
-        return grounded.replace(
-            loads=Loads.of(len(wrench), wrench=wrench, acceleration=self.loads.acceleration),
-        )
+        loads, joints = self.loads, self.joints
+        if loads is not None:
+            wrench = np.concatenate([loads.wrench, np.zeros((1, 6))])
+            loads = Loads.of(len(wrench), wrench=wrench, acceleration=loads.acceleration)
+        if joints is not None:
+            joints = joints.among(self.contacts, grounded.contacts, self.part_count)
+        return grounded.replace(loads=loads, joints=joints)
 
 
 def ground_slab(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
@@ -266,6 +287,14 @@ def ground_slab(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
     taken = {mesh.name for mesh in meshes}
     name = next(name for name in ("ground", *(f"ground-{n}" for n in range(len(meshes)))) if name not in taken)
     return TriangleMesh.from_arrays(name, np.where(corners, top, bottom), faces)
+
+
+def _joints(given: Joints, contacts: Contacts) -> Joints:
+    if len(given.tension) != len(contacts.points):
+        raise AssemblyError(
+            f"joints are of {len(given.tension)} contact points, but there are {len(contacts.points)}; make them anew"
+        )
+    return given
 
 
 def _friction(value: float) -> float:

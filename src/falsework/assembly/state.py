@@ -7,6 +7,8 @@ Actions are indices in `[0, 2 parts)`: `i` holds part `i`, `parts + i` removes p
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -119,6 +121,21 @@ def undo_actions(states: States, actions: NDArray[np.integer]) -> States:
     before = states.copy()
     before[np.arange(batch), actions % parts] = np.where(actions < parts, INSTALLED, HELD)
     return before
+
+
+STEP_WORDS = {
+    (INSTALLED, HELD): "hold",
+    (HELD, INSTALLED): "release",
+    (HELD, REMOVED): "remove",
+    (REMOVED, HELD): "insert",
+}
+"""What a step is called, by the value of its part before and after."""
+
+
+def describe_step(before: States, after: States, names: Sequence[str]) -> str:
+    """Plain words for the step between two states one move apart, such as `hold 7` or `insert keystone`."""
+    part = int((before != after).argmax())
+    return f"{STEP_WORDS[int(before[part]), int(after[part])]} {names[part]}"
 
 
 def describe_action(action: int, names: tuple[str, ...] | list[str]) -> str:

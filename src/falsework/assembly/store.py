@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from falsework.assembly.loads import Loads
+from falsework.assembly.fasteners import furnish
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import ContactSettings
@@ -36,13 +36,16 @@ def load_assembly(
     contact_settings: ContactSettings | None = None,
     loads: list[dict[str, Any]] | None = None,
     earthquake: float | list[float] | None = None,
+    materials: str | list[str] | None = None,
+    joints: list[dict[str, Any]] | None = None,
+    fasteners: list[dict[str, Any]] | None = None,
 ) -> Assembly:
     """Read an assembly: a folder of meshes, or one file with one object per part.
 
     `assembly.json` in the folder, or beside the file, gives `name`, `unit`, `density` (one number or one a
     part, kg/m3), `friction`, `boundary` (ids or names of parts), `names`, `contact` (fields of
-    `ContactSettings`), `loads` and `earthquake` (see `Loads.read`); all of them may be missing. Arguments
-    come before what the file says.
+    `ContactSettings`), `loads` and `earthquake` (see `Loads.read`), `materials` and `joints` (see `Joints.read`), and
+    `fasteners` (see `fasten`); all of them may be missing. Arguments come before what the file says.
 
     Args:
         path: folder or mesh file.
@@ -54,6 +57,9 @@ def load_assembly(
         contact_settings: tolerances.
         loads: objects with `part`, `force` (N) and perhaps `at` (m) and `moment` (Nm).
         earthquake: pseudo-static horizontal acceleration in shares of gravity, along x, or along x and y.
+        materials: of each part, or one for all.
+        joints: objects with `friction`, `cohesion` (Pa) or `tension` (Pa), and `between` (materials) or `parts`.
+        fasteners: objects with `parts`, `at` (m), `tension` (N) and perhaps `shear` (N), `axis` and `ductile`.
 
     Raises:
         InputError: no such path or nothing in it.
@@ -88,13 +94,9 @@ def load_assembly(
         contact_settings=described["contact"] if contact_settings is None else contact_settings,
         ground=ground,
     )
-    acting = Loads.read(
-        described.get("loads") if loads is None else loads,
-        described.get("earthquake") if earthquake is None else earthquake,
-        assembly.names,
-        assembly.mass.center,
-    )
-    return assembly if acting is None else assembly.replace(loads=acting)
+    given = {"loads": loads, "earthquake": earthquake, "materials": materials, "joints": joints, "fasteners": fasteners}
+    acting = {name: described.get(name) if value is None else value for name, value in given.items()}
+    return furnish(assembly, **acting)
 
 
 def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
@@ -104,13 +106,15 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
     assembly that is already there is replaced.
 
     Raises:
-        InputError: something else is at that place, it cannot be written to, or the contacts were given.
+        InputError: something else is at that place, it cannot be written to, or contacts or joints were given.
     """
     target = Path(folder)
     if assembly.contacts_given:
         raise InputError(f"{assembly.name} has given contacts, which a folder of meshes cannot keep; find them instead")
     if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / FILE).is_file())):
         raise InputError(f"{target} is there and is not an assembly; choose another folder")
+    if assembly.joints is not None:
+        raise InputError(f"{assembly.name} has joints, which belong to its contacts; write them into {FILE} by hand")
     density = assembly.density
     description: dict[str, Any] = {
         "format": FORMAT,
@@ -174,6 +178,9 @@ def read_description(source: Path) -> dict[str, Any]:
             ("contact", (dict,)),
             ("loads", (list,)),
             ("earthquake", (int, float, list)),
+            ("materials", (str, list)),
+            ("joints", (list,)),
+            ("fasteners", (list,)),
         ):
             if key in described and (not isinstance(described[key], kinds) or isinstance(described[key], bool)):
                 raise AssemblyError(

@@ -21,7 +21,7 @@ def symmetries(assembly: Assembly) -> NDArray[np.intp]:
     """Return permutations of the parts that some turn about a vertical axis, or reflection in a vertical plane, makes.
 
     Centres of mass, masses and every contact's area times normal have to agree with those of the images. Parts that
-    are boundary may stay where they are: the ground is no smaller for being turned.
+    are boundary may stay where they are: the ground is no smaller for being turned. With joints there are none.
 
     Args:
         assembly: the structure.
@@ -33,7 +33,7 @@ def symmetries(assembly: Assembly) -> NDArray[np.intp]:
     parts, fixed = assembly.part_count, assembly.boundary
     identity = np.arange(parts)
     movable = np.flatnonzero(~fixed)
-    if len(movable) < 2:
+    if len(movable) < 2 or assembly.joints is not None:  # images of joints are not looked for
         return identity[None]
     mass, centre = assembly.mass.mass, assembly.mass.center
     bounds = np.array([mesh.bounds for mesh in assembly.meshes])[movable]

@@ -26,7 +26,7 @@ class MakeDataset(JudgingCommand):
     are saved in any case.
     """
 
-    examples: ClassVar[tuple[str, ...]] = ("falsework dataset bottle --robots 2 --out data.npz",)
+    examples: ClassVar[tuple[str, ...]] = ("falsework dataset arch --robots 2 --out data.npz",)
 
     structure: StructureOptions
     out: Annotated[Path, arg(metavar="FILE")] = Path("data.npz")

@@ -11,7 +11,7 @@ from tyro.conf import arg
 
 from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import RuleOptions, refuse_unstable, writable
+from falsework.cli.planning import SupportOptions, refuse_unstable, writable
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,12 +37,13 @@ class MakePlan(Command):
         "falsework plan my-folder --missing 3,4 --alternatives 5 --out plan.json",
         "falsework plan arch --margin friction=1.25,tilt=1deg --out safe.json",
         "falsework plan arch --maximise friction --out strong.json",
+        "falsework plan arch:blocks=7 --ground --robots 1 --props 3 --out plan.json",
     )
 
     structure: StructureOptions
     out: Annotated[Path, arg(metavar="FILE")] = Path("plan.json")
     """File to write; alternatives get -2, -3, ... added to its name."""
-    task: RuleOptions
+    task: SupportOptions
     robots: Annotated[str, arg(metavar="NUMBER")] = "2"
     """Number of robots: parts that can be held at a time; `auto` for the fewest with which a plan is found."""
     alternatives: int = 1
@@ -87,6 +88,8 @@ class MakePlan(Command):
 
         if self.maximise and (self.alternatives > 1 or self.resume):
             raise InputError("--maximise looks for one plan, from the beginning; leave out --alternatives and --resume")
+        if self.task.wider and (self.alternatives > 1 or self.resume or self.margin or self.maximise):
+            raise InputError("--support and --props take neither --alternatives, --resume, --margin nor --maximise")
         demands = Demands() if self.margin is None else Demands.parse(self.margin)
 
         writable(self.out)
@@ -95,8 +98,8 @@ class MakePlan(Command):
             if demands or self.maximise:
                 raise InputError("--robots auto takes neither --margin nor --maximise; give the number of robots")
             return self._with_fewest_robots(output)
-        settings, checkpoint = self._settings(), self._checkpoint()
-        assembly = self.structure.load()
+        settings, checkpoint = self._settings(), None if self.task.wider else self._checkpoint()
+        assembly = self.task.with_places(self.structure.load())
         task = task_of(assembly, self._robot_count(), **self.task.rules(assembly))
         stability = StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver)
         oracle = DemandingStability(assembly, stability, demands) if demands else Stability(assembly, stability)
@@ -136,7 +139,7 @@ class MakePlan(Command):
         result = planning.result
         cut = "the deadline ended the search" if planning.deadline_passed else "interrupted"
         saved = f"it is saved in {checkpoint}, the same command with --resume continues it"
-        if self.maximise is not None:
+        if self.maximise is not None or checkpoint is None:
             saved = "the same command begins anew"
         if planning.found:
             self._report(self._save(planning.plans), planning, output)
@@ -161,7 +164,7 @@ class MakePlan(Command):
 
         if self.alternatives > 1 or self.resume:
             raise InputError("--robots auto takes neither --alternatives nor --resume; give the number of robots")
-        assembly = self.structure.load()
+        assembly = self.task.with_places(self.structure.load())
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver))
         answer = ask(assembly, oracle, self.task, self._settings(), self.deadline, self.proofs, output)
         path = None if answer.plan is None else self._save([answer.plan])[0][0]

@@ -53,6 +53,47 @@ class RuleOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SupportOptions(RuleOptions):
+    """Rules that a plan must obey, with what may be held again."""
+
+    support: bool = False
+    """Let robots release a part that stands again without removing it, and hold parts again."""
+    props: int = 0
+    """Number of props, passive posts from the floor to the lower side of a part, that may stand at a time."""
+
+    def rules(self, assembly: Assembly) -> TaskRules:
+        """Return the rules, as `find_plans` takes them.
+
+        Raises:
+            InputError: parts or states that the structure does not have, or rules that exclude each other.
+        """
+        if self.wider and self.missing is not None:
+            raise InputError("--support and --props take no missing parts; leave out --missing")
+        from falsework.assembly.props import keep_props
+
+        # States are given without places for props, which are not there at either end.
+        plain = keep_props(assembly, ()) if assembly.props else assembly
+        return {**super().rules(plain), "support": self.wider, "props": self.props}
+
+    @property
+    def wider(self) -> bool:
+        """Whether there is more to a plan than holding every part once."""
+        return self.support or self.props > 0
+
+    def with_places(self, assembly: Assembly) -> Assembly:
+        """Return the structure with places for props, if any are allowed.
+
+        Raises:
+            InputError: a negative number, or no part has a place for a prop.
+        """
+        from falsework.assembly.props import prop_places, with_props
+
+        if self.props < 0:
+            raise InputError(f"--props {self.props} is no number of props; give 0 or more")
+        return with_props(assembly, prop_places(assembly)) if self.props else assembly
+
+
+@dataclass(frozen=True, kw_only=True)
 class TaskOptions(RuleOptions):
     """Rules that a plan must obey."""
 

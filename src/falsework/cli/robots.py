@@ -85,7 +85,7 @@ class PlanRobots(Command):
         """Search, save, report."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.planning.hybrid_planner import HybridSettings, plan_robots
-        from falsework.robots.planning.keyframe_graph import KeyframeSettings
+        from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
         from falsework.robots.schedule.build import schedule_plan
         from falsework.stability import Stability, StabilitySettings
 
@@ -103,6 +103,7 @@ class PlanRobots(Command):
         joints = parse_joints(self.joints, cell)
         task = self._task(assembly, cell, held)
         guide = self._guide(assembly, task)
+        graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed)
         with output.bar("planning motions") as show:
             result = plan_robots(
                 assembly,
@@ -113,6 +114,7 @@ class PlanRobots(Command):
                 oracle=Stability(assembly, StabilitySettings(criterion=self.criterion)),
                 guide=guide,
                 settings=settings,
+                graph=graph,
                 progress=lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}"),
             )
         found = result.plan or result.partial
@@ -120,7 +122,7 @@ class PlanRobots(Command):
             found = found.reverse()
         if found is not None and together:
             with output.bar("scheduling motions"):
-                found = schedule_plan(found, assembly, cell)
+                found = schedule_plan(found, assembly, cell, parts=graph.parts)
         return self._report(result, found, output)
 
     def _can_schedule(self, output: Output) -> bool:

@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import RuleOptions, writable
+from falsework.cli.planning import SupportOptions, writable
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -32,10 +32,11 @@ class AskRobotsNeeded(JudgingCommand):
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots-needed vault",
         "falsework robots-needed arch --deadline 300 --out fewest.json",
+        "falsework robots-needed arch --support",
     )
 
     structure: StructureOptions
-    task: RuleOptions
+    task: SupportOptions
     out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
     """File to write the plan to."""
     deadline: float = 60.0
@@ -51,7 +52,7 @@ class AskRobotsNeeded(JudgingCommand):
 
         if self.out is not None:
             writable(self.out)
-        assembly = self.structure.load()
+        assembly = self.task.with_places(self.structure.load())
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
         answer = ask(assembly, oracle, self.task, PlannerSettings(seed=self.seed), self.deadline, False, output)
         if answer.plan is not None and self.out is not None:
@@ -62,7 +63,7 @@ class AskRobotsNeeded(JudgingCommand):
 def ask(
     assembly: Assembly,
     oracle: Stability,
-    rules: RuleOptions,
+    rules: SupportOptions,
     settings: PlannerSettings,
     deadline: float | None,
     proofs: bool,

@@ -1,4 +1,9 @@
 from falsework.interop import compas_dem as compas_dem
+from falsework.interop.bricks import Brick as Brick
+from falsework.interop.bricks import assemble_bricks as assemble_bricks
+from falsework.interop.bricks import is_bricks as is_bricks
+from falsework.interop.bricks import load_bricks as load_bricks
+from falsework.interop.bricks import read_bricks as read_bricks
 from falsework.interop.compas_read import is_compas as is_compas
 from falsework.interop.compas_read import load_compas as load_compas
 from falsework.interop.compas_read import read_compas as read_compas

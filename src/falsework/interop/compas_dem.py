@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.draft import Block, Draft
+from falsework.assembly.joints import Joints
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import DependencyError, InputError
@@ -27,8 +28,8 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
     """Judge the complete structure of a compas_dem `Problem`, with the contact forces.
 
     Contacts are those of `model.compute_contacts()`, found from the meshes where it was not called. Density is that of
-    the blocks' materials, friction that of the contact model; supports are the model's, and blocks whose displacement
-    is prescribed as zero. Loads other than gravity are refused.
+    the blocks' materials; friction, cohesion and tension (Pa) are those of the contact model. Supports are the model's,
+    and blocks whose displacement is prescribed as zero. Loads other than gravity are refused.
 
     The results hold, as those of compas_dem's solvers do, for every edge `contact_data` (a `FrictionContact`,
     `EdgeContact` or `VertexContact`), `contact_points`, `contact_polygon`, `contact_frame` with z from the first to the
@@ -116,10 +117,12 @@ def assembly_of(problem: Any) -> Assembly:
     ]
     law = problem.contact_properties.contact_model
     friction = FRICTION if law is None else getattr(law, "mu", None)
-    if friction is None or getattr(law, "c", None) or getattr(law, "t_c", None):
-        raise InputError("contacts with cohesion or tension cannot be solved; set a Mohr-Coulomb contact model with mu")
+    if friction is None:
+        raise InputError("contacts without friction cannot be solved; set a Mohr-Coulomb contact model with mu")
     draft = Draft.of(Path(str(model.name or "model")), 1.0, blocks, interfaces)
-    return draft.assemble(density=densities, friction=friction, interfaces="stored" if interfaces else "found")
+    assembly = draft.assemble(density=densities, friction=friction, interfaces="stored" if interfaces else "found")
+    strength = {"cohesion": getattr(law, "c", None), "tension": getattr(law, "t_c", None)}
+    return assembly.replace(joints=Joints.throughout(assembly.contacts, **strength))
 
 
 def _check_loads(problem: Any) -> None:

@@ -48,7 +48,7 @@ def load_compas(
     Blocks are meshes in a list or a dictionary, the blocks of a compas_assembly `Assembly`, or the elements of a
     compas_dem `BlockModel` with their transformations, of this version or an older one, alone or in a `Problem`.
     Supports (`is_support`) are boundary. Attributes `density` and `friction`, which `write_compas` adds, the densities
-    of materials and the friction of a `Problem` are read too. COMPAS data have no unit.
+    of materials and the friction, cohesion and tension (Pa) of a `Problem` are read too. COMPAS data have no unit.
 
     Args:
         path: file that `compas.json_dump` wrote.
@@ -194,7 +194,7 @@ class _Reader:
         yield from walk(_inner(content["tree"])["root"], _matrix(content.get("transformation")))
 
     def _problem(self, content: dict[str, Any]) -> Iterator[Block]:
-        """Yield blocks of a compas_dem `Problem`: those of its model, with its friction; held blocks are supports."""
+        """Yield blocks of a compas_dem `Problem`: those of its model, with its contact law; held ones are supports."""
         if not content.get("model"):
             self._fail("its Problem names a model that is not in it", "write the BlockModel instead")
         properties = _inner(content.get("contact_properties") or {})
@@ -213,6 +213,7 @@ class _Reader:
             attributes = dict(block.attributes)
             if friction is not None:
                 attributes["friction"] = friction
+            attributes |= {name: law[key] for name, key in (("cohesion", "c"), ("tension", "t_c")) if law.get(key)}
             yield replace(block, support=block.support or block.key[1] in guids, attributes=attributes)
 
     def _read_edges(self, graph: dict[str, Any], name: str, keys: dict[str, Hashable]) -> None:

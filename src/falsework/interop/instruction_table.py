@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
+from falsework.errors import PlanError
 from falsework.search.problem.task import Direction
 from falsework.utils.archive import write_whole
 from falsework.viewer.timeline import NO_ROBOT, Timeline
@@ -117,8 +118,10 @@ def assembly_instructions(plan: Plan, assembly: Assembly) -> AssemblyInstruction
         assembly: its structure.
 
     Raises:
-        PlanError: the plan is for another structure.
+        PlanError: the plan is for another structure, or it holds parts again or has props.
     """
+    if plan.support:
+        raise PlanError("a sheet says when to place and when to release, not what is held again or propped; export it")
     build = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
     timeline = Timeline.of(build, assembly)
     parts, missing = assembly.part_count, set(plan.missing)

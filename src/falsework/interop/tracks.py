@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
 from falsework.search.plans.plan_check import check_identity
-from falsework.search.problem.task import Direction
 from falsework.viewer.appearance import diagonal
 from falsework.viewer.timeline import NO_ROBOT, holders, way_out
 
@@ -89,7 +88,7 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
     if not (np.isfinite(step_seconds) and step_seconds > 0):
         raise InputError(f"a step of {step_seconds:g} seconds cannot be seen; give a number above zero")
     parts = assembly.part_count
-    present, robots = plan.states != REMOVED, holders(plan.states, plan.boundary)
+    present, robots = plan.states != REMOVED, holders(plan.states, plan.immovable)
     shown = [[(0.0, bool(present[0, part]))] for part in range(parts)]
     holder = [[(0.0, int(robots[0, part]))] for part in range(parts)]
     path: list[list[tuple[float, tuple[float, float, float]]]] = [[] for _ in range(parts)]
@@ -100,16 +99,16 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
         if not moves:
             holder[part].append((begin, int(robots[step + 1, part])))
             continue
-        leaves = plan.direction is Direction.DISASSEMBLY
+        leaves = bool(present[step, part])
         away = _triple(reach * way_out(assembly, plan.states[step if leaves else step + 1], part))
         if leaves:
             shown[part].append((end, False))
             holder[part].append((end, NO_ROBOT))
-            path[part] = [(begin, home), (end, away)]
+            path[part] += [(begin, home), (end, away)]
         else:
             shown[part].append((begin, True))
             holder[part].append((begin, int(robots[step + 1, part])))
-            path[part] = [(begin, away), (end, home)]
+            path[part] += [(begin, away), (end, home)]
     tracks = (Track(_clean(shown[part]), _clean(holder[part]), tuple(path[part])) for part in range(parts))
     return Tracks(tuple(tracks), len(plan) * step_seconds)
 

@@ -45,3 +45,4 @@ from falsework.search.problem.task import Direction as Direction
 from falsework.search.problem.task import Task as Task
 from falsework.search.problem.timed_replayer import Replayed as Replayed
 from falsework.search.settings import PlannerSettings as PlannerSettings
+from falsework.search.support.everywhere import SupportEverywhere as SupportEverywhere

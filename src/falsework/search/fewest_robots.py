@@ -21,6 +21,7 @@ from falsework.search.problem.result import Outcome, Progress, SearchResult, uns
 from falsework.search.problem.task import Direction, Task
 from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
+from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.oracle import Stability
 
 DEADLINE = 60.0
@@ -106,7 +107,7 @@ def robots_needed(
         deadline: seconds for all searches together; None for as long as they take.
         progress: called after every level of every search.
         forces: keep the contact forces that prove each state in the plan.
-        rules: start, target, fixed, missing and removable_only_if_clear; see `TaskRules`.
+        rules: start, target, fixed, missing, removable_only_if_clear, support and props; see `TaskRules`.
 
     Returns:
         The best that was found by the deadline, or until the keyboard interrupted the search.
@@ -141,7 +142,7 @@ class _Inquiry:
         self._most = max(int((~task.boundary).sum()), self._least)
         self._timed = timed(oracle, clock)
         self._bound = HoldBound(assembly, task, oracle.settings, clock)
-        self._planners: dict[int, Planner] = {}
+        self._planners: dict[int, Planner | SupportPlanner] = {}
         self._reasons = dict.fromkeys(range(1, self._least), "the start or the target has more parts held")
         self._barrier: Barrier | None = None
         self._plan: Plan | None = None
@@ -219,6 +220,8 @@ class _Inquiry:
         """Return whether it is proven that no plan exists with so many robots, after another attempt if need be."""
         if robots < self._least:
             return True
+        if self._task.prop_limit:  # which the bound knows nothing of
+            return False
         barrier = self._bound.barrier(robots, budget * self._assembly.part_count)
         if barrier is None:
             return False
@@ -241,7 +244,7 @@ class _Inquiry:
         if robots not in self._planners:
             task = replace(self._task, robots=robots)
             guide = SupportGuide(self._assembly)
-            self._planners[robots] = Planner(task, self._timed, self._settings, guide=guide)
+            self._planners[robots] = planner_for(task, self._timed, self._settings, guide=guide)
         planner, end, told = self._planners[robots], time.perf_counter() + seconds, False
 
         def stop() -> bool:

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import States
+from falsework.assembly.props import keep_props
+from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.search.margins.demands import DemandingStability
 from falsework.search.margins.plan_margins import PlanMargins
@@ -25,9 +26,11 @@ from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Outcome, Progress, Route, SearchProgress, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
+from falsework.search.problem.support_route import SupportRoute
 from falsework.search.problem.task import Task
 from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
+from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.oracle import Stability
 from falsework.stability.verdict import Verdicts
 
@@ -54,6 +57,10 @@ class TaskRules(TypedDict, total=False):
     """Parts not delivered yet; assembly does without them for as long as possible."""
     removable_only_if_clear: bool
     """Remove a part only if it has a free straight exit."""
+    support: bool
+    """Let held parts go without removing them, and hold parts again."""
+    props: int
+    """Props that may stand at a time, of those that the structure has places for; needs `support`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +113,8 @@ def find_plans(
         deadline: seconds after which the search ends with the best that it has; the plans are proved after that.
         checkpoint: file that the search is saved to now and then and resumed from if it is there; removed at the end.
         forces: keep the contact forces that prove each state in the plans; for a thousand parts half a gigabyte a plan.
-        rules: start, target, fixed, missing and removable_only_if_clear; see `TaskRules`. Without them the complete
-            structure is taken apart.
+        rules: start, target, fixed, missing, removable_only_if_clear, support and props; see `TaskRules`. Without
+            them the complete structure is taken apart.
 
     Returns:
         Plans with verdicts and proofs; none if there is none, or none was found.
@@ -125,7 +132,7 @@ def find_plans(
     guide = guide or SupportGuide(assembly)
     planner = _resume(checkpoint, task, timed(oracle, clock), settings, guide)
     result = planner.run(progress=_saving(planner, checkpoint, progress), stop=stop)
-    if checkpoint is not None:
+    if checkpoint is not None and isinstance(planner, Planner):
         if result.interrupted:
             planner.save(checkpoint)
         else:
@@ -156,12 +163,22 @@ def task_of(
     fixed: Sequence[int] = (),
     missing: Sequence[int] = (),
     removable_only_if_clear: bool = False,
+    support: bool = False,
+    props: int = 0,
 ) -> Task:
     """Return the task of taking a structure apart; see `TaskRules` for the rules.
 
+    States of a structure with places for props may be given without them.
+
     Raises:
-        InputError: fewer than one robot, or parts or states that the structure does not have.
+        InputError: fewer than one robot, parts or states that the structure does not have, or props without places.
     """
+    if props < 0 or (props and not (support and assembly.props)):
+        raise InputError(
+            f"{props} props cannot be placed; give a number from 0 on, with support and a structure with places for "
+            "props, as with_props(assembly, prop_places(assembly)) makes it"
+        )
+    start, target = (_with_places(state, assembly) for state in (start, target))
     return Task.create(
         assembly.boundary,
         robots,
@@ -172,7 +189,17 @@ def task_of(
         clearance=assembly.clearance if removable_only_if_clear else None,
         contacts=assembly.contacts.parts,
         identity=assembly.identity,
+        support=support,
+        props=[prop.part for prop in assembly.props],
+        prop_limit=props,
     )
+
+
+def _with_places(state: ArrayLike | None, assembly: Assembly) -> ArrayLike | None:
+    """Return a state with its props absent, where it was given without any."""
+    if state is None or not assembly.props or np.shape(state) != (assembly.part_count - len(assembly.props),):
+        return state
+    return np.append(np.asarray(state), np.zeros(len(assembly.props), dtype=np.uint8))
 
 
 def plan_of(
@@ -186,7 +213,8 @@ def plan_of(
 ) -> Plan:
     """Plan along a route, each state proved stable anew with a proof that the certificate checker accepts.
 
-    Under the criterion `contact` the plan is replayed as well; what came of it is in `Plan.replay`.
+    Under the criterion `contact` the plan is replayed as well; what came of it is in `Plan.replay`. Of the places for
+    props the plan has only those that it uses.
 
     Args:
         route: states and actions.
@@ -199,6 +227,13 @@ def plan_of(
     Raises:
         PlanError: a state that cannot be proved stable.
     """
+    if assembly.props:
+        bare = assembly.part_count - len(assembly.props)
+        used = np.flatnonzero((route.states[:, bare:] != REMOVED).any(axis=0))
+        if len(used) < len(assembly.props):
+            states = np.ascontiguousarray(route.states[:, [*range(bare), *(bare + used)]])
+            assembly = keep_props(assembly, used.tolist())
+            route, oracle, replay = SupportRoute.through(states), Stability(assembly, oracle.settings), None
     points, contact = len(assembly.contacts.points), oracle.settings.criterion == "contact"
     verdicts = Verdicts.blank(
         len(route.states),
@@ -264,7 +299,7 @@ def _prove_in_order(states: States, oracle: Stability, verdicts: Verdicts) -> No
             rows = rows[inside]
 
 
-def choose_plans(planner: Planner, settings: PlannerSettings, name: str = "") -> Alternatives:
+def choose_plans(planner: Planner | SupportPlanner, settings: PlannerSettings, name: str = "") -> Alternatives:
     """Choose the requested number of plans, as different as possible, from all that a planner has found.
 
     Args:
@@ -272,7 +307,7 @@ def choose_plans(planner: Planner, settings: PlannerSettings, name: str = "") ->
         settings: how many, and the seed.
         name: of the structure, for the state graph.
     """
-    if settings.alternatives == 1:
+    if settings.alternatives == 1 or isinstance(planner, SupportPlanner):
         return Alternatives.of(planner.routes)
     task = planner.task.postpone(planner.postponed)
     graph = StateGraph.build(
@@ -283,14 +318,20 @@ def choose_plans(planner: Planner, settings: PlannerSettings, name: str = "") ->
 
 def _resume(
     checkpoint: Path | str | None, task: Task, oracle: Oracle, settings: PlannerSettings, guide: Guide
-) -> Planner:
+) -> Planner | SupportPlanner:
+    if task.support:
+        if checkpoint is not None:
+            raise InputError("a search with holding again cannot be saved; leave out the checkpoint")
+        return planner_for(task, oracle, settings, guide=guide)
     if checkpoint is not None and Path(checkpoint).exists():
         return Planner.load(checkpoint, task, oracle, settings, guide=guide)
     return Planner(task, oracle, settings, guide=guide)
 
 
-def _saving(planner: Planner, checkpoint: Path | str | None, progress: Progress | None) -> Progress | None:
-    if checkpoint is None:
+def _saving(
+    planner: Planner | SupportPlanner, checkpoint: Path | str | None, progress: Progress | None
+) -> Progress | None:
+    if checkpoint is None or isinstance(planner, SupportPlanner):
         return progress
     saved = time.perf_counter()
 

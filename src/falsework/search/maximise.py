@@ -20,11 +20,11 @@ from falsework.stability.settings import StabilitySettings
 Maximised = Literal["friction", "tilt", "push"]
 
 _TRIALS = 6
-"""Searches after the first; each halves what is open, up to the bound."""
+"""Searches after the first; each halves the interval between the margin reached and the bound."""
 _CLOSE = 1.02
-"""A weakest step within this factor of the bound is as strong as is looked for."""
+"""The search ends when the weakest step is within this factor of the bound."""
 _FIRST = 2.0
-"""Where no bound is known, the next demand is so many times what was reached."""
+"""Factor from the margin reached to the next demand where no bound is known."""
 
 
 def maximise_margin(

@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 Kind = Literal["replan", "stability", "picture"]
 
 NOT_YET = "not_yet"
-"""Outcome of a request whose deadline passed before there was a plan: not a no, and not a plan."""
+"""Outcome of a request whose deadline passed before a plan was found; it proves nothing."""
 REMEMBERED = 400_000
-"""States that a worker judges before it forgets what it knows, so that its memory stays bounded."""
+"""Verdicts after which a worker empties its caches, to bound its memory."""
 _BACKGROUND = 5
-"""How far planning steps back behind the process that talks to clients."""
+"""Niceness of the planning processes, so that the process that answers clients goes first."""
 _MOVES = 0.05
 """A part counts as moving at this share of the fastest part's velocity."""
 

@@ -7,7 +7,8 @@ Forces and virtual velocities bound the same number, the smallest that the resid
 forces: forces in the friction cones whose normal components sum to at most the force bound. The residual is the
 largest acceleration of a part as a share of gravity; an angular acceleration counts times the part's largest radius
 of gyration, so the residual has no dimension and does not change with size, density or gravity. Forces bound it from
-above, a virtual velocity from below, so a state cannot pass both.
+above, a virtual velocity from below, so a state cannot pass both. Joints that pull widen what is admissible
+(`Strength`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
+from falsework.stability.strength import Strength, strength_of
 from falsework.stability.verdict import Criterion, Verdict, Verdicts
 
 Array = NDArray[np.float64]
@@ -28,6 +30,8 @@ Array = NDArray[np.float64]
 _ROUNDING = 1e-9
 """How far a force may stand outside its cone, as a share of itself and of the weight of the structure; what
 does is moved inside before it is judged."""
+_TEARS = 1.0 + 1e-6
+"""Times its tension at which a contact point tears, rounding of the solvers included."""
 _CHUNK = 256
 
 
@@ -107,8 +111,8 @@ def residual_of_displacement(
 ) -> Array:
     """Residual that the contact forces of a displacement leave, or infinity where the displacement is too large.
 
-    The law is that of `contact/law.py`, written anew: normal springs without tension, tangential springs cut back to
-    the friction limit, no force at zero displacement.
+    The law is that of `contact/law.py`, written anew: normal springs that tear beyond their tension, tangential springs
+    cut back to what friction and cohesion bear, no force at zero displacement.
 
     Args:
         assembly: the structure.
@@ -133,9 +137,12 @@ def forces_of_displacement(assembly: Assembly, states: States, displacement: Arr
     """Return the contact forces `(n, t1, t2)` in N that the law gives at a displacement, shape (batch, points, 3)."""
     relative = _relative(assembly, displacement)
     stiffness = normal_stiffness(assembly, claim.gravity)
-    normal = np.maximum(-stiffness * relative[..., 0], 0.0)
+    strength = strength_of(assembly, claim.gravity)
+    normal = -stiffness * relative[..., 0]
+    whole = ~strength.tears | (normal >= -_TEARS * strength.pull)
     tangent = -(claim.stiffness_ratio * stiffness)[:, None] * relative[..., 1:]
-    forces, _ = _into_cone(np.concatenate([normal[..., None], tangent], axis=2), assembly.friction, claim.cone)
+    springs = np.concatenate([normal[..., None], tangent], axis=2)
+    forces = np.where(whole[..., None], _into_cone(springs, strength, claim.cone)[0], 0.0)
     owner = assembly.contacts.contact_of_point
     acts = _acts(states, assembly.contacts.parts[owner, 0], assembly.contacts.parts[owner, 1])
     return np.where(acts[:, :, None], forces, 0.0)
@@ -160,12 +167,14 @@ def residual_of_forces(
     owner = contacts.contact_of_point
     a, b = contacts.parts[owner, 0], contacts.parts[owner, 1]
     forces = np.where(_acts(states, a, b)[:, :, None], forces, 0.0)
-    weight = claim.gravity * mass.mass[~assembly.boundary].sum()
+    weight = claim.gravity * mass.mass[~assembly.immovable].sum()
 
     size = np.linalg.norm(forces, axis=2)
     finite = np.isfinite(size).all(axis=1)
-    forces, outside = _into_cone(np.where(finite[:, None, None], forces, 0.0), assembly.friction, claim.cone)
-    admissible = finite & (outside <= _ROUNDING * (size + weight)).all(axis=1)
+    strength, acts = strength_of(assembly, claim.gravity), _acts(states, a, b)
+    forces, outside = _into_cone(np.where(finite[:, None, None], forces, 0.0), strength, claim.cone)
+    forces = np.where(acts[:, :, None], forces, 0.0)
+    admissible = finite & np.where(acts, outside <= _ROUNDING * (size + weight), True).all(axis=1)
     admissible &= forces[:, :, 0].sum(axis=1) <= claim.force_bound * weight * (1 + _ROUNDING)
 
     world = np.einsum("bci,cij->bcj", forces, contacts.frames[owner])
@@ -190,11 +199,11 @@ def residual_bound_of_velocity(
 ) -> Array:
     """Return the residual that every admissible set of contact forces leaves at least, as a velocity proves it.
 
-    For forces with sum of normals at most `B`, the power of all forces on velocity `w` is at least
-    `w . loads - B max_c s_c`, weight among the loads, where `s_c` is the most power that contact point `c` can take out
-    per newton of normal force. The power is also the acceleration times the momentum of `w`, at most the residual times
-    gravity times the 1-norm of the momentum, angular momenta divided by the radii of gyration (the lemma of
-    Farkas with both bounds in numbers).
+    For forces with sum of normals at most `U`, the power of all forces on velocity `w` is at least
+    `w . loads - B max_c s_c - T`, weight among the loads, where `s_c` is the most power that contact point `c` can take
+    out per newton of normal force, `T` what tension and cohesion can, and `B` is `U` and the tension of all points. The
+    power is also the acceleration times the momentum of `w`, at most the residual times gravity times the 1-norm of the
+    momentum, angular momenta divided by the radii of gyration (the lemma of Farkas with both bounds in numbers).
 
     Args:
         assembly: the structure.
@@ -224,12 +233,15 @@ def resistance_to_velocity(
     contacts, mass = assembly.contacts, assembly.mass
     owner = contacts.contact_of_point
     a, b = contacts.parts[owner, 0], contacts.parts[owner, 1]
-    taken = _most_power_taken(_relative(assembly, velocity), assembly.friction, claim.cone)
-    taken = np.where(_acts(states, a, b), taken, 0.0).max(axis=1, initial=0.0)
-    weight = claim.gravity * mass.mass[~assembly.boundary].sum()
+    strength, acts = strength_of(assembly, claim.gravity), _acts(states, a, b)
+    relative = _relative(assembly, velocity)
+    slip = _slip(relative, claim.cone)
+    taken = np.where(acts, strength.friction * slip - relative[..., 0], 0.0).max(axis=1, initial=0.0)
+    joined = np.where(acts, strength.stick * slip + strength.pull * relative[..., 0], 0.0).sum(axis=1)
+    most = claim.force_bound * claim.gravity * mass.mass[~assembly.immovable].sum() + acts @ strength.pull
     momentum = np.abs(mass.mass[None, :, None] * velocity[:, :, :3]).sum(axis=(1, 2))
     turning = np.abs(np.einsum("pij,bpj->bpi", mass.inertia, velocity[:, :, 3:])).sum(axis=2)
-    return claim.force_bound * weight * taken, claim.gravity * (momentum + (turning / mass.gyration).sum(axis=1))
+    return most * taken + joined, claim.gravity * (momentum + (turning / mass.gyration).sum(axis=1))
 
 
 def _relative(assembly: Assembly, motion: Array) -> Array:
@@ -248,33 +260,33 @@ def _acts(states: States, a: NDArray, b: NDArray) -> NDArray[np.bool_]:
     return (states[:, a] > 0) & (states[:, b] > 0) & ((states[:, a] == 1) | (states[:, b] == 1))
 
 
-def _into_cone(forces: Array, friction: float, cone: str) -> tuple[Array, Array]:
-    """Return forces with tangents shrunk until they are in the cone, and how far they stood outside in N.
+def _into_cone(forces: Array, strength: Strength, cone: str) -> tuple[Array, Array]:
+    """Return forces with tangents shrunk until they are admissible, and how far they stood outside in N.
 
     Shapes (batch, points, 3) and (batch, points).
     """
     normal, tangent = forces[..., 0], forces[..., 1:]
+    radius = strength.friction * np.maximum(normal + strength.pull, 0.0) + strength.stick
     if cone == "quadratic":
-        reach, limit = np.hypot(tangent[..., 0], tangent[..., 1]), friction * np.maximum(normal, 0.0)
+        reach, limit = np.hypot(tangent[..., 0], tangent[..., 1]), radius
     else:
         # An octagon with corners at multiples of 45 degrees has its sides' normals half way between them.
         angle = (np.arange(8) + 0.5) * np.pi / 4
         sides = np.stack([np.cos(angle), np.sin(angle)])
-        reach, limit = (tangent @ sides).max(axis=-1), friction * np.cos(np.pi / 8) * np.maximum(normal, 0.0)
-    inside = np.maximum(forces, [0.0, -np.inf, -np.inf])
+        reach, limit = (tangent @ sides).max(axis=-1), np.cos(np.pi / 8) * radius
+    inside = forces.copy()
+    inside[..., 0] = np.maximum(normal, -strength.pull)
     inside[..., 1:] *= np.divide(limit, reach, out=np.ones_like(reach), where=reach > limit)[..., None]
-    return inside, np.maximum(reach - limit, -normal)
+    return inside, np.maximum(reach - limit, -normal - strength.pull)
 
 
-def _most_power_taken(relative: Array, friction: float, cone: str) -> Array:
-    """Return the most power that a contact point can take out of a relative velocity, per newton of normal force."""
+def _slip(relative: Array, cone: str) -> Array:
+    """Return the most power that a tangential force of at most 1 N can take out of a relative velocity."""
     tangent = relative[..., 1:]
     if cone == "quadratic":
-        slip = np.hypot(tangent[..., 0], tangent[..., 1])
-    else:
-        angle = np.arange(8) * np.pi / 4
-        slip = (tangent @ np.stack([np.cos(angle), np.sin(angle)])).max(axis=-1)
-    return friction * slip - relative[..., 0]
+        return np.hypot(tangent[..., 0], tangent[..., 1])
+    angle = np.arange(8) * np.pi / 4
+    return (tangent @ np.stack([np.cos(angle), np.sin(angle)])).max(axis=-1)
 
 
 def _chunks(rows: NDArray) -> list[NDArray]:

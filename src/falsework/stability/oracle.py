@@ -75,6 +75,8 @@ class Stability:
     """
 
     def __init__(self, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> None:
+        if settings.criterion == "equilibrium" and assembly.joints is not None and assembly.joints.setting:
+            raise InputError("joints that set need the criterion contact; equilibrium knows no steps")
         self.assembly = assembly
         self.settings = settings
         self.problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)

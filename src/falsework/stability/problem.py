@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
 from falsework.errors import AssemblyError, InputError
+from falsework.stability.strength import Strength, strength_of
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -18,8 +19,6 @@ Cone = Literal["octagon", "quadratic"]
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FORCE_BOUND = 1e3
-"""Default bound on the sum of all normal forces, in weights of the structure (the paper bounds forces too)."""
 TOLERANCE = 1e-4
 """Default largest residual of a stable state, a share of gravity; the paper allows 1e-3 m/s2 (section 4)."""
 
@@ -44,12 +43,15 @@ class Problem:
 
     parts: int
     boundary: Mask
-    """Shape (parts,)."""
+    """Parts that never move, props too, shape (parts,)."""
     part_a: NDArray[np.int32]
     """Part on which the opposite of the force acts, shape (points,)."""
     part_b: NDArray[np.int32]
     """Part on which the force acts, shape (points,)."""
     friction: float
+    """Coefficient of friction of contact points to which no joint gives another."""
+    strength: Strength
+    """What each contact point bears."""
     cone: Cone
     wrench_a: Array
     """Wrench on part `a` of a unit force, shape (points, 6, 3), N and Nm per N."""
@@ -138,8 +140,9 @@ def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float 
     transfer_a = -whitening[a] @ _shift(middle - mass.center[a])
     transfer_b = whitening[b] @ _shift(middle - mass.center[b])
     # A boundary part never moves, so its rows take no part in any state: they must not spoil the scaling.
-    transfer_a[assembly.boundary[a]] = 0.0
-    transfer_b[assembly.boundary[b]] = 0.0
+    immovable = assembly.immovable
+    transfer_a[immovable[a]] = 0.0
+    transfer_b[immovable[b]] = 0.0
     norms = np.sqrt(
         ((transfer_a[pair_of_point] @ basis) ** 2).sum((1, 2)) + ((transfer_b[pair_of_point] @ basis) ** 2).sum((1, 2))
     )
@@ -149,7 +152,7 @@ def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float 
 
     gravity_wrench = assembly.applied_wrench(gravity)
     arrays: dict[str, NDArray] = {
-        "boundary": np.array(assembly.boundary, dtype=bool),
+        "boundary": immovable,
         "part_a": part_a.astype(np.int32),
         "part_b": part_b.astype(np.int32),
         "wrench_a": -_unit_wrenches(axes, contacts.points - mass.center[part_a]),
@@ -173,8 +176,9 @@ def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float 
     return Problem(
         parts=assembly.part_count,
         friction=float(assembly.friction),
+        strength=strength_of(assembly, gravity),
         cone=cone,
-        weight=float(gravity * mass.mass[~assembly.boundary].sum()),
+        weight=float(gravity * mass.mass[~immovable].sum()),
         **arrays,
     )
 

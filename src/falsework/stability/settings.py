@@ -9,8 +9,9 @@ import numpy as np
 
 from falsework.errors import InputError
 from falsework.stability.certificate import StabilityCriterion
-from falsework.stability.problem import FORCE_BOUND, TOLERANCE, Cone
+from falsework.stability.problem import TOLERANCE, Cone
 from falsework.stability.stiffness import TANGENTIAL_RATIO
+from falsework.stability.strength import FORCE_BOUND
 from falsework.stability.verdict import Criterion
 
 SolverName = Literal["auto", "cpu", "gpu", "exact", "gurobi"]

@@ -33,13 +33,14 @@ def normal_stiffness(assembly: Assembly, gravity: float = 9.81) -> NDArray[np.fl
     if not len(area):
         return area
     area = np.maximum(area, _LEAST_AREA * (area.mean() if area.any() else 1.0))
-    movable = ~assembly.boundary if not assembly.boundary.all() else assembly.boundary
+    immovable = assembly.immovable
+    movable = ~immovable if not immovable.all() else immovable
     mass, density = assembly.mass.mass[movable], assembly.density[movable]
     return area * (gravity * mass.sum() / (mass / density).sum() / SETTLEMENT)
 
 
 def structure_size(assembly: Assembly) -> float:
     """Return the diagonal of the bounding box of the parts that are not boundary, m."""
-    meshes = [mesh for mesh, fixed in zip(assembly.meshes, assembly.boundary, strict=True) if not fixed]
+    meshes = [mesh for mesh, fixed in zip(assembly.meshes, assembly.immovable, strict=True) if not fixed]
     vertices = np.concatenate([mesh.vertices for mesh in meshes or assembly.meshes])
     return float(np.linalg.norm(np.ptp(vertices, axis=0)))

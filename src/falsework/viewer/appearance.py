@@ -77,7 +77,7 @@ def appearance_at(
     color = np.broadcast_to(np.array(rgb(INSTALLED), dtype=np.uint8), (assembly.part_count, 3)).copy()
     for part in np.flatnonzero(holder != NO_ROBOT):
         color[part] = rgb(robot_color(int(holder[part])))
-    color[assembly.boundary] = rgb(BOUNDARY)
+    color[assembly.immovable] = rgb(BOUNDARY)
     opacity = (shown != REMOVED).astype(float)
     shift = np.zeros((assembly.part_count, 3))
     if travelling:

@@ -55,7 +55,8 @@ def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[s
     """Return the contact forces, friction and gravity in one state, all on one scale.
 
     The force of each contact is drawn as it acts on the part of the two that is free to move (on the second if both
-    are), split into what presses and what rubs, at the point where the pressure acts in total.
+    are), split into what presses or pulls and what rubs, at the point where the pressure acts in total; where some of
+    it pulls, at the mean of the points by the size of their normal forces.
 
     Args:
         assembly: the structure.
@@ -67,10 +68,11 @@ def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[s
     acts = (state[a] != REMOVED) & (state[b] != REMOVED) & ((state[a] == INSTALLED) | (state[b] == INSTALLED))
     owner = contacts.contact_of_point
     pressing = np.bincount(owner, forces[:, 0], len(contacts))
-    acts &= pressing > 0
-    weight = np.maximum(pressing, 1e-300)
-    center = np.stack([np.bincount(owner, forces[:, 0] * contacts.points[:, k], len(contacts)) for k in range(3)], 1)
-    center /= weight[:, None]
+    size = np.abs(forces[:, 0])
+    weight = np.bincount(owner, size, len(contacts))
+    acts &= weight > 0
+    center = np.stack([np.bincount(owner, size * contacts.points[:, k], len(contacts)) for k in range(3)], axis=1)
+    center /= np.maximum(weight, 1e-300)[:, None]
     tangent = np.stack([np.bincount(owner, forces[:, k], len(contacts)) for k in (1, 2)], axis=1)
     sign = np.where(state[b] == INSTALLED, 1.0, -1.0)[:, None]
     pushes = sign * pressing[:, None] * contacts.normals

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.state import HELD, REMOVED, Mask, States, as_states
+from falsework.assembly.state import HELD, REMOVED, Mask, States, as_states, describe_step
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.task import Direction
 
@@ -71,7 +71,7 @@ class Timeline:
         apart = plan if plan.direction is Direction.DISASSEMBLY else plan.reverse()
         # Robots are given out in the order of the plan, so that no held part changes robots on the way.
         if who is None:
-            who = holders(plan.states, assembly.boundary)
+            who = holders(plan.states, assembly.immovable)
             who = who if plan.direction is Direction.DISASSEMBLY else who[::-1]
         shown = plan.direction if direction is None else direction
         return cls(assembly, apart.states, apart.actions, who, shown, plan.robots, apart.forces)
@@ -80,7 +80,7 @@ class Timeline:
     def from_state(cls, assembly: Assembly, state: ArrayLike, robots: int = 2) -> Timeline:
         """Return the timeline of one state, shape (parts,), in which nothing happens."""
         states = as_states(state, assembly.boundary)[:1]
-        who = holders(states, assembly.boundary)
+        who = holders(states, assembly.immovable)
         return cls(assembly, states, np.empty(0, dtype=np.int64), who, Direction.ASSEMBLY, robots)
 
     def __len__(self) -> int:
@@ -103,11 +103,8 @@ class Timeline:
 
     def words(self, step: int) -> str:
         """Describe a step, counted from 0 in the order shown, such as `hold block-3`."""
-        apart = self.direction is Direction.DISASSEMBLY
-        action = int(self.actions[step if apart else len(self) - 1 - step])
-        parts = self.assembly.part_count
-        word = (("hold", "remove") if apart else ("release", "insert"))[action >= parts]
-        return f"{word} {self.assembly.names[action % parts]}"
+        before, after = self.states[self.row(step)], self.states[self.row(step + 1)]
+        return describe_step(before, after, self.assembly.names)
 
     @cached_property
     def removal_step(self) -> NDArray[np.int64]:

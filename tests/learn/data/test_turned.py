@@ -96,7 +96,7 @@ def test_same_seed_same_tasks(dome: Assembly, graph: StateGraph) -> None:
 def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly) -> None:
     """Starts of a run, and tasks drawn later, are states that its searches did not see, and never test states."""
     settings = TrainSettings(
-        policy=PolicySettings("transformer", goal_conditioned=True), widths=(8, 8), pairs=3000, steps=10
+        policy=PolicySettings("transformer", goal_conditioned=True), widths=(8, 8), pairs=800, steps=10
     )
     data_of_run = collect_training_data(
         RunContext(dome, settings.resolved(dome.part_count, "cpu"), HostOracle(Stability(dome)), CPU)
@@ -104,9 +104,9 @@ def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly) -> 
     assert isinstance(data_of_run.tasks, SymmetryAugmentation)
     assert data_of_run.targets is not None
     test = {tuple(state) for state in data_of_run.held_out.tolist()}
-    searches = GoalDataSettings(widths=(8, 8), pairs=3000)
+    searches = GoalDataSettings(widths=(8, 8), pairs=800)
     data = build_goal_dataset(dome, task_for(dome), searches, device="cpu")
-    drawn_later = drawn(data_of_run.tasks, 3000, seed=3)
+    drawn_later = drawn(data_of_run.tasks, 1000, seed=3)
     for states in (data_of_run.starts, data_of_run.targets, *drawn_later[:2]):
         assert not test & {tuple(state) for state in states.tolist()}
         assert (data.wide.index.find(states.numpy()) < 0).any()

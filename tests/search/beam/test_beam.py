@@ -112,7 +112,7 @@ def test_narrow_beam_with_choice_ahead_climbs_a_high_tower(rules: Any) -> None:
     assert lookahead.found
     blind = BeamSearch(task, rules.tower(61), BeamSettings(width=1)).run()
     assert blind.outcome is Outcome.NOT_FOUND
-    assert "keeps 1 states" in blind.limit
+    assert "width of 1" in blind.limit
 
 
 @BOTH

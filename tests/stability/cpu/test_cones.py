@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from falsework.stability.cpu.cones import OCTAGON, QUADRATIC, project, support
+from falsework.stability.cpu.cones import OCTAGON, QUADRATIC, project, project_joint, support
 from falsework.stability.reference.conic_program import into_cone
+from falsework.stability.strength import Strength
 
 BOTH = pytest.mark.parametrize("cone", [OCTAGON, QUADRATIC])
 NUMBER = st.floats(-10, 10, allow_nan=False, allow_subnormal=False)
@@ -71,6 +72,21 @@ def test_the_octagon_agrees_with_least_squares_over_its_edges(point: tuple[float
     np.testing.assert_allclose(nearest(OCTAGON, point, friction), edges.T @ weights, atol=1e-8)
 
 
+@BOTH
+@BOUNDED
+@given(point=POINT, friction=st.floats(0.0, 2.0), stick=st.floats(0.01, 5.0))
+def test_the_nearest_point_of_a_cut_cone(cone: int, point: tuple[float, ...], friction: float, stick: float) -> None:
+    """It is admissible, and no admissible corner lies on the near side of the plane through it."""
+    found = np.array(project_joint(cone, *point, friction, stick))
+    corners = rays(cone, 1.0) * [0.0, 1.0, 1.0] * stick  # of the cut; the cone goes on along its rays from there
+    away = np.array(point) - found
+    slack = 1e-9 * (1 + np.abs(point).max()) ** 2
+    assert found[0] >= 0
+    assert outside(cone, found + [stick, 0.0, 0.0], 1.0) <= 1e-9 * (1 + abs(found[0])) or friction > 0
+    assert (corners - found).dot(away).max() <= slack + (0 if cone == OCTAGON else 1e-4 * np.abs(away).max() * stick)
+    assert (rays(cone, friction) @ away).max() <= slack + (0 if cone == OCTAGON else 1e-4 * np.abs(away).max())
+
+
 @pytest.mark.parametrize("cone", [OCTAGON, QUADRATIC])
 @pytest.mark.parametrize("normal", [-1.0, 0.0, 2.0])
 @pytest.mark.parametrize("tangent", [(0.0, 0.0), (0.3, -0.2)])
@@ -94,7 +110,7 @@ def test_support_is_the_best_ray(cone: int, direction: tuple[float, ...], fricti
 @given(point=POINT, friction=FRICTION)
 def test_shrinking_into_the_cone_keeps_what_is_inside(name: str, point: tuple[float, ...], friction: float) -> None:
     cone = {"octagon": OCTAGON, "quadratic": QUADRATIC}[name]
-    shrunk = into_cone(np.array([point]), friction, name)[0]
+    shrunk = into_cone(np.array([point]), Strength(*np.array([friction, 0.0, 0.0]), np.array(True)), name)[0]
     assert outside(cone, shrunk, friction) <= 1e-12 * (1 + max(map(abs, point)))
     if outside(cone, np.array(point), friction) < -1e-9:
         np.testing.assert_array_equal(shrunk, point)

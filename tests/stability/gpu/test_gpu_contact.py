@@ -108,7 +108,8 @@ def test_slides_and_unstable_together_are_the_states_that_do_not_rest(
 def test_states_too_large_for_the_chip_are_judged_in_memory(scenes: Any, on_host: Callable[..., GpuSolver]) -> None:
     assembly = library.build("arch:blocks=7")
     states = states_of(scenes, assembly, 30, seed=2)
-    roomy, tight = on_host(assembly, CONTACT), on_host(assembly, CONTACT, shared_limit=10 * 1024)
+    roomy = on_host(assembly, CONTACT)
+    tight = on_host(assembly, CONTACT, shared_limit=4 * 1024 + roomy.layout.contact_bytes() // 2)
     first, second = roomy.check(states), tight.check(states)
     assert "contact_scratch" not in roomy.driver.launched  # type: ignore[attr-defined]
     assert "contact_scratch" in tight.driver.launched  # type: ignore[attr-defined]

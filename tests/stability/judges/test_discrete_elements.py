@@ -183,6 +183,19 @@ def test_settings_are_checked(values: dict[str, Any], message: str) -> None:
         DiscreteElementSettings(**values)
 
 
+def test_a_state_rests_with_the_forces_that_prove_it(shared_assembly: Callable[[str], Path]) -> None:
+    """Also where gravity on the unstressed structure makes parts slide far before they stop."""
+    assembly = load_structure(str(shared_assembly("dome-37")))
+    states = find_plans(assembly, forces=False).plans[0].states[::9]
+    verdicts = Stability(assembly).check(states)
+    assert verdicts.stable.all()
+    found = settle(assembly, states, forces=verdicts.forces)
+    assert (found.stands == 1).all()
+    assert (found.moved == 0.0).all()
+    with pytest.raises(InputError, match="forces have shape"):
+        settle(assembly, states[:1], forces=verdicts.forces)
+
+
 def test_states_are_checked(scenes: Any) -> None:
     for judge in (settle, replay_by_discrete_elements):
         with pytest.raises(StateError, match="boundary part 2 as 1"):

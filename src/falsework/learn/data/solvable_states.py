@@ -16,12 +16,11 @@ _CHUNK = 1 << 16
 class SolvableStates:
     """A set of states from which the structure is known to come apart, on one device.
 
-    States are told apart by their 64-bit hashes alone, those of `StateHash`. Among ten million states and a billion
-    look-ups the chance that any two hashes agree by accident is one in two thousand, and what it would cost is one
-    wrong sample.
+    States are identified by their 64-bit hashes alone, those of `StateHash`. Among ten million states and a billion
+    look-ups, two hashes collide with a probability of one in two thousand, and a collision costs one wrong sample.
 
-    States kept for testing are never stored. If the set is told that one of them is solvable, actions that lead into it
-    count as valid from then on, which is true and was found without looking at the test; nothing ever starts there.
+    Test states are never stored, and no episode starts from one. If a search during training finds one of them to be
+    solvable, actions that lead to it count as valid from then on.
     """
 
     def __init__(self, rules: TensorRules, states: torch.Tensor | None = None) -> None:

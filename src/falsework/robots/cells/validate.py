@@ -16,7 +16,7 @@ from falsework.robots.motion.collision_world import CollisionWorld, Scene
 Array = NDArray[np.float64]
 
 BASE_DEPTH = 0.002
-"""How deep a base may sink into what it stands on, metres."""
+"""Largest penetration of a base into the surface below it, metres."""
 
 
 def check_cell(cell: Cell, parts: PartShapes | None = None) -> None:

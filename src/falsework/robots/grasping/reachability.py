@@ -23,11 +23,11 @@ Array = NDArray[np.float64]
 GRASPS_PER_PART = 24
 """Grasps of a part that are tried."""
 BASE_ANGLES, BASE_DISTANCES = 24, (0.55, 0.65, 0.75, 0.85)
-"""Places around the structure that are tried for a base: turns, and shares of the arm's reach."""
+"""Candidate base positions around the structure: directions, and distances as shares of the arm's reach."""
 BASE_SPACING = 0.7
 """Least distance between two bases, as a share of the arm's reach."""
 PLACEMENT_SWEEPS = 2
-"""How often every robot is moved while the others stand."""
+"""Rounds in which each base is moved in turn while the others stay."""
 
 
 class Reachability(IntEnum):

@@ -15,7 +15,7 @@ from falsework.robots.model.shapes import Pieces
 Array = NDArray[np.float64]
 
 ACCELERATION_TIME = 0.5
-"""Where a description gives no acceleration, a joint reaches full speed in this many seconds."""
+"""Seconds in which a joint reaches full speed if its description gives no acceleration limit."""
 
 
 @dataclass(frozen=True, eq=False)

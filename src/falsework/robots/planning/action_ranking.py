@@ -89,20 +89,21 @@ class ActionRanking:
         return self._passing_first(node, ordered) if self.graph.settings.haste else ordered
 
     def _passing_first(self, node: Node, actions: list[int]) -> list[int]:
-        """Put parts that can leave as soon as they are held before parts for which an arm would have to wait."""
+        """Put the first part that can leave as soon as it is held before those for which an arm would have to wait."""
         parts, looked = len(node.state), actions[:_LOOKED_AT]
         asked, waiting = 0, []
         for action in looked:
             if action >= parts:
-                continue
+                break
             after = node.state.copy()
             after[action] = HELD
             leaves = action + parts in self.solvability.legal(after)
             if leaves and not self.solvability.known(after, action + parts):
                 asked += 1
                 leaves = asked <= _ASKED and self.solvability.solvable(after, action + parts)
-            if not leaves:
-                waiting.append(action)
+            if leaves:
+                break
+            waiting.append(action)
         return [a for a in looked if a not in waiting] + waiting + actions[_LOOKED_AT:]
 
     def waits(self, edge: Edge) -> bool:

@@ -32,6 +32,8 @@ class FailureLog:
 
     counts: Counter[LoggedFailure] = field(default_factory=Counter)
     examples: dict[LoggedFailure, Array] = field(default_factory=dict)
+    recent: set[LoggedFailure] = field(default_factory=set)
+    """Failures since it was cleared."""
 
     def add(
         self,
@@ -45,6 +47,7 @@ class FailureLog:
         """Take note of a failure."""
         reason = LoggedFailure(action, int(part), int(robot), what, pair)
         self.counts[reason] += 1
+        self.recent.add(reason)
         if at is not None:
             self.examples.setdefault(reason, np.asarray(at))
 

@@ -26,13 +26,13 @@ from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeu
 from falsework.robots.planning.expected_times import BalanceGuide
 from falsework.robots.planning.failure_report import Explanation, explain
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
-from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
+from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node, PathSegment
 from falsework.robots.planning.progress import HybridProgress, Progress
 from falsework.robots.planning.reordering import reorder
 from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.planning.trajectory_assembly import make_robot_plan
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.search.problem.guide import Guide, MemoizedGuide, SupportGuide
 from falsework.search.problem.result import Outcome, Route, SearchResult
 from falsework.search.problem.task import Task
@@ -44,6 +44,8 @@ _ACTIONS_PER_KEYFRAME = 8
 """Actions that are tried at a keyframe with motions, before it counts as a dead end."""
 _SOLVABILITY_CHECKS = 4
 """Checks of solvability at one keyframe in the first search; later searches may make more."""
+_LAST_VERDICTS = 400
+"""Verdicts for such checks where no action has worked yet, before the keyframe counts as a dead end."""
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """How long missing parts are done without, as shares of what stability alone allows, in turn."""
 
@@ -161,7 +163,9 @@ class _Search:
         self.best: list[Edge] = []
         self.tried: Counter[tuple[str, int]] = Counter()
         self.dead: set[bytes] = set()
-        self.impossible: set[tuple[bytes, int]] = set()
+        self.impossible: dict[tuple[bytes, int], set[int]] = {}
+        """Actions that fail at keyframes, with the robots that are in their way."""
+        self.timed: dict[PathSegment, Trajectory | None] = {}
         self.counts: Counter[str] = Counter()
         self.attempt = 0
         self.unreachable: list[int] | None = None
@@ -188,7 +192,8 @@ class _Search:
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
                 if turn:
                     self.solvability.perturb(self.attempt)
-                chain = self.standing(root)
+                chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]))
+                self.attempt += 1
                 if chain is not None:
                     return self.solved(root, chain)
                 if self.counts["replays_fallen"] == _MAX_FALLEN_REPLAYS:
@@ -201,29 +206,6 @@ class _Search:
                 limit = f"{self.attempt} searches did not do{f'; {self.fallen}' if self.fallen else ''}"
         return self.failed(root, "not_found", limit)
 
-    def standing(self, root: Node) -> list[Edge] | None:
-        """Return the edges of a plan whose replay stands, or None after too many dead ends or plans that fall."""
-        while self.counts["replays_fallen"] < _MAX_FALLEN_REPLAYS:
-            chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]))
-            self.attempt += 1
-            if chain is None:
-                return None
-            route = self._route(root, chain)
-            row = self.solvability.falls(route)
-            if row is None:
-                return chain
-            self.counts["replays_fallen"] += 1
-            self.fallen = (
-                f"every state of a plan with motions stood, but built up in order it fell {self._place(route, row)} "
-                f"({self.counts['replays_fallen']} such plans)"
-            )
-            if not self.solvability.forbid(route, row):
-                return None
-            self.best = []  # what falls is not handed back as a part of a plan either
-            self.dead.clear()
-            self.solvability.perturb(self.attempt)
-        return None
-
     def _place(self, route: Route, row: int) -> str:
         """Return a state in the order of assembly, in words."""
         if row == 0:
@@ -233,9 +215,10 @@ class _Search:
         return f"at step {row} of assembly, {doing} {self.assembly.names[action % parts]}"
 
     def depth_first_pass(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
-        """Return one search in depth; the edges of a plan, or None after too many dead ends."""
+        """Return the edges of a plan whose replay stands by one search in depth; None after too many dead ends."""
         nodes, chain = [root], []
         options = [self._options(root, rng)]
+        causes: list[set[int]] = [set()]  # of the dead ends after each keyframe: numbers of earlier edges
         dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
         target = self.task.target
         while nodes:
@@ -245,10 +228,11 @@ class _Search:
             if edge is None:
                 self.dead.add(nodes[-1].key)
                 self._note_dead_end(nodes[-1], len(chain))
-                nodes.pop()
-                options.pop()
-                if chain:
-                    chain.pop()
+                blamed = causes[-1] | self._blamed(nodes[-1], chain)
+                back = max(blamed, default=len(chain) - 1)
+                del nodes[back + 1 :], options[back + 1 :], causes[back + 1 :], chain[max(back, 0) :]
+                if nodes:
+                    causes[-1] |= blamed - {back}
                 dead_ends += 1
                 self.counts["dead_ends"] += 1
                 if dead_ends > allowed:
@@ -260,21 +244,65 @@ class _Search:
                 self.tried.clear()
             self._report(dead_ends)
             if np.array_equal(edge.node.state, target):
-                return chain
+                keep = self._keyframes_before_fall(root, chain)
+                if keep is None:
+                    return chain
+                # What comes before the forbidden state is as good as it was: only the way on from there is another.
+                del nodes[keep:], options[keep - 1 :], causes[keep:], chain[max(keep - 1, 0) :]
+                if not nodes:
+                    return None
+                options.append(self._options(nodes[-1], rng))
+                continue
             nodes.append(edge.node)
             options.append(self._options(edge.node, rng))
+            causes.append(set())
         return None
+
+    def _keyframes_before_fall(self, root: Node, chain: list[Edge]) -> int | None:
+        """Replay a plan with motions and forbid the state in which it falls.
+
+        Returns:
+            The number of keyframes before that state, 0 if there is no other way; None if the replay stands.
+        """
+        route = self._route(root, chain)
+        row = self.solvability.falls(route)
+        if row is None:
+            return None
+        self.counts["replays_fallen"] += 1
+        self.fallen = (
+            f"every state of a plan with motions stood, but built up in order it fell {self._place(route, row)} "
+            f"({self.counts['replays_fallen']} such plans)"
+        )
+        self.best = []  # what falls is not handed back as a part of a plan either
+        self.dead.clear()
+        forbidden = self.solvability.forbid(route, row)
+        if forbidden is None or self.counts["replays_fallen"] == _MAX_FALLEN_REPLAYS:
+            return 0
+        return len(chain) - forbidden
+
+    def _blamed(self, node: Node, chain: list[Edge]) -> set[int]:
+        """Return the holds, numbers of edges, without which an action that failed at a keyframe might not have."""
+        robots: set[int] = set()
+        for action in self.solvability.legal(node.state):
+            robots |= self.impossible.get((node.key, action), set())
+        last = {edge.robot: number for number, edge in enumerate(chain)}
+        return {last[robot] for robot in robots if node.held[robot] is not None and robot in last}
 
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Yield edges out of a keyframe in the order in which to try them."""
         tried, probes, worked = 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         idle: list[Edge] = []
-        for action in self.ranking.actions(node, self.attempt, rng):
+        before = self.solvability.spent
+        actions = self.ranking.actions(node, self.attempt, rng)
+        if not self.solvability.worth_asking:
+            probes = 0
+            actions.sort(key=lambda action: not self.solvability.known(node.state, action))
+        for action in actions:
             if (node.key, action) in self.impossible or self.deadline_passed():
                 continue
             if not self.solvability.known(node.state, action):
-                # Where nothing has worked yet, there is no cheaper way on than to ask.
-                if probes <= 0 and worked:
+                # Where nothing has worked yet, there is no cheaper way on than to ask, or than going back at last.
+                if (probes <= 0 and worked) or self.solvability.spent - before > _LAST_VERDICTS:
                     continue
                 probes -= 1
             if not self.solvability.solvable(node.state, action):
@@ -282,6 +310,7 @@ class _Search:
                 continue
             self.counts["actions"] += 1
             found = 0
+            self.graph.reasons.recent.clear()
             for edge in self.graph.edges(node, action):
                 found += 1
                 if self.ranking.waits(edge):
@@ -293,11 +322,21 @@ class _Search:
             worked |= found > 0
             if not found:
                 self.counts["rejected"] += 1
-                self.impossible.add((node.key, action))
+                self.impossible[node.key, action] = self._in_the_way(node, action)
             tried += 1
             if tried == _ACTIONS_PER_KEYFRAME:
                 break
         yield from idle
+
+    def _in_the_way(self, node: Node, action: int) -> set[int]:
+        """Return the robots that kept an action from success: those that others met, and one with a useless grip."""
+        parts, names = self.assembly.part_count, [robot.name for robot in self.cell.robots]
+        # Another grip might have let a part go.
+        found = {node.held.index(action - parts)} if action >= parts else set()
+        for reason in self.graph.reasons.recent:
+            for body in reason.pair or ():
+                found |= {k for k, name in enumerate(names) if k != reason.robot and body.startswith(f"{name} ")}
+        return found
 
     def _note_dead_end(self, node: Node, depth: int) -> None:
         """Actions that failed where the search came farthest."""
@@ -377,7 +416,9 @@ class _Search:
 
     def _timed(self, root: Node, chain: list[Edge]) -> RobotPlan:
         route, task, forces = self._route(root, chain), self.solvability.task, self.settings.forces
-        return make_robot_plan(self.assembly, self.cell, task, self.oracle, route, root, chain, forces=forces)
+        return make_robot_plan(
+            self.assembly, self.cell, task, self.oracle, route, root, chain, forces=forces, timed=self.timed
+        )
 
     def _statistics(self) -> dict[str, Any]:
         return {

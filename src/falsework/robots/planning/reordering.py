@@ -132,7 +132,8 @@ def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge]) -> list[Edg
             path = _proven(segment, view, k)
             if path is None:
                 return k
-            segments.append(replace(segment, path=path, view=view if segment.kind == "free" else None))
+            same = path is segment.path
+            segments.append(segment if same else replace(segment, path=path, view=view))
         holds = edge.action < len(node.state)
         configurations, held = list(node.configurations), list(node.held)
         configurations[edge.robot] = segments[-1].path[-1]
@@ -166,7 +167,7 @@ def _proven(segment: PathSegment, view: CollisionQuery, seed: int) -> Array | No
     path = np.ascontiguousarray(segment.path)
     arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
     if edges_free(path, resolution_of(view), *arrays, np.empty((2, INTERVALS), np.int64)) == len(path) - 1:
-        return path
+        return segment.path
     if segment.kind == "line":
         return None
     return plan_free(view, path[0], path[-1], seed=seed, nodes=_NODES).path

@@ -25,11 +25,11 @@ _TREES = 4
 """Other pairs of trees that are grown for one motion."""
 _NODES = 1000
 _SHORTCUTS = 60
-"""Shortcuts of some of the joints that are tried."""
+"""Attempted shortcuts, each of a subset of the joints."""
 _CORNER = 0.1
-"""What a corner costs in the choice of a path, seconds."""
+"""Cost of a corner in the choice of a path, seconds."""
 _EXCESS = 0.05
-"""Motions that take no longer than this over the straight one are left alone, seconds."""
+"""Motions at most this much longer than the straight one are not shortened, seconds."""
 _ROUNDINGS = (0.48, 0.3, 0.15, 0.07)
 """Shares of the edges at a corner that its rounding takes, largest first."""
 _ARC = 10

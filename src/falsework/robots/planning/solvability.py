@@ -35,6 +35,10 @@ _JOIN_WIDTH = 6
 """States that it keeps at each step."""
 _JOIN_VERDICTS = 48
 """Verdicts that it asks for before it gives up: what does not join soon rarely does."""
+_FEWEST_JOIN_VERDICTS = 12
+"""What it asks for at least where ways that were found took fewer."""
+_VERDICTS_PER_WAY = 100
+"""Verdicts that a way to solvable states may cost on average, before others are asked for only where none is known."""
 _FIRST_BEAM_WIDTH = 256
 """Widest beam for the first plan."""
 _VARIED_BEAM_WIDTH = 16
@@ -78,6 +82,9 @@ class SolvabilityCheck:
         self.fallen: tuple[Route, int] | None = None
         """Where `prepare` finds nothing: the plan that came farthest in its replay, and the state in which it falls."""
         self._left = 0
+        self._costs: list[int] = []  # verdicts that each way to a solvable state took
+        self.spent = 0
+        """Verdicts that were asked for on ways to solvable states."""
         self._preferred: set[bytes] = set()
         self._solvable: set[bytes] = {task.target.tobytes()}
         self._not_found: set[bytes] = set()
@@ -130,7 +137,7 @@ class SolvabilityCheck:
         replayer = self.oracle.replayer
         return None if replayer is None else replayer.replay(route.states[::-1]).falls_at
 
-    def forbid(self, route: Route, row: int) -> bool:
+    def forbid(self, route: Route, row: int) -> int | None:
         """Rule out the state in which the replay of a route falls, and all that could go on through it alone.
 
         Where that is the first or the last state of the task, which every plan has, the one next to it is ruled out.
@@ -140,15 +147,15 @@ class SolvabilityCheck:
             row: state at which it does, in the order of assembly.
 
         Returns:
-            Whether there was such a state; False for a route that has nothing between its ends.
+            The number of that state in the order of assembly; None for a route that has nothing between its ends.
         """
         states, last = route.states[::-1], len(route.states) - 1
         row = min(max(row, 1), last - 1)
         if row < 1:
-            return False
+            return None
         self._forbidden.add(states[row].tobytes())
         self._prune()
-        return True
+        return row
 
     def _prune(self) -> None:
         """Keep of the solvable states those from which a way to the target is left."""
@@ -173,7 +180,7 @@ class SolvabilityCheck:
             row = self.falls(routes[0]) if routes else None
             if row is None:
                 return routes
-            if not self.forbid(routes[0], row):
+            if self.forbid(routes[0], row) is None:
                 break
         return ()
 
@@ -201,7 +208,7 @@ class SolvabilityCheck:
             row = None if route is None else self.falls(route)
             if route is None or row is None:
                 return route
-            if not self.forbid(route, row):
+            if self.forbid(route, row) is None:
                 break
         return None
 
@@ -260,6 +267,11 @@ class SolvabilityCheck:
     def _after(self, state: States, action: int) -> States:
         return self.task.follow(state[None], np.array([action]), Direction.DISASSEMBLY)[0]
 
+    @property
+    def worth_asking(self) -> bool:
+        """Whether states that were not known to be solvable turned out to be at a bearable cost so far."""
+        return self.spent <= _VERDICTS_PER_WAY * (len(self._costs) + 3)
+
     def _join(self, start: States) -> bool:
         """Search forwards from a stable state until one is met that is solvable; all on the way then are."""
         refused: set[bytes] = set()
@@ -272,8 +284,16 @@ class SolvabilityCheck:
                 if len(fallen):
                     continue
             self._solvable |= {state.tobytes() for state in way}
+            self._costs.append(self._allowance() - self._left)
             return True
         return False
+
+    def _allowance(self) -> int:
+        """Return the verdicts that a search for a way may ask for: somewhat more than most that were found took."""
+        if len(self._costs) < _JOIN_LEVELS:
+            return _JOIN_VERDICTS
+        usual = 1.5 * float(np.percentile(self._costs, 75))
+        return int(np.clip(usual, _FEWEST_JOIN_VERDICTS, _JOIN_VERDICTS))
 
     def _way_to_solvable(self, start: States, refused: set[bytes]) -> States | None:
         """Return states from a stable one to the last before one that is solvable; holds on the way are not judged.
@@ -282,7 +302,7 @@ class SolvabilityCheck:
             start: where to begin, shape (parts,).
             refused: states that are not stable.
         """
-        self._left = _JOIN_VERDICTS
+        self._left = self._allowance()
         ways: States = start[None, None]
         judged: States = start[None]  # on each way, the last state that has a verdict
         for _ in range(_JOIN_LEVELS):
@@ -325,6 +345,7 @@ class SolvabilityCheck:
             batch, order = order[:room], order[room:]
             asked = batch[removal[batch]]
             self._left -= len(asked)
+            self.spent += len(asked)
             good = ~removal[batch]
             if len(asked):
                 good[~good] = self.oracle.stable(after[asked], parents=judged[asked])

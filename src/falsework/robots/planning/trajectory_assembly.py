@@ -38,6 +38,7 @@ def make_robot_plan(
     chain: Sequence[Edge],
     *,
     forces: bool = False,
+    timed: dict[PathSegment, Trajectory | None] | None = None,
 ) -> RobotPlan:
     """Prove the states of a route and time the motions along it.
 
@@ -50,16 +51,21 @@ def make_robot_plan(
         root: the first keyframe.
         chain: an edge for every action.
         forces: keep the contact forces in the plan.
+        timed: motions that have their times already; those that have not are added.
 
     Raises:
         PlanError: a state that cannot be proved stable.
     """
     abstract = plan_of(route, assembly, task, oracle, forces=forces)
+    timed = {} if timed is None else timed
     steps = []
     for edge in chain:
         model = cell.robots[edge.robot].model
-        timed = (timed_leg(model, segment, cell.speed) for segment in edge.segments)
-        steps.append(RobotStep(edge.robot, tuple(trajectory for trajectory in timed if trajectory is not None)))
+        for segment in edge.segments:
+            if segment not in timed:
+                timed[segment] = timed_leg(model, segment, cell.speed)
+        legs = (timed[segment] for segment in edge.segments)
+        steps.append(RobotStep(edge.robot, tuple(leg for leg in legs if leg is not None)))
     nodes = (root, *(edge.node for edge in chain))
     return RobotPlan(
         plan=abstract,

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 _LENGTHS = (1.0, 2.0, 4.0)
 """Lengths of the line on which a part leaves, in approach margins of the cell, tried in turn until it is clear."""
-_MAX_WAYS = 4
+_MAX_WAYS = 16
 """Ways out that are tried for a part."""
 
 

@@ -28,13 +28,13 @@ _RETREAT_FACTOR = 4
 _RETREAT_LEVELS = 8
 """... than so many levels; each trial of one width begins twice as far back as the last."""
 _LOOKAHEAD_STATES = 64
-"""States that need no verdict which the narrowest beam keeps, so that the next level has a choice."""
+"""States without a need for a verdict that the narrowest beam keeps, so that the next level has a choice."""
 _FARTHER_LOOKAHEAD = 256
 """The same after a death."""
 _LOOKAHEAD_PER_WIDTH = 16
 """The same for wide beams, as a multiple of the width."""
 _PLACE = ("failures", "deaths", "farthest", "easy_from")
-"""What a beam remembers of the places where it died."""
+"""Fields of the memory of places where beams died."""
 
 
 @dataclass(frozen=True)
@@ -120,9 +120,7 @@ class AdaptiveBeam:
                 return result
             elif not self._widen(widest):
                 if not result.undecided and not result.sliding:
-                    limit = (
-                        f"beams of up to {self.search.settings.width} states a level died; wider ones may come through"
-                    )
+                    limit = f"beams up to a width of {self.search.settings.width} died; wider ones may come through"
                     result = replace(result, limit=limit)
                 return result
 

@@ -260,7 +260,7 @@ class DeviceBeam(LevelSearch):
             sample = order[: _SAMPLES_PER_CLUSTER * width]
             centers = find_centers(self._written(level, stable.take(sample)), words[sample], width)
             mine, _ = self.shards.block(len(order))
-            joined = torch.stack(centers.assign(self._written(level, stable.take(order[mine]))), dim=1)
+            joined = torch.stack(centers.assign(self._written(level, stable.take(order[mine]))), dim=1).int()
             labels, distance = self.shards.gather_blocks(joined, len(order)).unbind(dim=1)
             order = _deal(order, labels, distance)
         return rows[order[:width]]

@@ -67,7 +67,7 @@ class ParallelLevel:
 
 
 Stable = Callable[["torch.Tensor", "torch.Tensor", "torch.Tensor"], "torch.Tensor"]
-"""Which states are stable: states and parents, shape (count, parts), and actions, shape (count,), to shape (count,)."""
+"""Function of states and parents, shape (count, parts), and actions, shape (count,): whether each state is stable."""
 
 
 def next_level(

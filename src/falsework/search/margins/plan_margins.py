@@ -10,14 +10,12 @@ import numpy as np
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.margins.demands import Demands
-from falsework.stability.margins.conditions import Condition
+from falsework.stability.margins.claims import MarginClaims
 from falsework.stability.oracle import Stability
 
 Measured = Literal["friction", "tilt", "horizontal", "push"]
 MEASURED: tuple[Measured, ...] = get_args(Measured)
 """Margins that plans record as numbers."""
-_WITHIN = (1.0, 1.0025, 1.005)
-"""Times a recorded friction at which a state may stand: numbers are rounded, and mean what they say within 1 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,19 +118,18 @@ class PlanMargins:
         return cls(demands, {kind: tuple(values) for kind, values in measured.items()}, maximised, bound)
 
     def overstated(self, oracle: Stability, states: States) -> tuple[int, str] | None:
-        """Return the first state that does not stand at its recorded friction, and what is wrong; None if all do.
+        """Return the first state that does not stand at a recorded margin, and what is wrong; None if all do.
 
         Args:
             oracle: of the structure.
             states: of the plan, in its order, shape (states, parts).
         """
-        for row, friction in enumerate(self.measured.get("friction", ())):
-            if friction is None:
-                continue
-            extra = oracle.prober.own().extra
-            tried = (Condition(friction * factor, extra) for factor in _WITHIN)
-            if not any(oracle.prober.ask(states[row], condition).stands for condition in tried):
-                return row, f"does not stand at the recorded friction of {friction:.4g}"
+        claims = MarginClaims(oracle.prober)
+        for kind, values in self.measured.items():
+            for row, value in enumerate(values):
+                if not claims.holds(states[row], kind, value):
+                    said = "without bound" if value is None else f"of {quantity_text(kind, value)}"
+                    return row, f"does not stand at the recorded {kind} {said}"
         return None
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import Mask, States
+from falsework.assembly.prop import Prop
+from falsework.assembly.state import HELD, INSTALLED, Mask, States, describe_step
 from falsework.errors import PlanError
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
@@ -20,12 +21,6 @@ from falsework.stability.verdict import Verdicts
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-
-WORDS = {
-    Direction.DISASSEMBLY: ("hold", "remove"),
-    Direction.ASSEMBLY: ("release", "insert"),
-}
-"""What an action below and from `parts` on is called in each direction."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +60,8 @@ class Plan:
     """Sequence of actions whose states are all proven stable.
 
     In disassembly action `i` holds part `i` and `parts + i` removes it. A plan for assembly runs the other way:
-    action `i` releases part `i`, and `parts + i` inserts it, held by a robot.
+    action `i` releases part `i`, and `parts + i` inserts it, held by a robot. With `support`, action `i` holds part `i`
+    or releases it, whichever it is not, in either direction.
     """
 
     states: States
@@ -96,6 +92,12 @@ class Plan:
     """Parts that were not delivered yet when the plan was made."""
     removable_only_if_clear: bool = False
     """Whether every part that is removed has a free straight exit."""
+    support: bool = False
+    """Whether parts are let go without being removed, and may be held again."""
+    props: tuple[Prop, ...] = ()
+    """Props, which are the last parts: places where the plan has one at some time."""
+    prop_limit: int = 0
+    """Props that may stand at a time."""
     source: Mapping[str, Any] | None = None
     """Where the structure came from: `built_in` or `path` (relative to the file of the plan), and the options of
     `load_structure` that were given; None if it was not said."""
@@ -148,12 +150,22 @@ class Plan:
             fixed=task.fixed,
             missing=task.missing,
             removable_only_if_clear=task.clearance is not None,
+            support=bool(((route.states[:-1] == HELD) & (route.states[1:] == INSTALLED)).any()) or bool(assembly.props),
+            props=assembly.props,
+            prop_limit=task.prop_limit if assembly.props else 0,
             forces=verdicts.forces,
             displacement=verdicts.displacement,
         )
 
     def __len__(self) -> int:
         return len(self.actions)
+
+    @property
+    def immovable(self) -> Mask:
+        """Parts that never move and that no robot holds, boundary and props; shape (parts,)."""
+        mask = self.boundary.copy()
+        mask[len(mask) - len(self.props) :] = True
+        return mask
 
     @property
     def route(self) -> Route:
@@ -168,8 +180,7 @@ class Plan:
 
     def describe(self, step: int) -> str:
         """Describe an action, such as `hold 7` or `insert keystone`."""
-        action, parts = int(self.actions[step]), len(self.boundary)
-        return f"{WORDS[self.direction][action >= parts]} {self.part_names[action % parts]}"
+        return describe_step(self.states[step], self.states[step + 1], self.part_names)
 
     def reverse(self) -> Plan:
         """Return the plan in the other direction: assembly from disassembly, or back."""

@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, States, action_mask, apply_actions, held_count, undo_mask
+from falsework.assembly.state import HELD, States, action_mask, apply_actions, held_count, undo_actions, undo_mask
 from falsework.errors import PlanError
 from falsework.search.margins.demands import DemandingStability, Demands
 from falsework.search.plans.plan import Plan
-from falsework.search.problem.task import Direction
+from falsework.search.problem.support_moves import SupportMoves
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import (
     StabilityCriterion,
     residual_of_displacement,
@@ -82,17 +83,21 @@ def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str]
         assembly: needed to check that removed parts have a way out; that is left out without it.
     """
     states, parts, boundary = plan.states, len(plan.boundary), plan.boundary
-    if int(held_count(states[:1], boundary)[0]) > plan.robots:
-        return 0, f"{int(held_count(states[:1], boundary)[0])} parts are held at first, with {plan.robots} robots"
-    legal = action_mask if plan.direction is Direction.DISASSEMBLY else undo_mask
-    allowed = legal(states[:-1], boundary, plan.robots)
+    held = int(held_count(states[:1], plan.immovable)[0])
+    if held > plan.robots:
+        return 0, f"{held} parts are held at first, with {plan.robots} robots"
+    if plan.support:
+        allowed = SupportMoves(_task_of(plan)).legal(states[:-1], plan.direction)
+    else:
+        legal = action_mask if plan.direction is Direction.DISASSEMBLY else undo_mask
+        allowed = legal(states[:-1], boundary, plan.robots)
     kept = np.isin(plan.actions % parts, plan.fixed)
     for step, action in enumerate(plan.actions.tolist()):
         if not allowed[step, action]:
             return step + 1, f"step {step + 1} ({plan.describe(step)}) is against the rules: {_why(plan, step)}"
         if kept[step]:
             return step + 1, f"step {step + 1} ({plan.describe(step)}) touches a fixed part"
-    if not np.array_equal(_follow(plan), states):
+    if not np.array_equal(_follow(plan), states[1:]):
         return 1, "the actions do not lead through the states of the plan"
     if plan.removable_only_if_clear and assembly is not None:
         # A part is removed from the state in which it is still there.
@@ -251,11 +256,26 @@ def _place(plan: Plan, row: int) -> str:
 
 
 def _follow(plan: Plan) -> States:
-    """States that the actions of a plan lead through, from its first state."""
-    if plan.direction is Direction.DISASSEMBLY:
-        after, before = plan.actions, plan.states[:-1]
-        return np.concatenate([plan.states[:1], apply_actions(before, after)])
-    return np.concatenate([apply_actions(plan.states[1:], plan.actions), plan.states[-1:]])
+    """States that the actions of a plan lead to, each from the state before."""
+    if plan.support:
+        return SupportMoves(_task_of(plan)).follow(plan.states[:-1], plan.actions)
+    step = apply_actions if plan.direction is Direction.DISASSEMBLY else undo_actions
+    return step(plan.states[:-1], plan.actions)
+
+
+def _task_of(plan: Plan) -> Task:
+    """Task of a plan with holding again, without a rule on exits."""
+    start, target = plan.states[[0, -1]] if plan.direction is Direction.DISASSEMBLY else plan.states[[-1, 0]]
+    return Task.create(
+        plan.boundary,
+        plan.robots,
+        start=start,
+        target=target,
+        fixed=plan.fixed,
+        support=True,
+        props=[prop.part for prop in plan.props],
+        prop_limit=plan.prop_limit,
+    )
 
 
 def _why(plan: Plan, step: int) -> str:
@@ -263,8 +283,12 @@ def _why(plan: Plan, step: int) -> str:
     part, state = action % parts, plan.states[step]
     if plan.boundary[part]:
         return "it is boundary"
-    held = int(held_count(state[None], plan.boundary)[0])
-    takes_robot = (action < parts) is (plan.direction is Direction.DISASSEMBLY)
+    held = int(held_count(state[None], plan.immovable)[0])
+    if part >= parts - len(plan.props):
+        return f"{plan.prop_limit} props may stand at a time, each under a part that is there"
+    if action >= parts and any(prop.part == part and state[k - len(plan.props)] for k, prop in enumerate(plan.props)):
+        return "a prop stands under it"
+    takes_robot = plan.support or (action < parts) is (plan.direction is Direction.DISASSEMBLY)
     if takes_robot and held >= plan.robots and state[part] != HELD:
         return f"all {plan.robots} robots are holding"
     return f"the part is {('removed', 'installed', 'held')[int(state[part])]}"

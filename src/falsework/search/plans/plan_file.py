@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.prop import Prop
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
 from falsework.errors import InputError, PlanError, StateError
 from falsework.search.margins.plan_margins import PlanMargins
@@ -35,7 +36,8 @@ MOVES = {
     "insert": (Direction.ASSEMBLY, True, REMOVED, HELD),
     "release": (Direction.ASSEMBLY, False, HELD, INSTALLED),
 }
-"""Word of a step: direction, whether the action index is above `parts`, value of the part before, and after."""
+"""Word of a step: direction, whether the action index is above `parts`, value of the part before, and after. With
+holding again, parts are held and released in both directions."""
 
 
 _SHARE = 0.1
@@ -72,13 +74,12 @@ def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
 def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
     """Return the plan as plain JSON values; see `plan.schema.json`."""
     parts = len(plan.boundary)
-    words = {above: word for word, (direction, above, _, _) in MOVES.items() if direction is plan.direction}
     proof = _PROOF_WORDS[plan.claim.criterion]
     judged = [
         {"verdict": "stable", "proof": proof, "residual": float(f"{residual:.6g}")} for residual in plan.residuals
     ]
     steps = [
-        {"do": words[action >= parts], "part": action % parts, **judged[row + 1]}
+        {"do": plan.describe(row).partition(" ")[0], "part": action % parts, **judged[row + 1]}
         for row, action in enumerate(plan.actions.tolist())
     ]
     data: dict[str, Any] = {
@@ -90,6 +91,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "friction": plan.friction,
             "boundary": np.flatnonzero(plan.boundary).tolist(),
             "parts": list(plan.part_names),
+            **({"props": [prop.to_dict() for prop in plan.props]} if plan.props else {}),
             **({} if plan.source is None else {"source": dict(plan.source)}),
         },
         "robots": plan.robots,
@@ -97,6 +99,8 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "fixed": list(plan.fixed),
             "missing": list(plan.missing),
             "removable_only_if_clear": plan.removable_only_if_clear,
+            **({"support": True} if plan.support else {}),
+            **({"props": plan.prop_limit} if plan.props else {}),
         },
         "stability": {
             "criterion": plan.claim.criterion,
@@ -172,8 +176,13 @@ class _Reader(Reader):
             data = _from_version_1(data)
         self._header(data, _KEYS, optional=frozenset({"forces", "displacements", "replay", "margins"}))
         structure, rules, stability = data["structure"], data["rules"], data["stability"]
-        self._keys(structure, {"name", "identity", "friction", "boundary", "parts"}, "structure", frozenset({"source"}))
-        self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules")
+        self._keys(
+            structure,
+            {"name", "identity", "friction", "boundary", "parts"},
+            "structure",
+            frozenset({"source", "props"}),
+        )
+        self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules", frozenset({"support", "props"}))
         self._keys(
             stability, {"criterion", "stiffness_ratio", "cone", "gravity", "tolerance", "force_bound"}, "stability"
         )
@@ -182,7 +191,7 @@ class _Reader(Reader):
             self._fail("structure.parts is no list of names")
         if not all(isinstance(structure[key], str) for key in ("name", "identity")):
             self._fail("structure.name and structure.identity must be texts")
-        parts = len(names)
+        parts, props = len(names), self._props(structure.get("props", []), len(names))
         boundary = np.zeros(parts, dtype=bool)
         boundary[self._parts(structure["boundary"], parts, "structure.boundary")] = True
         if data["direction"] not in ("disassembly", "assembly"):
@@ -190,6 +199,8 @@ class _Reader(Reader):
         direction = Direction(data["direction"])
         if not isinstance(rules["removable_only_if_clear"], bool):
             self._fail("rules.removable_only_if_clear must be true or false")
+        if not isinstance(rules.get("support", False), bool):
+            self._fail("rules.support must be true or false")
         if stability["cone"] not in ("octagon", "quadratic"):
             self._fail(f"stability.cone is {stability['cone']!r}", "it must be octagon or quadratic")
         if not isinstance(stability["criterion"], str) or stability["criterion"] not in _PROOF_WORDS:
@@ -204,7 +215,9 @@ class _Reader(Reader):
             self._fail("stability has a zero where a positive number must be")
         self._proof = _PROOF_WORDS[claim.criterion]
         robots = self._count(data["robots"], "robots", least=1)
-        states, actions, residuals = self._sequence(data, direction, boundary, robots)
+        states, actions, residuals = self._sequence(
+            data, direction, boundary, robots, rules.get("support", False), len(props)
+        )
         if residuals.max() > claim.tolerance:
             self._fail(f"a residual of {residuals.max():.3g} is above the tolerance of {claim.tolerance:g}")
         fixed = self._parts(rules["fixed"], parts, "rules.fixed")
@@ -228,6 +241,9 @@ class _Reader(Reader):
             "fixed": tuple(fixed),
             "missing": tuple(self._parts(rules["missing"], parts, "rules.missing")),
             "removable_only_if_clear": rules["removable_only_if_clear"],
+            "support": rules.get("support", False),
+            "props": props,
+            "prop_limit": self._count(rules.get("props", 0), "rules.props"),
         }
         if "source" in structure:
             fields["source"] = self._source_of(structure["source"])
@@ -249,6 +265,21 @@ class _Reader(Reader):
             self._fail("its needs do not agree with its steps")
         return fields
 
+    def _props(self, value: Any, parts: int) -> tuple[Prop, ...]:
+        """Read where props stand; whether that is possible is for the structure to say."""
+        found = []
+        for number, entry in enumerate(self._list(value, "structure.props"), 1):
+            place = f"structure.props, prop {number}"
+            self._keys(entry, {"part", "at", "floor"}, place)
+            numbers = [*self._list(entry["at"], f"{place}: at"), entry["floor"]]
+            if len(numbers) != 4 or not all(type(x) in (int, float) and math.isfinite(x) for x in numbers):
+                self._fail(f"{place} has no place", "at must be three numbers, and floor one")
+            part, (*at, floor) = self._count(entry["part"], f"{place}: part"), map(float, numbers)
+            if part >= parts - len(value):
+                self._fail(f"{place} is under part {part}", f"parts other than props are 0 to {parts - len(value) - 1}")
+            found.append(Prop(part, (at[0], at[1], at[2]), floor))
+        return tuple(found)
+
     def _source_of(self, value: Any) -> dict[str, Any]:
         """Where the structure came from; whether it is there is for others to find out."""
         kinds = {
@@ -264,13 +295,22 @@ class _Reader(Reader):
         return value
 
     def _sequence(
-        self, data: dict[str, Any], direction: Direction, boundary: NDArray[np.bool_], robots: int
+        self,
+        data: dict[str, Any],
+        direction: Direction,
+        boundary: NDArray[np.bool_],
+        robots: int,
+        support: bool,
+        props: int,
     ) -> tuple[States, NDArray[np.int64], NDArray[np.float64]]:
         """Replay the steps from the start; the end must be the one that the file names."""
         parts = len(boundary)
         self._keys(data["start"], {"state", "verdict", "proof", "residual"}, "start")
         state = self._state(data["start"]["state"], boundary, "start.state")
-        held = int(held_count(state[None], boundary)[0])
+        is_prop = np.arange(parts) >= parts - props
+        if (is_prop & (state == INSTALLED)).any():
+            self._fail("start.state has a prop that is neither there nor away")
+        held = int(held_count(state[None], boundary | is_prop)[0])
         if held > robots:
             self._fail(f"start.state has {held} parts held with {robots} robots")
         residuals = [self._judged(data["start"], "start")]
@@ -279,17 +319,18 @@ class _Reader(Reader):
             place = f"step {number}"
             self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place)
             word, part = step["do"], self._count(step["part"], f"{place}: part")
-            if not isinstance(word, str) or word not in MOVES or MOVES[word][0] is not direction:
-                self._fail(f"{place} does {word!r}", f"that is no action of {direction.value}")
-            _, above, old, new = MOVES[word]
             if part >= parts:
                 self._fail(f"{place} names part {part}, but parts are numbered 0 to {parts - 1}")
+            way, above, old, new = MOVES[word] if isinstance(word, str) and word in MOVES else (None, False, 0, 0)
+            turned = way is not direction and not (support and (is_prop[part] or not above))
+            if way is None or turned or (is_prop[part] and not above):
+                self._fail(f"{place} does {word!r}", f"that is no action of {direction.value}")
             if boundary[part] or state[part] != old:
                 found = "boundary" if boundary[part] else ("removed", "installed", "held")[int(state[part])]
                 self._fail(f"{place} cannot {word} part {part}, which is {found}")
             state = state.copy()
             state[part] = new
-            held += 1 if new == HELD else -1
+            held += 0 if is_prop[part] else 1 if new == HELD else -1
             if held > robots:
                 self._fail(f"{place} needs {held} robots, but the plan has {robots}")
             states.append(state)

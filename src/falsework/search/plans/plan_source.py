@@ -7,6 +7,7 @@ from typing import Any
 
 from falsework.assembly.load import load_structure
 from falsework.assembly.model import Assembly
+from falsework.assembly.props import with_props
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
 
@@ -14,7 +15,7 @@ from falsework.search.plans.plan import Plan
 def structure_of_plan(
     plan: Plan, file: Path | str | None = None, structure: str | Path | Assembly | None = None, **options: Any
 ) -> Assembly:
-    """Load the structure of a plan: the one that is given, else the one that the plan names.
+    """Load the structure of a plan, the one that is given, else the one that the plan names, with the plan's props.
 
     Args:
         plan: the plan.
@@ -28,9 +29,9 @@ def structure_of_plan(
         InputError: the structure cannot be used.
     """
     if isinstance(structure, Assembly):
-        return structure
+        return structure if structure.props else with_props(structure, plan.props)
     if structure is not None:
-        return load_structure(structure, **options)
+        return with_props(load_structure(structure, **options), plan.props)
     source = dict(plan.source or {})
     if "built_in" in source:
         spec = source.pop("built_in")
@@ -41,4 +42,4 @@ def structure_of_plan(
             raise PlanError(f"the structure of the plan, {spec}, is gone; name another place (--structure)")
     else:
         raise PlanError(f"{file or 'the plan'} does not say where its structure is; name it (--structure)")
-    return load_structure(spec, **{**source, **options})
+    return with_props(load_structure(spec, **{**source, **options}), plan.props)

@@ -69,12 +69,15 @@ class HoldBound:
         """Verdicts requested."""
         same = {name: getattr(settings, name) for name in ("gravity", "tolerance", "force_bound")}
         equilibrium = StabilitySettings(criterion="equilibrium", cone=settings.friction_cone, **same)
+        if assembly.joints is not None:  # those that set bear less before
+            assembly = assembly.replace(joints=assembly.joints.once_set())
         self._oracle = Stability(assembly, equilibrium)
         self._clock = clock
         fixed = np.zeros(task.part_count, dtype=bool)
         fixed[list(task.fixed)] = True
         self._touched = ~task.boundary & ~fixed
-        self._holdable = self._touched & (task.target != INSTALLED)
+        # With holding again, what stays in the end may be held on the way.
+        self._holdable = self._touched & (task.support | (task.target != INSTALLED))
         self._removable = (task.start != REMOVED) & (task.target == REMOVED)
         self._known: dict[tuple[bytes, int], bool] = {}
 

@@ -63,7 +63,7 @@ def beam_failure(
         doubt: why the rules of the task may forbid too much; see `Task.doubt`.
     """
     if not exhaustive:
-        return Outcome.NOT_FOUND, f"the beam keeps {width} states a level; a wider one may find a plan"
+        return Outcome.NOT_FOUND, f"the beam has a width of {width}; a wider one may find a plan"
     if undecided:
         return Outcome.NOT_FOUND, f"{undecided} states could be proved neither stable nor unstable"
     if sliding:

@@ -83,6 +83,12 @@ class Task:
     holds_keep_stable: bool = False
     """Whether a stable state stays stable when a part of it is held: a theorem under the criterion `equilibrium`,
     wrong under `contact`. Where it does, holds need no verdict; see `judged_by`."""
+    support: bool = False
+    """Whether a held part may be let go without being removed, and held again."""
+    props: tuple[int, ...] = ()
+    """Part above each prop; the props are the last parts of the structure, and no robot holds them."""
+    prop_limit: int = 0
+    """Props that may stand at a time."""
 
     @classmethod
     def create(
@@ -97,6 +103,9 @@ class Task:
         clearance: Clearance | None = None,
         contacts: ArrayLike | None = None,
         identity: str = "",
+        support: bool = False,
+        props: Sequence[int] = (),
+        prop_limit: int = 0,
     ) -> Task:
         """Validate a task and fill in defaults.
 
@@ -110,16 +119,25 @@ class Task:
             clearance: where given, a part is removed only if it has a free exit direction.
             contacts: pairs of parts in contact, shape (pairs, 2).
             identity: hash of the structure.
+            support: let parts be held again.
+            props: part above each prop; the last parts of the structure are props, absent from start and target.
+            prop_limit: props that may stand at a time.
 
         Raises:
-            InputError: fewer than one robot, or a part number out of range, doubled, or of the boundary.
+            InputError: fewer than one robot, missing parts with support, or a part number out of range, doubled, or of
+                the boundary.
             StateError: a malformed state, more parts held than robots, or a target that no rule leads to.
         """
         boundary = np.asarray(boundary, dtype=bool)
         robots = check_robots(robots)
         fixed = _part_numbers(fixed, boundary, "fixed", boundary_allowed=True)
         missing = _part_numbers(missing, boundary, "missing", boundary_allowed=False)
-        first = complete_state(boundary) if start is None else _one_state(start, boundary, "start")
+        if missing and support:
+            raise InputError("plans with holding again take no missing parts; leave out one of the two")
+        if start is None:
+            start = complete_state(boundary)
+            start[len(boundary) - len(props) :] = REMOVED
+        first = _one_state(start, boundary, "start")
         if target is None:
             last = np.where(boundary, HELD, REMOVED).astype(np.uint8)
             last[list(fixed)] = first[list(fixed)]
@@ -137,7 +155,7 @@ class Task:
                 raise StateError(
                     f"part {part} is missing but in the target, which is what assembly starts from; remove it there"
                 )
-        _check_order(first, last)
+        _check_order(first, last, support)
         for name, state in (("start", first), ("target", last)):
             held = int(held_count(state[None], boundary)[0])
             if held > robots:
@@ -150,7 +168,11 @@ class Task:
             neighbours = np.zeros((len(boundary), len(boundary)), dtype=bool)
             neighbours[a, b] = neighbours[b, a] = True
             neighbours &= ~boundary[:, None] & ~boundary
-        return cls(boundary, robots, first, last, fixed, missing, (0,) * len(missing), clearance, identity, neighbours)
+        order = (0,) * len(missing)
+        return cls(
+            boundary, robots, first, last, fixed, missing, order, clearance, identity, neighbours,
+            support=support, props=tuple(props), prop_limit=prop_limit,
+        )  # fmt: skip
 
     @property
     def part_count(self) -> int:
@@ -169,6 +191,8 @@ class Task:
     @cached_property
     def doubt(self) -> str:
         """Why looking at every state would not prove that there is no plan, in words; empty if it would."""
+        if self.prop_limit:
+            return f"props were tried at {len(self.props)} places, one under a part; they may help at others"
         if self.clearance is None:
             return ""
         return self.clearance.doubt((self.start != REMOVED) & (self.target == REMOVED))
@@ -328,8 +352,8 @@ def _part_numbers(parts: Sequence[int], boundary: Mask, name: str, *, boundary_a
     return tuple(sorted(numbers))
 
 
-def _check_order(start: States, target: States) -> None:
-    backwards = np.flatnonzero(STAGE[target] < STAGE[start])
+def _check_order(start: States, target: States, support: bool) -> None:
+    backwards = np.flatnonzero((STAGE[target] < STAGE[start]) & ((start == REMOVED) | (not support)))
     if len(backwards) == 0:
         return
     part = int(backwards[0])

@@ -12,8 +12,10 @@ from falsework.stability.contact.newton import (
     MOVES_AWAY,
     RESTS,
     ContactArrays,
+    come_to_rest,
     find_rest,
     make_contact_scratch,
+    mend,
 )
 from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity, restrict, set_gravity
 from falsework.stability.cpu.neighbourhood import hold_far_parts
@@ -69,7 +71,7 @@ def build_contact_structure(
 
 
 @njit(cache=True)
-def place_contacts(structure, contact_structure, work, contact, pairs):
+def place_contacts(structure, contact_structure, state, work, contact, pairs):
     """Bring stiffness and gravity into the compact order of a state, without history."""
     normal, tangential = contact_structure.normal, contact_structure.tangential
     for p in range(pairs):
@@ -79,7 +81,8 @@ def place_contacts(structure, contact_structure, work, contact, pairs):
             contact.tangential[j] = tangential[j + shift]
             for k in range(3):
                 contact.offset[j, k] = 0.0
-    set_gravity(structure, work, contact.load)
+    mend(work, contact, pairs)
+    set_gravity(structure, state, contact.load)
 
 
 @njit(cache=True)
@@ -119,7 +122,8 @@ def write_forces(structure, work, contact, pairs, out):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
         for j in range(work.start[p], work.start[p + 1]):
             n, x, y = contact.trial[j, 0], contact.trial[j, 1], contact.trial[j, 2]
-            f0, f1, f2 = contact_force(structure.cone, structure.friction, n, x, y)
+            mu, pull, stick = work.friction[j], contact.pull[j], contact.stick[j]
+            f0, f1, f2 = contact_force(structure.cone, mu, pull, stick, n, x, y)
             scale = work.force_scale[j]
             out[j + shift, 0], out[j + shift, 1], out[j + shift, 2] = f0 * scale, f1 * scale, f2 * scale
 
@@ -162,7 +166,7 @@ def settle_near(
             for r in range(6):
                 moved[j, r] = 0.0
     pairs, _ = restrict(structure, near, work)
-    place_contacts(structure, contact_structure, work, contact, pairs)
+    place_contacts(structure, contact_structure, near, work, contact, pairs)
     ta, tb, parts = structure.transfer_a, structure.transfer_b, structure.pair_parts
     for p in range(pairs):
         q = work.pair[p]
@@ -209,15 +213,15 @@ def solve_contact_state(structure, contact_structure, state, options, work, cont
         displacement[:] = 0.0
         forces[:] = 0.0
         return MOVES_AWAY, np.inf, 0
-    place_contacts(structure, contact_structure, work, contact, pairs)
+    place_contacts(structure, contact_structure, state, work, contact, pairs)
     tolerance, steps, first_step = (1.0 - MARGIN) * options.tolerance, options.steps, options.first_step
     if warm:
         read_displacement(structure, contact_structure, work, displacement, contact.displacement)
         steps, first_step = options.warm_steps, options.warm_first_step
     else:
         contact.displacement[:] = 0.0
-    result, residual, spent = find_rest(
-        structure, contact_structure, work, contact, pairs, steps, tolerance, first_step
+    result, residual, spent = come_to_rest(
+        structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, count > 0
     )
     displacement[:] = 0.0
     write_displacement(structure, contact_structure, work, contact.displacement, displacement)

@@ -32,6 +32,12 @@ _SHORTEST = 0.1
 _CUT = 0.1
 """... to this share."""
 _LONGEST_STEP = 1e14
+_TEARS = 1.0 + 0.5e-6
+"""Times its tension at which a contact point tears, within the rounding that the certificate checker grants."""
+_BONDED_STEPS = 3
+"""Iterations in which a structure with joints that pull is given a chance to stay as it is."""
+_ROUNDS = 12
+"""Times that a rest is looked for anew with other points torn."""
 _FAR = 10.0
 """Times the limit on movement at which iterations end: on the way to rest they may overshoot."""
 
@@ -59,6 +65,9 @@ class ContactScratch(NamedTuple):
     normal: NDArray[np.float64]
     """Scaled stiffness of the acting points, shape (points,)."""
     tangential: NDArray[np.float64]
+    pull: NDArray[np.float64]
+    """Scaled tension that the acting points bear, zero where they are torn, shape (points,)."""
+    stick: NDArray[np.float64]
     offset: NDArray[np.float64]
     """Spring forces at zero displacement: what a replay remembers, shape (points, 3)."""
     trial: NDArray[np.float64]
@@ -84,6 +93,8 @@ def make_contact_scratch(structure):
     return ContactScratch(
         np.zeros(points),
         np.zeros(points),
+        np.zeros(points),
+        np.zeros(points),
         np.zeros((points, 3)),
         np.zeros((points, 3)),
         np.zeros((points, 3)),
@@ -101,7 +112,8 @@ def make_contact_scratch(structure):
 def evaluate(structure, work, contact, pairs, displacement, trial, out):
     """Write the residual `load + G f(displacement)`, and the spring forces; return the residual's norm."""
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
-    ta, tb, cone, mu = structure.transfer_a, structure.transfer_b, structure.cone, structure.friction
+    ta, tb, cone, mu = structure.transfer_a, structure.transfer_b, structure.cone, work.friction
+    pull, stick = contact.pull, contact.stick
     kn, kt, offset, load, free = contact.normal, contact.tangential, contact.offset, contact.load, work.free
     for j in range(len(free)):
         if free[j]:
@@ -115,7 +127,7 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
             d0, d1, d2 = point_velocity(basis, j, s0, s1, s2, s3, s4, s5)
             t0, t1, t2 = offset[j, 0] - kn[j] * d0, offset[j, 1] - kt[j] * d1, offset[j, 2] - kt[j] * d2
             trial[j, 0], trial[j, 1], trial[j, 2] = t0, t1, t2
-            f0, f1, f2 = contact_force(cone, mu, t0, t1, t2)
+            f0, f1, f2 = contact_force(cone, mu[j], pull[j], stick[j], t0, t1, t2)
             a0 += basis[j, 0, 0] * f0 + basis[j, 0, 1] * f1 + basis[j, 0, 2] * f2
             a1 += basis[j, 1, 0] * f0 + basis[j, 1, 1] * f1 + basis[j, 1, 2] * f2
             a2 += basis[j, 2, 0] * f0 + basis[j, 2, 1] * f1 + basis[j, 2, 2] * f2
@@ -137,8 +149,8 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
 
     A contact that just touches counts as closed and rough, so the first step from rest is that of a bonded structure.
     """
-    basis, start, cone, mu = work.basis, work.start, structure.cone, structure.friction
-    kn, kt, trial = contact.normal, contact.tangential, contact.trial
+    basis, start, cone, friction = work.basis, work.start, structure.cone, work.friction
+    kn, kt, trial, pull, stick = contact.normal, contact.tangential, contact.trial, contact.pull, contact.stick
     clear_matrix(work, shift)
     contact.upper[:] = 0.0
     turned_a, turned_b = contact_structure.turned_a, contact_structure.turned_b
@@ -150,18 +162,20 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
         local[:] = 0.0
         closed, slides = False, False
         for j in range(start[p], start[p + 1]):
-            n, x, y = trial[j, 0], trial[j, 1], trial[j, 2]
-            if n < 0.0:
+            n, x, y = trial[j, 0] + pull[j], trial[j, 1], trial[j, 2]
+            if n < 0.0 and stick[j] <= 0.0:
                 continue
             closed = True
-            k00, k10, k20, k11, k12, k21, k22 = kn[j], 0.0, 0.0, kt[j], 0.0, 0.0, kt[j]
-            size = gauge(cone, x, y)
-            if size > mu * n:
+            k00 = kn[j] if n >= 0.0 else 0.0
+            k10, k20, k11, k12, k21, k22 = 0.0, 0.0, kt[j], 0.0, 0.0, kt[j]
+            size, mu = gauge(cone, x, y), friction[j]
+            limit = mu * max(n, 0.0) + stick[j]
+            if size > limit:
                 slides = True
                 ex, ey = x / size, y / size
                 gx, gy = gauge_gradient(cone, x, y)
-                k10, k20 = mu * kn[j] * ex, mu * kn[j] * ey
-                share = kt[j] * mu * n / size
+                k10, k20 = mu * k00 * ex, mu * k00 * ey
+                share = kt[j] * limit / size
                 k11, k12 = share * (1.0 - ex * gx), -share * ex * gy
                 k21, k22 = -share * ey * gx, share * (1.0 - ey * gy)
             for i in range(6):
@@ -177,6 +191,36 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
             if a >= 0 and b >= 0:
                 filled[e] = True
             add_pair(ta, tb, turned_a, turned_b, q, a, b, e, local, not slides, diagonal, lower, upper, scratch)
+
+
+@njit(cache=True)
+def mend(work, contact, pairs):
+    """Let all acting points bear what they bear untorn."""
+    whole, sticky, pull, stick = work.pull, work.stick, contact.pull, contact.stick
+    for j in range(work.start[pairs]):
+        pull[j], stick[j] = whole[j], sticky[j]
+
+
+@njit(cache=True)
+def tear(work, contact, pairs, mends):
+    """Tear the points whose springs pull more than they bear; return whether anything changed.
+
+    With `mends`, torn points whose springs pull less become whole, so that a displacement alone says which are torn.
+    """
+    whole, sticky, pull, stick, trial = work.pull, work.stick, contact.pull, contact.stick, contact.trial
+    tears, changed = work.tears, False
+    for j in range(work.start[pairs]):
+        if not tears[j] or whole[j] + sticky[j] <= 0.0:
+            continue
+        torn = pull[j] + stick[j] == 0.0
+        if trial[j, 0] < -_TEARS * whole[j]:
+            if not torn:
+                pull[j], stick[j] = 0.0, 0.0
+                changed = True
+        elif torn and mends:
+            pull[j], stick[j] = whole[j], sticky[j]
+            changed = True
+    return changed
 
 
 @njit(fastmath=FAST, cache=True)
@@ -292,3 +336,40 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
     if worst <= tolerance:
         return _at_rest(structure, contact_structure, work, now), worst, steps
     return OPEN, worst, steps
+
+
+@njit(cache=True)
+def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, mends):
+    """Find a rest as `find_rest`, at which no contact point bears more tension than it can.
+
+    Points that would are torn and bear nothing, and the rest is looked for again from there. With `mends`, those that
+    close again are whole, as the law has it that knows no history; where that comes to no end, the state is left open.
+    """
+    mend(work, contact, pairs)
+    spent = 0
+    if work.pulled[0] > 0.0:
+        # Joints that pull hold mostly everything where it is: the elastic solution, in a step or two of Newton's.
+        begin = contact.displacement.copy()
+        result, residual, spent = find_rest(
+            structure, contact_structure, work, contact, pairs, _BONDED_STEPS, tolerance, _LONGEST_STEP
+        )
+        if result == RESTS and not tear(work, contact, pairs, mends):
+            return result, residual, spent
+        mend(work, contact, pairs)
+        for j in range(len(begin)):  # entry by entry, lest the text of errors be compiled
+            for r in range(6):
+                contact.displacement[j, r] = begin[j, r]
+    result, residual, taken = find_rest(
+        structure, contact_structure, work, contact, pairs, steps, tolerance, first_step
+    )
+    spent += taken
+    rounds = 0
+    while result == RESTS and tear(work, contact, pairs, mends):
+        rounds += 1
+        if mends and rounds > _ROUNDS:
+            return OPEN, residual, spent
+        result, residual, taken = find_rest(
+            structure, contact_structure, work, contact, pairs, steps, tolerance, first_step
+        )
+        spent += taken
+    return result, residual, spent

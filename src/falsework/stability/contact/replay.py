@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import States, as_states
+from falsework.assembly.state import REMOVED, States, as_states
 from falsework.errors import InputError
 from falsework.stability.contact.kernel import ContactOptions
 from falsework.stability.contact.newton import FIRST_STEP, OPEN, RESTS
@@ -34,6 +34,8 @@ _NEAR_STEPS, _WARM_STEPS = 16, 32
 whole is taken from where it was."""
 _LONGER_STEP = 1e4
 """Times the first time step with which the whole begins after the parts near the change came to rest."""
+_SET = 1_000_000
+"""Age in steps of joints that were there before the first state."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,10 @@ class History:
     """Displacement of each part since it was placed, m and rad, shape (parts, 6)."""
     springs: Array
     """Spring forces of the contact points in scaled variables, shape (points, 3)."""
+    torn: NDArray[np.bool_]
+    """Contact points whose tension was exceeded, shape (points,)."""
+    age: NDArray[np.int32]
+    """Steps since both parts of each contact point are there, shape (points,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +162,11 @@ class Replayer:
         batch = np.require(as_states(states, self.assembly.boundary), requirements=COMPILED_LAYOUT)
         count, problem = len(batch), self.problem
         displacement, springs = np.zeros((count, problem.parts, 6)), np.zeros((count, problem.points, 3))
+        torn = np.zeros((count, problem.points), bool)
         if history is not None:
-            displacement[0], springs[0] = history.displacement, history.springs
+            displacement[0], springs[0], torn[0] = history.displacement, history.springs, history.torn
+        age, joints = self._ages(batch, None if history is None else history.age), self.assembly.joints
+        set_share = np.zeros((count, 0)) if joints is None or not joints.setting else joints.set_share(age)
         result, residual, moved = np.full(count, OPEN, np.int8), np.full(count, np.nan), np.zeros(count)
         iterations, part = np.zeros(count, np.int32), np.full(count, -1, np.int32)
         reached = replay_range(
@@ -170,13 +179,15 @@ class Replayer:
             self._noise,
             displacement,
             springs,
+            torn,
+            set_share,
             result,
             residual,
             iterations,
             part,
             moved,
         )
-        histories = tuple(History(displacement[row], springs[row]) for row in range(reached))
+        histories = tuple(History(displacement[row], springs[row], torn[row], age[row]) for row in range(reached))
         return Replay(result, moved, part, residual, self._size, histories)
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
@@ -191,6 +202,20 @@ class Replayer:
         """
         replay = self.replay(np.stack([before, after]), history, increments=1)
         return bool(replay.stands[1] == RESTS), replay.histories[-1]
+
+    def _ages(self, states: States, age: NDArray[np.int32] | None) -> NDArray[np.int32]:
+        """Return how many steps ago both parts of each contact point were there first, shape (states, points).
+
+        Args:
+            states: in the order of assembly, shape (states, parts).
+            age: in the first of them; without it, what is there has set.
+        """
+        there = (states[:, self.problem.part_a] != REMOVED) & (states[:, self.problem.part_b] != REMOVED)
+        ages = np.zeros(there.shape, np.int32)
+        ages[0] = _SET if age is None else age
+        for row in range(1, len(states)):
+            ages[row] = np.where(there[row] & there[row - 1], ages[row - 1] + 1, 0)
+        return ages
 
     def _draw_noise(self, replay: ReplaySettings) -> Array:
         noise = np.zeros((self.problem.points, 2))

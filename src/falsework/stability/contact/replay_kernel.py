@@ -11,14 +11,23 @@ import numpy as np
 
 from falsework.stability.contact.kernel import NEAR_RINGS, lacks_contact
 from falsework.stability.contact.law import contact_force
-from falsework.stability.contact.newton import MOVES_AWAY, OPEN, RESTS, evaluate, find_rest, make_contact_scratch
+from falsework.stability.contact.newton import (
+    MOVES_AWAY,
+    OPEN,
+    RESTS,
+    come_to_rest,
+    evaluate,
+    find_rest,
+    make_contact_scratch,
+    mend,
+)
 from falsework.stability.cpu.layout import make_scratch, restrict, set_gravity
 from falsework.stability.cpu.neighbourhood import hold_far_parts
 from falsework.utils.kernels import njit
 
 
 @njit(cache=True)
-def _load_history(structure, contact_structure, state, work, contact, springs, missing, share):
+def _load_history(structure, contact_structure, state, work, contact, springs, torn, set_share, missing, share):
     """Lay a state out with the spring forces that it remembers, under gravity less a share of the missing wrenches.
 
     Returns:
@@ -32,7 +41,13 @@ def _load_history(structure, contact_structure, state, work, contact, springs, m
             contact.tangential[j] = contact_structure.tangential[j + shift]
             for k in range(3):
                 contact.offset[j, k] = springs[j + shift, k]
-    set_gravity(structure, work, contact.load)
+            if torn[j + shift]:
+                work.pull[j], work.stick[j] = 0.0, 0.0
+            elif len(set_share):
+                work.pull[j] *= set_share[j + shift]
+                work.stick[j] *= set_share[j + shift]
+    mend(work, contact, pairs)
+    set_gravity(structure, state, contact.load)
     for j in range(len(work.free)):
         if work.free[j]:
             for r in range(6):
@@ -41,7 +56,7 @@ def _load_history(structure, contact_structure, state, work, contact, springs, m
 
 
 @njit(cache=True)
-def _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs):
+def _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn):
     """Add the increment to the displacement, and remember the spring forces with friction cut back to the law."""
     order, turn = structure.elimination.order, structure.acceleration
     for j in range(len(work.free)):
@@ -55,8 +70,11 @@ def _keep_history(structure, contact_structure, work, contact, pairs, displaceme
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
         for j in range(work.start[p], work.start[p + 1]):
-            n = contact.trial[j, 0]
-            _, x, y = contact_force(structure.cone, structure.friction, n, contact.trial[j, 1], contact.trial[j, 2])
+            n, mu, pull, stick = contact.trial[j, 0], work.friction[j], contact.pull[j], contact.stick[j]
+            _, x, y = contact_force(structure.cone, mu, pull, stick, n, contact.trial[j, 1], contact.trial[j, 2])
+            if work.pull[j] + work.stick[j] > pull + stick:
+                torn[j + shift] = True
+                work.pull[j], work.stick[j] = 0.0, 0.0
             springs[j + shift, 0], springs[j + shift, 1], springs[j + shift, 2] = n, x, y
             contact.offset[j, 0], contact.offset[j, 1], contact.offset[j, 2] = n, x, y
     contact.displacement[:] = 0.0
@@ -72,14 +90,14 @@ def _movement(contact_structure, displacement, part):
 
 
 @njit(cache=True)
-def place_new(structure, before, state, noise, displacement, springs):
+def place_new(structure, before, state, noise, displacement, springs, torn):
     """Reset what a step brings in: parts where they were planned, contact points without force.
 
     Args:
         structure: see there.
         before, state: shape (parts,).
         noise: tangential spring forces of new contact points, shape (points, 2).
-        displacement, springs: the history, changed in place.
+        displacement, springs, torn: the history, changed in place.
     """
     for part in range(len(state)):
         if before[part] == 0 or state[part] == 0:
@@ -90,11 +108,24 @@ def place_new(structure, before, state, noise, displacement, springs):
         if before[a] == 0 or before[b] == 0 or state[a] == 0 or state[b] == 0:
             for j in range(structure.pair_start[q], structure.pair_start[q + 1]):
                 springs[j, 0], springs[j, 1], springs[j, 2] = 0.0, noise[j, 0], noise[j, 1]
+                torn[j] = False
 
 
 @njit(cache=True)
 def settle_step(
-    structure, contact_structure, before, state, options, increments, work, contact, near, displacement, springs
+    structure,
+    contact_structure,
+    before,
+    state,
+    options,
+    increments,
+    work,
+    contact,
+    near,
+    displacement,
+    springs,
+    torn,
+    set_share,
 ):
     """Let a structure with history come to rest in a state.
 
@@ -107,12 +138,16 @@ def settle_step(
         displacement: of the parts since they were placed, m and rad, shape (parts, 6); changed in place.
         springs: scaled spring forces of all contact points, shape (points, 3); changed in place.
         near: scratch, shape (parts,).
+        torn: contact points whose tension was exceeded, shape (points,); changed in place.
+        set_share: share of its strength that each contact point has, shape (points,), or (0,) where it is all.
 
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations; the part that moved most, and its movement in m.
     """
     missing = np.zeros((len(work.free), 6))
-    pairs, count = _load_history(structure, contact_structure, state, work, contact, springs, missing, 0.0)
+    pairs, count = _load_history(
+        structure, contact_structure, state, work, contact, springs, torn, set_share, missing, 0.0
+    )
     if count == 0:
         return RESTS, 0.0, 0, -1, 0.0
     contact.displacement[:] = 0.0
@@ -131,7 +166,9 @@ def settle_step(
         result = OPEN
         contact.displacement[:] = 0.0
         if kept > 0 and 2 * kept <= free:
-            pairs, _ = _load_history(structure, contact_structure, near, work, contact, springs, missing, share)
+            pairs, _ = _load_history(
+                structure, contact_structure, near, work, contact, springs, torn, set_share, missing, share
+            )
             result, residual, taken = find_rest(
                 structure,
                 contact_structure,
@@ -143,9 +180,11 @@ def settle_step(
                 options.first_step,
             )
             spent += taken
-        pairs, _ = _load_history(structure, contact_structure, state, work, contact, springs, missing, share)
+        pairs, _ = _load_history(
+            structure, contact_structure, state, work, contact, springs, torn, set_share, missing, share
+        )
         if result == RESTS:
-            result, residual, taken = find_rest(
+            result, residual, taken = come_to_rest(
                 structure,
                 contact_structure,
                 work,
@@ -154,11 +193,12 @@ def settle_step(
                 options.warm_steps,
                 options.tolerance,
                 options.warm_first_step,
+                work.start[pairs] < 0,
             )
             spent += taken
         if result != RESTS:
             contact.displacement[:] = 0.0
-            result, residual, taken = find_rest(
+            result, residual, taken = come_to_rest(
                 structure,
                 contact_structure,
                 work,
@@ -167,9 +207,10 @@ def settle_step(
                 options.steps,
                 options.tolerance,
                 options.first_step,
+                work.start[pairs] < 0,
             )
             spent += taken
-        _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs)
+        _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn)
         if result != RESTS:
             break
     part, movement = -1, 0.0
@@ -194,6 +235,8 @@ def replay_range(
     noise,
     displacement,
     springs,
+    torn,
+    set_share,
     result,
     residual,
     iterations,
@@ -206,8 +249,9 @@ def replay_range(
         states: shape (steps + 1, parts); the history belongs to the first, unless `fresh`.
         fresh: whether the first state has no history.
         options, increments, noise: as in `settle_step` and `place_new`.
-        displacement, springs: the history before and after each state, shapes (steps + 1, parts, 6) and
-            (steps + 1, points, 3); the first entry is given, the others are written.
+        displacement, springs, torn: the history before and after each state, shapes (steps + 1, parts, 6),
+            (steps + 1, points, 3) and (steps + 1, points); the first entry is given, the others are written.
+        set_share: as in `settle_step`, shape (steps + 1, points) or (steps + 1, 0).
         result, residual, iterations, part, movement: out, one entry a state.
     """
     work, contact = make_scratch(structure), make_contact_scratch(structure)
@@ -222,7 +266,8 @@ def replay_range(
             for j in range(springs.shape[1]):
                 for k in range(3):
                     springs[i, j, k] = springs[i - 1, j, k]
-            place_new(structure, states[i - 1], states[i], noise, displacement[i], springs[i])
+                torn[i, j] = torn[i - 1, j]
+            place_new(structure, states[i - 1], states[i], noise, displacement[i], springs[i], torn[i])
             settles = False
             for p in range(states.shape[1]):
                 # Holding a part changes nothing; letting go of one or taking one away does.
@@ -241,6 +286,8 @@ def replay_range(
                 near,
                 displacement[i],
                 springs[i],
+                torn[i],
+                set_share[i],
             )
             if result[i] != RESTS:
                 return i

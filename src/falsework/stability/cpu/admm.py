@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.stability.cpu.cones import project
+from falsework.stability.cpu.cones import project_joint
 from falsework.stability.cpu.elimination import factor, solve
 from falsework.stability.cpu.layout import (
     FAST,
@@ -17,10 +17,13 @@ from falsework.stability.cpu.layout import (
     clear_matrix,
     pair_velocity,
     point_velocity,
-    set_gravity,
+    set_load,
 )
-from falsework.stability.cpu.termination import UNDECIDED, judge
+from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check_primal, judge
 from falsework.utils.kernels import njit
+
+_BONDED = 1e-9
+"""Penalty with which the forces of bonded contacts are in balance to rounding."""
 
 
 @njit(fastmath=FAST, cache=True)
@@ -46,17 +49,43 @@ def factor_admm(structure, work, pairs, rho):
 
 
 @njit(fastmath=FAST, cache=True)
+def try_bonded(structure, work, pairs, options):
+    """Try the forces of least size, as all contacts would bear them if they were bonded; return verdict and residual.
+
+    Where joints pull they are mostly admissible, and found at once.
+    """
+    basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
+    z, pull, mu, stick, w, cone = work.z, work.pull, work.friction, work.stick, work.velocity, structure.cone
+    if not factor_admm(structure, work, pairs, _BONDED):
+        return UNDECIDED, np.nan
+    for j in range(start[pairs]):
+        z[j, 0], z[j, 1], z[j, 2] = pull[j], 0.0, 0.0
+    set_load(work, w)
+    add_wrenches(structure, work, pairs, z, w)
+    solve(structure.elimination, work.free, work.diagonal, work.lower, work.filled, w)
+    transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
+    for p in range(pairs):
+        s0, s1, s2, s3, s4, s5 = pair_velocity(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], w)
+        for j in range(start[p], start[p + 1]):
+            t0, t1, t2 = point_velocity(basis, j, s0, s1, s2, s3, s4, s5)
+            z[j, 0], z[j, 1], z[j, 2] = project_joint(cone, pull[j] - t0, -t1, -t2, mu[j], stick[j])
+    worst = check_primal(structure, work, pairs, z, options, work.residual)
+    return (STABLE, worst) if worst < (1.0 - MARGIN) * options.tolerance else (UNDECIDED, worst)
+
+
+@njit(fastmath=FAST, cache=True)
 def run_admm(structure, work, pairs, options):
     """Run ADMM from `work.u`; return verdict, residual and iterations. The velocity is in `work.velocity`."""
-    alpha, mu, cone = options.relaxation, structure.friction, structure.cone
+    alpha, cone = options.relaxation, structure.cone
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
     transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
+    mu, stick = work.friction, work.stick
     free, u, z, v, w, rhs = work.free, work.u, work.z, work.v, work.velocity, work.rhs
     for j in range(start[pairs]):
-        z[j, 0], z[j, 1], z[j, 2] = project(cone, u[j, 0], u[j, 1], u[j, 2], mu)
+        z[j, 0], z[j, 1], z[j, 2] = project_joint(cone, u[j, 0], u[j, 1], u[j, 2], mu[j], stick[j])
         for r in range(3):
             v[j, r] = 2.0 * z[j, r] - u[j, r]
-    set_gravity(structure, work, rhs)
+    set_load(work, rhs)
     add_wrenches(structure, work, pairs, v, rhs)
     for iteration in range(1, options.iterations + 1):
         for j in range(len(free)):
@@ -64,7 +93,7 @@ def run_admm(structure, work, pairs, options):
                 for r in range(6):
                     w[j, r] = rhs[j, r]
         solve(structure.elimination, free, work.diagonal, work.lower, work.filled, w)
-        set_gravity(structure, work, rhs)
+        set_load(work, rhs)
         for p in range(pairs):
             q, a, b = pair[p], slot_a[p], slot_b[p]
             s0, s1, s2, s3, s4, s5 = pair_velocity(transfer_a, transfer_b, q, a, b, w)
@@ -74,7 +103,7 @@ def run_admm(structure, work, pairs, options):
                 u0 = u[j, 0] + alpha * (z[j, 0] - u[j, 0] - t0)
                 u1 = u[j, 1] + alpha * (z[j, 1] - u[j, 1] - t1)
                 u2 = u[j, 2] + alpha * (z[j, 2] - u[j, 2] - t2)
-                z0, z1, z2 = project(cone, u0, u1, u2, mu)
+                z0, z1, z2 = project_joint(cone, u0, u1, u2, mu[j], stick[j])
                 u[j, 0], u[j, 1], u[j, 2] = u0, u1, u2
                 z[j, 0], z[j, 1], z[j, 2] = z0, z1, z2
                 v0, v1, v2 = 2.0 * z0 - u0, 2.0 * z1 - u1, 2.0 * z2 - u2

@@ -18,6 +18,8 @@ CONES = {"octagon": OCTAGON, "quadratic": QUADRATIC}
 _C = math.cos(math.pi / 8)
 _S = math.sin(math.pi / 8)
 _DIAGONAL = math.sqrt(0.5)
+_SMOOTH = 1e-9
+"""Friction below which a cone is a cylinder to the projection."""
 
 
 @njit(inline="always", fastmath=True)
@@ -53,6 +55,36 @@ def project(cone, n, x, y, mu):
     if ay > ax:
         u, v = v, u
     return t, math.copysign(u, x), math.copysign(v, y)
+
+
+@njit(inline="always", fastmath=True)
+def project_joint(cone, n, x, y, mu, stick):
+    """Return the nearest point of the cone with its tip cut off where its radius is `stick`, at `n = 0`.
+
+    Where the projection on the whole cone lies beyond the cut, the nearest point lies on the cut.
+    """
+    if stick <= 0.0:
+        return project(cone, n, x, y, mu)
+    if mu > _SMOOTH:
+        tip = stick / mu
+        a, b, c = project(cone, n + tip, x, y, mu)
+        if a >= tip:
+            return a - tip, b, c
+    n = max(n, 0.0)
+    if cone == QUADRATIC:
+        t = math.sqrt(x * x + y * y)
+        f = 1.0 if t <= stick else stick / t
+        return n, f * x, f * y
+    ax, ay = abs(x), abs(y)
+    u, v = max(ax, ay), min(ax, ay)
+    p, q = u * _C + v * _S, v * _C - u * _S
+    if p <= stick * _C:
+        return n, x, y
+    p, q = stick * _C, math.copysign(min(abs(q), stick * _S), q)
+    u, v = p * _C - q * _S, p * _S + q * _C
+    if ay > ax:
+        u, v = v, u
+    return n, math.copysign(u, x), math.copysign(v, y)
 
 
 @njit(inline="always", fastmath=True)

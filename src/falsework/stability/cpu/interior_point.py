@@ -9,6 +9,9 @@ structure is. A Newton step reads, with `y = G^T r` and a weight `W` and a targe
 where for the octagon `W = sum_k (l_k / s_k) ray_k ray_k^T` over the multipliers `l` and slacks `s` of its
 eight rays, and for the quadratic cone `W` is the square of the scaling of Nesterov and Todd. The matrix has
 the pattern of `S`, so the same elimination factors it. Predictor and corrector as in Mehrotra (1992).
+
+What contact points bear by cohesion beyond the cone (`stick`) is left to ADMM and to the exact solver: the cone lies
+inside what is admissible, so forces found here prove as much, and `judge` counts it against a velocity.
 """
 
 from __future__ import annotations
@@ -27,7 +30,7 @@ from falsework.stability.cpu.layout import (
     dot,
     pair_velocity,
     point_velocity,
-    set_gravity,
+    set_load,
 )
 from falsework.stability.cpu.termination import UNDECIDED, judge
 from falsework.utils.kernels import njit
@@ -156,8 +159,8 @@ def _start(structure, work, pairs, octagon, mu, r):
                 weights[j, k] = force / 8.0
                 slacks[j, k] = slack
         else:
-            weights[j, 0], weights[j, 1], weights[j, 2] = mu * force, 0.0, 0.0
-            slacks[j, 0], slacks[j, 1], slacks[j, 2] = slack / mu, 0.0, 0.0
+            weights[j, 0], weights[j, 1], weights[j, 2] = mu[j] * force, 0.0, 0.0
+            slacks[j, 0], slacks[j, 1], slacks[j, 2] = slack / mu[j], 0.0, 0.0
 
 
 @njit(fastmath=FAST, cache=True)
@@ -182,7 +185,7 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
     if matrix:
         clear_matrix(work, 1.0)
     _strains(structure, work, pairs, r)
-    set_gravity(structure, work, rhs)
+    set_load(work, rhs)
     for j in range(len(free)):
         if free[j]:
             for i in range(6):
@@ -196,7 +199,7 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
             if not matrix:
                 for k in range(size):
                     second[k] = dx[j, k] * ds[j, k]
-            _system(octagon, mu, weights, slacks, j, target, second, w, b)
+            _system(octagon, mu[j], weights, slacks, j, target, second, w, b)
             w00, w01, w02, w11, w12, w22 = w[0], w[1], w[2], w[3], w[4], w[5]
             c0 = b[0] - w00 * v[j, 0] - w01 * v[j, 1] - w02 * v[j, 2]
             c1 = b[1] - w01 * v[j, 0] - w11 * v[j, 1] - w12 * v[j, 2]
@@ -274,7 +277,7 @@ def _steps(structure, work, pairs, octagon, mu, r, step, target, corrector):
         if corrector:
             for k in range(size):
                 second[k] = dx[j, k] * ds[j, k]
-        here = _step(octagon, mu, weights, slacks, j, target, second, v[j, 0], v[j, 1], v[j, 2], dx, ds)
+        here = _step(octagon, mu[j], weights, slacks, j, target, second, v[j, 0], v[j, 1], v[j, 2], dx, ds)
         reach = min(reach, here)
     return reach
 
@@ -304,20 +307,21 @@ def _advance(work, points, octagon, mu, length):
                 n += weights[j, k]
                 x += _RAY_X[k] * weights[j, k]
                 y += _RAY_Y[k] * weights[j, k]
-            z[j, 0], z[j, 1], z[j, 2] = n, mu * x, mu * y
+            z[j, 0], z[j, 1], z[j, 2] = n, mu[j] * x, mu[j] * y
         else:
-            z[j, 0], z[j, 1], z[j, 2] = weights[j, 0] / mu, weights[j, 1], weights[j, 2]
+            z[j, 0], z[j, 1], z[j, 2] = weights[j, 0] / mu[j], weights[j, 1], weights[j, 2]
 
 
 @njit(fastmath=FAST, cache=True)
 def run_interior(structure, work, pairs, options):
     """Run from the iterate of ADMM; return verdict, residual and steps. The velocity is in `work.velocity`."""
-    mu = structure.friction
-    octagon = structure.cone == OCTAGON or mu < 1e-9  # without friction both cones are the same ray
+    mu, points = work.friction, work.start[pairs]
+    octagon = structure.cone == OCTAGON
+    for j in range(points):
+        octagon = octagon or mu[j] < 1e-9  # where there is no friction both cones are the same ray
     size = 8 if octagon else 3
-    points = work.start[pairs]
     r, step = work.velocity, work.rhs
-    set_gravity(structure, work, r)
+    set_load(work, r)
     add_wrenches(structure, work, pairs, work.z, r)
     if points == 0:
         verdict, residual = judge(structure, work, pairs, r, options)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.stability.cpu.admm import factor_admm, run_admm
+from falsework.stability.cpu.admm import factor_admm, run_admm, try_bonded
 from falsework.stability.cpu.interior_point import run_interior
 from falsework.stability.cpu.layout import make_scratch, restrict
 from falsework.stability.cpu.termination import STABLE, UNDECIDED
@@ -36,8 +36,11 @@ def solve_state(structure, state, options, work, forces, velocity, warm):
         for j in range(work.start[p], work.start[p + 1]):
             for r in range(3):
                 work.u[j, r] = forces[j + shift, r] / work.force_scale[j] if warm else 0.0
+            work.u[j, 0] += work.pull[j]
     verdict, residual, iterations, steps = UNDECIDED, np.nan, 0, 0
-    if factor_admm(structure, work, pairs, options.rho):
+    if work.pulled[0] > 0.0:
+        verdict, residual = try_bonded(structure, work, pairs, options)
+    if verdict == UNDECIDED and factor_admm(structure, work, pairs, options.rho):
         verdict, residual, iterations = run_admm(structure, work, pairs, options)
         if verdict == UNDECIDED and options.interior_steps > 0:
             verdict, residual, steps = run_interior(structure, work, pairs, options)
@@ -46,6 +49,7 @@ def solve_state(structure, state, options, work, forces, velocity, warm):
         for p in range(pairs):
             shift = structure.pair_start[work.pair[p]] - work.start[p]
             for j in range(work.start[p], work.start[p + 1]):
+                work.z[j, 0] -= work.pull[j]
                 for r in range(3):
                     forces[j + shift, r] = work.z[j, r] * work.force_scale[j]
     if len(velocity):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from falsework.stability.cpu.cones import CONES
 from falsework.stability.cpu.elimination import Elimination, eliminate
 from falsework.stability.problem import Problem
+from falsework.stability.strength import Strength
 from falsework.utils.kernels import njit
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
@@ -41,7 +42,16 @@ class KernelArrays(NamedTuple):
     measure: NDArray[np.float64]
     force_scale: NDArray[np.float64]
     weight: float
-    friction: float
+    friction: NDArray[np.float64]
+    """Coefficient of friction of each contact point, shape (points,)."""
+    pull: NDArray[np.float64]
+    """Scaled tension that each contact point bears, shape (points,); see `Strength`."""
+    stick: NDArray[np.float64]
+    """Scaled tangential force that it bears at that tension."""
+    tears: NDArray[np.bool_]
+    pull_a: NDArray[np.float64]
+    """Whitened wrench on part `a` of the points of a pair that all bear their tension, shape (pairs, 6)."""
+    pull_b: NDArray[np.float64]
     cone: int
 
 
@@ -74,9 +84,33 @@ def build_structure(problem: Problem) -> KernelArrays:
         measure=problem.measure,
         force_scale=problem.force_scale,
         weight=problem.weight,
-        friction=problem.friction,
+        **strength_arrays(problem, problem.strength),
         cone=CONES[problem.cone],
     )
+
+
+def strength_arrays(problem: Problem, strength: Strength) -> dict[str, NDArray]:
+    """Return the fields of `KernelArrays` that say what contact points bear.
+
+    Forces of the kernels are those beyond the tension: `f = z - (pull, 0, 0)` with `z` in the friction cone with its
+    tip cut off. So the wrench of the tension is a load, of the pairs that act.
+    """
+    pull, stick = strength.pull / problem.force_scale, strength.stick / problem.force_scale
+    pair_of_point = np.repeat(np.arange(problem.pairs), np.diff(problem.pair_start))
+    force = np.zeros((problem.pairs, 6))
+    np.add.at(force, pair_of_point, -pull[:, None] * problem.basis[:, :, 0])
+    arrays = {
+        "friction": strength.friction,
+        "pull": pull,
+        "stick": stick,
+        "tears": strength.tears,
+        "pull_a": np.einsum("qij,qj->qi", problem.transfer_a, force),
+        "pull_b": np.einsum("qij,qj->qi", problem.transfer_b, force),
+    }
+    for name, array in arrays.items():
+        arrays[name] = array = np.array(array, order="C")
+        array.setflags(write=False)
+    return arrays
 
 
 class Scratch(NamedTuple):
@@ -94,6 +128,14 @@ class Scratch(NamedTuple):
     basis: NDArray[np.float64]
     """Basis of the acting points, shape (points, 6, 3)."""
     force_scale: NDArray[np.float64]
+    friction: NDArray[np.float64]
+    pull: NDArray[np.float64]
+    stick: NDArray[np.float64]
+    tears: NDArray[np.bool_]
+    pulled: NDArray[np.float64]
+    """Sum of the tensions that the acting points bear, N, shape (1,)."""
+    load: NDArray[np.float64]
+    """Whitened weight, loads and tension of the acting points on the parts that can move, shape (n, 6)."""
     u: NDArray[np.float64]
     """ADMM iterate before projection, shape (points, 3)."""
     z: NDArray[np.float64]
@@ -128,6 +170,12 @@ def make_scratch(structure):
         np.zeros(pairs + 1, dtype=np.int32),
         np.zeros((points, 6, 3)),
         np.zeros(points),
+        np.zeros(points),
+        np.zeros(points),
+        np.zeros(points),
+        np.zeros(points, dtype=np.bool_),
+        np.zeros(1),
+        np.zeros((n, 6)),
         np.zeros((points, 3)),
         np.zeros((points, 3)),
         np.zeros((points, 3)),
@@ -144,6 +192,16 @@ def make_scratch(structure):
     )
 
 
+@njit(fastmath=FAST, cache=True)
+def set_gravity(structure, state, out):
+    """`out =` whitened weight and loads of the parts that can move, shape (n, 6)."""
+    gravity, order = structure.gravity, structure.elimination.order
+    for j in range(len(order)):
+        if state[order[j]] == 1:
+            for r in range(6):
+                out[j, r] = gravity[order[j], r]
+
+
 @njit(cache=True)
 def restrict(structure, state, work):
     """Copy what acts in a state to the front of the scratch; return the number of pairs and of free parts."""
@@ -151,6 +209,11 @@ def restrict(structure, state, work):
     parts, first, basis, scale = structure.pair_parts, structure.pair_start, structure.basis, structure.force_scale
     free, pair, start = work.free, work.pair, work.start
     slot_a, slot_b, local, local_scale = work.slot_a, work.slot_b, work.basis, work.force_scale
+    friction, pull, stick, tears = structure.friction, structure.pull, structure.stick, structure.tears
+    local_friction, local_pull, local_stick, local_tears = work.friction, work.pull, work.stick, work.tears
+    pull_a, pull_b, load = structure.pull_a, structure.pull_b, work.load
+    set_gravity(structure, state, load)
+    pulled = 0.0
     count = 0
     for j in range(len(order)):
         free[j] = state[order[j]] == 1
@@ -170,9 +233,18 @@ def restrict(structure, state, work):
                 for k in range(3):
                     local[points, i, k] = basis[c, i, k]
             local_scale[points] = scale[c]
+            local_friction[points], local_pull[points] = friction[c], pull[c]
+            local_stick[points], local_tears[points] = stick[c], tears[c]
+            pulled += pull[c] * scale[c]
             points += 1
+        for r in range(6):
+            if slot_a[pairs] >= 0:
+                load[slot_a[pairs], r] += pull_a[q, r]
+            if slot_b[pairs] >= 0:
+                load[slot_b[pairs], r] += pull_b[q, r]
         pairs += 1
     start[pairs] = points
+    work.pulled[0] = pulled
     return pairs, count
 
 
@@ -247,13 +319,13 @@ def point_velocity(basis, j, s0, s1, s2, s3, s4, s5):
 
 
 @njit(fastmath=FAST, cache=True)
-def set_gravity(structure, work, out):
-    """`out =` whitened gravity of the parts that can move."""
-    free, gravity, order = work.free, structure.gravity, structure.elimination.order
+def set_load(work, out):
+    """`out =` whitened weight, loads and tension on the parts that can move."""
+    free, load = work.free, work.load
     for j in range(len(free)):
         if free[j]:
             for r in range(6):
-                out[j, r] = gravity[order[j], r]
+                out[j, r] = load[j, r]
 
 
 @njit(fastmath=FAST, cache=True)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from falsework.stability.cpu.cones import support
-from falsework.stability.cpu.layout import FAST, add_wrenches, pair_velocity, point_velocity, set_gravity
+from falsework.stability.cpu.layout import FAST, add_wrenches, pair_velocity, point_velocity, set_load
 from falsework.utils.kernels import njit
 
 STABLE, UNSTABLE, UNDECIDED = 1, -1, 0
@@ -36,7 +36,7 @@ def check_primal(structure, work, pairs, forces, options, residual):
 
     Leaves the whitened residual in `residual`.
     """
-    set_gravity(structure, work, residual)
+    set_load(work, residual)
     add_wrenches(structure, work, pairs, forces, residual)
     free, order, turn, scale = work.free, structure.elimination.order, structure.acceleration, work.force_scale
     measure = structure.measure
@@ -53,7 +53,7 @@ def check_primal(structure, work, pairs, forces, options, residual):
     pressed = 0.0
     for j in range(work.start[pairs]):
         pressed += forces[j, 0] * scale[j]
-    if pressed > options.force_bound * structure.weight:
+    if pressed > options.force_bound * structure.weight + work.pulled[0]:
         return np.inf
     return worst
 
@@ -63,10 +63,11 @@ def check_dual(structure, work, pairs, velocity, options):
     """Return the residual that every force of the cone below the bound leaves at least, as proven by a velocity.
 
     For forces `f` of the cone with sum of normals at most `U W`, `velocity . (G f + g)` is at least
-    `velocity . g - U W max_c support(-G^T velocity)_c`. It is at most the residual, the largest acceleration
-    times `measure`, times the 1-norm of the momentum of `velocity` divided by `measure`.
+    `velocity . g - U W max_c support(-G^T velocity)_c`, less what contact points that stick take. It
+    is at most the residual, the largest acceleration times `measure`, times the 1-norm of the momentum of `velocity`
+    divided by `measure`.
     """
-    free, order, gravity, mass = work.free, structure.elimination.order, structure.gravity, structure.momentum
+    free, order, load, mass = work.free, structure.elimination.order, work.load, structure.momentum
     measure = structure.measure
     power = 0.0
     momentum = 0.0
@@ -75,26 +76,29 @@ def check_dual(structure, work, pairs, velocity, options):
             continue
         part = order[j]
         for r in range(6):
-            power += velocity[j, r] * gravity[part, r]
+            power += velocity[j, r] * load[j, r]
             total = 0.0
             for c in range(6):
                 total += mass[part, r, c] * velocity[j, c]
             momentum += abs(total) / measure[part, r // 3]
-    bound = options.force_bound * structure.weight
+    bound = options.force_bound * structure.weight + work.pulled[0]
     allowed = (power - options.tolerance * momentum) / bound
     if allowed <= 0.0:
         return 0.0
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
     transfer_a, transfer_b, scale = structure.transfer_a, structure.transfer_b, work.force_scale
-    worst = 0.0
+    friction, stick = work.friction, work.stick
+    worst, stuck = 0.0, 0.0
     for p in range(pairs):
         s0, s1, s2, s3, s4, s5 = pair_velocity(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], velocity)
         for j in range(start[p], start[p + 1]):
             n, x, y = point_velocity(basis, j, s0, s1, s2, s3, s4, s5)
-            worst = max(worst, support(structure.cone, -n, -x, -y, structure.friction) / scale[j])
+            worst = max(worst, support(structure.cone, -n, -x, -y, friction[j]) / scale[j])
+            if stick[j] > 0.0:
+                stuck += stick[j] * support(structure.cone, 0.0, x, y, 1.0)
         if worst > allowed:
             return 0.0
-    return (power - worst * bound) / momentum
+    return (power - stuck - worst * bound) / momentum
 
 
 @njit(fastmath=FAST, cache=True)

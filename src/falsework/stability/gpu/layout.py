@@ -94,6 +94,7 @@ class KernelBatch(ctypes.Structure):
                 "large_count",
                 "open",
                 "open_count",
+                "open_ticket",
                 "rest",
                 "rest_count",
                 "scratch",
@@ -148,16 +149,20 @@ class Layout:
     def interior_bytes(self) -> int:
         """Return the memory for the interior point method on the largest state."""
         n, blocks = self.sizes["positions"], self.sizes["blocks"]
-        return self._index_bytes(1.0) + 2 * self.ancestors + 8 * (36 * (n + blocks) + 30 * n)
+        return self._stored_bytes() + 8 * (36 * (n + blocks) + 30 * n)
 
     def contact_bytes(self) -> int:
         """Return the memory for the Newton iterations under `contact` on the largest state."""
         n, blocks = self.sizes["positions"], self.sizes["blocks"]
-        return self._index_bytes(1.0) + 2 * self.ancestors + 8 * (36 * (n + 2 * blocks) + 36 * n)
+        return self._stored_bytes() + 4 * (36 * (n + 2 * blocks) + 66 * n)
+
+    def contact_group_bytes(self) -> int:
+        """Return the memory beside it for wrenches and tangent stiffness of all groups."""
+        return 240 * self.groups + 64
 
     def contact_near_bytes(self) -> int:
         """Return the memory for the same without the matrices, on the largest state."""
-        return self._index_bytes(1.0) + 2 * self.ancestors + 8 * 36 * self.sizes["positions"]
+        return self._stored_bytes() + 4 * 66 * self.sizes["positions"]
 
     def group_bytes(self) -> int:
         """Return the memory for what the interior point method keeps of all groups; the Newton iterations keep less."""
@@ -166,6 +171,10 @@ class Layout:
     def index_bytes(self) -> int:
         """Return the memory for the indices of the largest state, which every launch needs to reject a state."""
         return self._index_bytes(1.0)
+
+    def _stored_bytes(self) -> int:
+        """Return the memory for the indices of the largest state whose factor is stored without its zeros."""
+        return self._index_bytes(1.0) + 2 * (self.ancestors + self.sizes["blocks"] + self.sizes["positions"]) + 64
 
     def _counts(self, share: float) -> tuple[int, int, int]:
         """Return nodes, groups and blocks of the inverse factor: parts have fewer ancestors in a smaller state."""

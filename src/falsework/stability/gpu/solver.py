@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
+from falsework.errors import InputError
 from falsework.stability.contact.kernel import build_contact_structure
 from falsework.stability.cpu.cones import CONES
 from falsework.stability.gpu.contact_layout import add_contact
@@ -50,6 +51,28 @@ class _Stage:
     """Device memory instead of shared memory, or beside it, where the largest state does not fit on chip."""
     pool: int
     """Bytes that a state may take."""
+    takes: int = 0
+    """List of the states that are taken."""
+    large: int = 0
+    """List for those that need more memory than this launch has."""
+    rest: int = 0
+    """List for those that are not proven unstable, or that Newton iterations need more memory for."""
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """Launches for a batch."""
+
+    stages: tuple[_Stage, ...]
+    open: int
+    """List of the states that ADMM leaves undecided."""
+    by_group: Any
+    """Device memory for what the later methods keep of each group."""
+
+    @property
+    def lists(self) -> int:
+        """Lists of states that go from one launch to another."""
+        return 1 + max(max(self.open, stage.takes, stage.large, stage.rest) for stage in self.stages)
 
 
 class GpuSolver:
@@ -82,6 +105,8 @@ class GpuSolver:
         *,
         make_driver: Callable[[dict[str, int]], Driver] | None = None,
     ) -> None:
+        if assembly.joints is not None:
+            raise InputError("joints are not checked on a GPU; use the solver cpu (--solver cpu) or auto")
         self.problem = problem
         self.settings = settings
         self.layout = build_layout(problem)
@@ -99,7 +124,7 @@ class GpuSolver:
             {name: self.driver.address(array) for name, array in self._arrays.items()}
         )
         self._options = kernel_options(settings)
-        self._chains: dict[bool, tuple[list[list[_Stage]], Any]] = {}
+        self._chains: dict[bool, _Chain] = {}
         self._chunk = 1 << 20
 
     def check(self, states: States, *, certificates: bool = True, guess: NDArray[np.float64] | None = None) -> Verdicts:
@@ -220,15 +245,10 @@ class GpuSolver:
         driver, count = self.driver, len(states)
         if count == 0:
             return
-        chains, by_group = self._stages(count)
+        chain = self._chain(count)
         address = driver.address
-        stages = [stage for chain in chains for stage in chain]
-        # List `i` holds what stage `i` takes: the states too large for the stage before it in its chain, or those that
-        # an earlier chain hands on. The first stage takes all.
-        open_list = len(chains[0])
-        rest_list = open_list + len(chains[1])
-        lists = driver.empty((len(stages) + 1, count), np.int32)
-        counters = driver.zeros((2 * (len(stages) + 1),), np.int32)
+        lists = driver.empty((chain.lists, count), np.int32)
+        counters = driver.zeros((2 * (chain.lists + 1),), np.int32)
         handoff = driver.empty((count, self.problem.points, 3), np.float32)
 
         def row(i: int) -> int:
@@ -237,7 +257,7 @@ class GpuSolver:
         def counter(i: int) -> int:
             return address(counters) + i * 4
 
-        for i, stage in enumerate(stages):
+        for stage in chain.stages:
             batch = KernelBatch(
                 states=address(states),
                 guess=None if guess is None else address(guess),
@@ -248,18 +268,19 @@ class GpuSolver:
                 velocity=None if velocity is None else address(velocity),
                 displacement=None if displacement is None else address(displacement),
                 handoff=address(handoff),
-                list=row(i) if i else None,
-                list_count=counter(2 * i) if i else None,
-                ticket=counter(2 * i + 1),
-                large=row(i + 1),
-                large_count=counter(2 * (i + 1)),
-                open=row(open_list),
-                open_count=counter(2 * open_list),
-                rest=row(rest_list),
-                rest_count=counter(2 * rest_list),
+                list=row(stage.takes) if stage.takes else None,
+                list_count=counter(2 * stage.takes) if stage.takes else None,
+                ticket=counter(2 * stage.takes + 1),
+                large=row(stage.large),
+                large_count=counter(2 * stage.large),
+                open=row(chain.open),
+                open_count=counter(2 * chain.open),
+                open_ticket=counter(2 * chain.open + 1),
+                rest=row(stage.rest),
+                rest_count=counter(2 * stage.rest),
                 scratch=None if stage.scratch is None else address(stage.scratch),
                 scratch_stride=stage.pool,
-                points_scratch=address(by_group),
+                points_scratch=address(chain.by_group),
                 points_stride=self.layout.group_bytes(),
                 pool_bytes=stage.pool,
                 near=int(stage.scratch is not None and stage.shared > 0),
@@ -268,34 +289,56 @@ class GpuSolver:
             blocks = min(stage.blocks, count)
             driver.launch(stage.kernel, blocks, stage.threads, stage.shared, (self._structure, self._options, batch))
 
-    def _stages(self, count: int) -> tuple[list[list[_Stage]], Any]:
-        """Launches for a batch of this size, a chain for each method, and memory for what they keep of groups."""
+    def _chain(self, count: int) -> _Chain:
+        """Launches for a batch of this size, and the lists by which states go from one to the next.
+
+        ADMM hands the states that it leaves undecided to the interior point method, by one list, and under `contact`
+        those that are not unstable to the Newton iterations, by another. Both run in one launch where states fit on
+        chip, so that the few states with very many iterations run beside the others.
+        """
         few = count <= 2 * self.driver.multiprocessors
         if few not in self._chains:
-            chains = [self._admm_stages(few), self._interior_stages()]
+            admm = self._admm_stages(few)
+            left, rest, large, far = range(len(admm), len(admm) + 4)
+            stages = [replace(stage, takes=i, large=i + 1, rest=rest) for i, stage in enumerate(admm)]
             if self._contact:
-                chains.append(self._contact_stages())
-            rows = max(stage.blocks for chain in chains for stage in chain if "admm" not in stage.kernel)
+                stages += self._contact_stages(left, rest, large, far)
+            else:
+                first, *others = self._interior_stages()
+                stages.append(replace(first, takes=left, large=large))
+                stages += [replace(stage, takes=large) for stage in others]
+            rows = max(stage.blocks for stage in stages if "admm" not in stage.kernel)
             by_group = self.driver.empty((rows * self.layout.group_bytes() // 8,), np.float64)
-            self._chains[few] = chains, by_group
+            self._chains[few] = _Chain(tuple(stages), left, by_group)
         return self._chains[few]
 
-    def _contact_stages(self) -> list[_Stage]:
-        """Newton iterations: on chip, and for states too large for that with their matrices in device memory.
+    def _contact_stages(self, left: int, rest: int, large: int, far: int) -> list[_Stage]:
+        """Interior point method and Newton iterations: on chip, and each for states that are too large for that.
 
         Registers leave room for one block on a multiprocessor, so there is no gain in a launch for small states.
+
+        Args:
+            left: list of the states that ADMM leaves undecided.
+            rest: list of those that it does not prove unstable.
+            large: list for those that the interior point method needs more memory for.
+            far: list for those that the Newton iterations need more memory for.
         """
         driver, layout, threads = self.driver, self.layout, self.driver.most_threads
         largest = _aligned(layout.contact_bytes())
-        shared = min(largest, self._shared_limit)
+        shared = min(_aligned(max(layout.interior_bytes(), largest + layout.contact_group_bytes())), self._shared_limit)
         stages: list[_Stage] = []
         if shared >= layout.index_bytes():
             blocks = driver.blocks("contact_shared", threads, shared)
-            stages.append(_Stage("contact_shared", threads, shared, blocks, None, shared))
+            stage = _Stage("contact_shared", threads, shared, blocks, None, shared, takes=rest, large=large, rest=far)
+            stages.append(stage)
+            left, rest = large, far
+        if not stages or shared < layout.interior_bytes():
+            stage = self._scratch_stage("interior_scratch", threads, layout.interior_bytes())
+            stages.append(replace(stage, takes=left, rest=rest))
         if not stages or shared < largest:
             near = _aligned(layout.contact_near_bytes())
             near = near if near <= self._shared_limit else 0
-            stages.append(self._scratch_stage("contact_scratch", threads, largest, near))
+            stages.append(replace(self._scratch_stage("contact_scratch", threads, largest, near), takes=rest))
         return stages
 
     def _admm_stages(self, few: bool) -> list[_Stage]:

@@ -80,24 +80,35 @@ class Settling:
 
 
 def settle(
-    assembly: Assembly, states: ArrayLike, settings: DiscreteElementSettings = DiscreteElementSettings()
+    assembly: Assembly,
+    states: ArrayLike,
+    settings: DiscreteElementSettings = DiscreteElementSettings(),
+    forces: ArrayLike | None = None,
 ) -> Settling:
-    """Judge states from nothing: gravity rises on an unstressed structure, and what comes to rest stands.
+    """Judge states: gravity rises on an unstressed structure, and what comes to rest stands.
 
     Args:
         assembly: the structure.
         states: one state (parts,) or a batch (batch, parts).
         settings: springs, damping, and how long to wait.
+        forces: contact forces to begin with instead of none, N, shape (batch, points, 3), such as those of a verdict.
+            A state whose verdict is right is at rest with them from the first step.
 
     Raises:
+        InputError: forces of the wrong shape.
         StateError: states of the wrong shape or with wrong values.
     """
     batch = as_states(states, assembly.boundary)
     size, model = _model(assembly)
     answers = _Answers(size)
     points = len(model.local)
+    begin = (
+        np.zeros((len(batch), points, 3)) if forces is None else np.asarray(forces, float) / _typical_weight(assembly)
+    )
+    if begin.shape != (len(batch), points, 3):
+        raise InputError(f"forces have shape {begin.shape}; give one of {(len(batch), points, 3)}")
     for row, state in enumerate(batch):
-        gap, friction = np.zeros(points), np.zeros((points, 2))
+        gap, friction = -begin[row, :, 0] / model.stiffness, begin[row, :, 1:].copy()
         answer = relax(model, state, gap, friction, *_numbers(settings))
         if settings.friction_share and answer[0] == STANDS:
             _redraw(model, gap, friction, settings, row)
@@ -176,14 +187,21 @@ def _redraw(model: Model, gap: Array, friction: Array, settings: DiscreteElement
     friction[:, 0], friction[:, 1] = length * np.cos(angle), length * np.sin(angle)
 
 
+def _typical_weight(assembly: Assembly) -> float:
+    """Return the mean weight of the parts that are not boundary, N."""
+    loose = ~assembly.boundary
+    return float(_GRAVITY * assembly.mass.mass[loose if loose.any() else slice(None)].mean())
+
+
 def _model(assembly: Assembly) -> tuple[float, Model]:
     """Return the size of a typical part, metres, and the structure measured in it."""
+    if assembly.joints is not None:
+        raise InputError("the discrete-element method knows no joints; replay by the contact law instead")
     contacts, mass = assembly.contacts, assembly.mass
     boxes = np.array([np.ptp(mesh.bounds, axis=0) for mesh in assembly.meshes])
     size = float(np.median(boxes.max(axis=1)))
-    loose = ~assembly.boundary
-    typical = mass.mass[loose].mean() if loose.any() else mass.mass.mean()
-    weight = mass.mass / typical
+    typical = _typical_weight(assembly)
+    weight = _GRAVITY * mass.mass / typical
     count = np.diff(contacts.start)
     owner = contacts.contact_of_point
     middle = np.zeros((len(contacts), 3))
@@ -200,7 +218,7 @@ def _model(assembly: Assembly) -> tuple[float, Model]:
         local=np.einsum("pij,pj->pi", contacts.frames[owner], contacts.points - middle[owner]) / size,
         stiffness=np.maximum(area / mean, _LEAST_AREA) / (_POINTS * _SINK),
         weight=np.ascontiguousarray(weight),
-        applied=assembly.applied_wrench(_GRAVITY) / (typical * _GRAVITY * np.repeat([1.0, size], 3)),
+        applied=assembly.applied_wrench(_GRAVITY) / (typical * np.repeat([1.0, size], 3)),
         radius=np.linalg.norm(boxes, axis=1) / (2 * size),
         friction=float(assembly.friction),
     )

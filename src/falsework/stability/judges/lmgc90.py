@@ -85,12 +85,14 @@ def judge_by_lmgc90(assembly: Assembly, states: ArrayLike) -> list[Lmgc90Answer]
 
     Raises:
         DependencyError: LMGC90 is not installed.
-        InputError: a structure under loads, which the model that is handed to LMGC90 does not have.
+        InputError: a structure under loads or with joints, which the model that is handed to LMGC90 does not have.
         StateError: states of the wrong shape or with wrong values.
     """
     batch = as_states(states, assembly.boundary)
     if assembly.loads is not None:
         raise InputError("LMGC90 is given weight alone; leave out the loads, or replay by the contact law")
+    if assembly.joints is not None:
+        raise InputError("the model that LMGC90 is given knows no joints; replay by the contact law instead")
     if find_spec("compas_lmgc90") is None or find_spec("compas") is None:
         raise DependencyError(
             "LMGC90 is not installed; run: pip install falsework[judge] && pip install --no-deps compas_lmgc90"

@@ -13,10 +13,12 @@ from falsework.stability.certificate import forces_of_displacement, resistance_t
 from falsework.stability.contact.newton import MOVES_AWAY, RESTS
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.kernel import solve_range
+from falsework.stability.cpu.layout import KernelArrays, strength_arrays
 from falsework.stability.cpu.solver import CpuSolver, kernel_options
 from falsework.stability.cpu.termination import STABLE, UNSTABLE
 from falsework.stability.margins.kernel import rest_under
 from falsework.stability.reference.clarabel import ExactSolver
+from falsework.stability.strength import strength_of
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
@@ -124,7 +126,7 @@ class Prober:
 
     def balance(self, state: States, condition: Condition, near: Answer | None = None) -> Answer:
         """Ask whether a state is in equilibrium, whatever the criterion; the rest as `ask`."""
-        structure = self._structure._replace(friction=float(condition.friction), gravity=self._whitened(condition))
+        structure = self._under(condition.friction)._replace(gravity=self._whitened(condition))
         warm = near is not None and near.forces is not None
         forces, velocity = np.zeros((1, self.problem.points, 3)), np.zeros((1, self.problem.parts, 6))
         if warm and near is not None and near.forces is not None:
@@ -137,7 +139,7 @@ class Prober:
         return Answer(condition, stands, False, forces[0] if stands else None, None, velocity[0] if fails else None)
 
     def _ask_contact(self, state: States, condition: Condition, near: Answer | None, moved: Array | None) -> Answer:
-        structure = self._structure._replace(friction=float(condition.friction))
+        structure = self._under(condition.friction)
         displacement = np.zeros((1, self.problem.parts, 6))
         warm = near is not None and near.displacement is not None
         if warm and near is not None and near.displacement is not None:
@@ -225,6 +227,13 @@ class Prober:
                 verdicts.forces[0], verdicts.verdict[0] = balanced.forces, Verdict.SLIDES
         if velocity is not None:
             verdicts.velocity[0], verdicts.verdict[0] = velocity, Verdict.UNSTABLE
+
+    def _under(self, friction: float) -> KernelArrays:
+        """Return the structure with another coefficient of friction where no joint gives its own."""
+        if friction == self.assembly.friction:
+            return self._structure
+        strength = strength_of(replace(self.assembly, friction=friction), self.settings.gravity)
+        return self._structure._replace(**strength_arrays(self.problem, strength))
 
     def _whitened(self, condition: Condition) -> Array:
         """Return the wrenches of a condition as the kernels take them: read-only, lest they be compiled anew."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.stability.contact.kernel import lacks_contact, place_contacts, read_displacement, write_displacement
-from falsework.stability.contact.newton import MOVES_AWAY, RESTS, find_rest, make_contact_scratch
+from falsework.stability.contact.newton import MOVES_AWAY, RESTS, come_to_rest, make_contact_scratch
 from falsework.stability.cpu.layout import make_scratch, restrict
 from falsework.stability.cpu.termination import MARGIN
 from falsework.utils.kernels import njit
@@ -31,13 +31,14 @@ def rest_under(
     order = structure.elimination.order
     pairs, count = restrict(structure, state, work)
     adrift = count > 0 and lacks_contact(work, pairs)
-    place_contacts(structure, contact_structure, work, contact, pairs)
+    place_contacts(structure, contact_structure, state, work, contact, pairs)
     for p in range(pairs if len(moved) else 0):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
         for j in range(work.start[p], work.start[p + 1]):
             for r in range(3):
                 contact.offset[j, r] = moved[j + shift, r]
     tolerance = (1.0 - MARGIN) * options.tolerance
+    mends = pairs >= 0  # not a literal, for which numba would compile the search anew
     for k in range(len(loads)):
         iterations[k] = 0
         if count == 0 or adrift:
@@ -49,7 +50,7 @@ def rest_under(
                 contact.load[j, r] = loads[k, order[j], r]
         if warm:
             read_displacement(structure, contact_structure, work, displacement[k], contact.displacement)
-            result[k], residual[k], iterations[k] = find_rest(
+            result[k], residual[k], iterations[k] = come_to_rest(
                 structure,
                 contact_structure,
                 work,
@@ -58,11 +59,12 @@ def rest_under(
                 options.warm_steps,
                 tolerance,
                 options.warm_first_step,
+                mends,
             )
         if not warm or result[k] != RESTS:
             contact.displacement[:] = 0.0
-            result[k], residual[k], taken = find_rest(
-                structure, contact_structure, work, contact, pairs, options.steps, tolerance, options.first_step
+            result[k], residual[k], taken = come_to_rest(
+                structure, contact_structure, work, contact, pairs, options.steps, tolerance, options.first_step, mends
             )
             iterations[k] += taken
         displacement[k] = 0.0

@@ -46,12 +46,12 @@ class MarginFinder:
 
     def __init__(self, prober: Prober) -> None:
         """Take the structure and its criterion from a prober."""
-        self._prober = prober
+        self.prober = prober
         self._assembly = prober.assembly
         self._parts = prober.assembly.part_count
-        self._weights = prober.settings.gravity * prober.assembly.mass.mass
+        self.weights = prober.settings.gravity * prober.assembly.mass.mass
         angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        self._directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)], axis=1)
+        self.directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)], axis=1)
 
     @cached_property
     def pushes(self) -> Pushes:
@@ -72,12 +72,12 @@ class MarginFinder:
         for kind in kinds:
             if kind not in KINDS:
                 raise InputError(f"there is no margin {kind!r}; choose among {', '.join(KINDS)}")
-        if "settlement" in kinds and not self._prober.contact:
+        if "settlement" in kinds and not self.prober.contact:
             raise InputError("the criterion equilibrium knows no settlement; ask for it under contact")
         batch = as_states(states, self._assembly.boundary)
         assert self.pushes is not None  # made once, before threads ask for it
-        with ThreadPoolExecutor(self._prober.settings.cpu.threads) as pool:
-            starts = list(pool.map(lambda state: self._prober.ask(state, self._prober.own()), batch))
+        with ThreadPoolExecutor(self.prober.settings.cpu.threads) as pool:
+            starts = list(pool.map(lambda state: self.prober.ask(state, self.prober.own()), batch))
             work: list[tuple[int, Callable[[], StateMargins]]] = []
             for row, (state, start) in enumerate(zip(batch, starts, strict=True)):
                 if not start.stands:
@@ -108,18 +108,18 @@ class MarginFinder:
         if kind == "push":
             return StateMargins(True, push=self._push(state, start))
         if kind == "held":
-            return StateMargins(True, held=held_loads(self._prober, state, start))
+            return StateMargins(True, held=held_loads(self.prober, state, start))
         if kind == "polygon":
             return StateMargins(True, polygon=self._polygon(state, start))
         if kind == "settlement":
-            return StateMargins(True, settlement=settlements(self._prober, state, start))
+            return StateMargins(True, settlement=settlements(self.prober, state, start))
         return StateMargins(True)
 
     def _fallen(self, state: States, kinds: Sequence[str]) -> StateMargins:
         """Return the least friction of a state that does not stand, if more friction helps, and no other margins."""
         if "friction" not in kinds:
             return StateMargins(False)
-        prober, own = self._prober, self._assembly.friction
+        prober, own = self.prober, self._assembly.friction
         start = low = prober.ask(state, prober.own())
         high = max(own, _SMOOTH)
         while (high := 2 * high) <= max(_ROUGH, 4 * own):
@@ -142,10 +142,10 @@ class MarginFinder:
 
         def probe(value: float, near: Answer) -> Answer:
             # From rest each time under `contact`, as a check of the number does: near the bound the start matters.
-            return self._prober.ask(state, Condition(value, extra), None if self._prober.contact else near)
+            return self.prober.ask(state, Condition(value, extra), None if self.prober.contact else near)
 
         def anew(value: float, near: Answer | None) -> Answer:
-            return self._prober.ask(state, Condition(value, extra), near)
+            return self.prober.ask(state, Condition(value, extra), near)
 
         def again(value: float, answer: Answer) -> Bracket:
             stands, low = start, answer
@@ -157,22 +157,22 @@ class MarginFinder:
         bracket = least(probe, start, value=own, floor=_SMOOTH * max(own, 1.0)) if own > 0 else None
         if bracket is None:
             bracket = Bracket(0.0, start, None, None)
-        elif self._prober.contact:
+        elif self.prober.contact:
             bracket = checked(bracket, anew, start, again, origin=own)
         return self._bound(state, bracket, self._rough(start.condition), always=True)
 
     def _sideways(self, state: States, start: Answer) -> tuple[Bound, Bound]:
         """Return the largest tilt and the largest horizontal acceleration in the worst direction."""
         order = np.argsort([row % 9 != 0 for row in range(DIRECTIONS)], kind="stable").tolist()
-        loads = self._weights[None, :, None] * np.pad(self._directions, ((0, 0), (0, 3)))[:, None, :]
+        loads = self.weights[None, :, None] * np.pad(self.directions, ((0, 0), (0, 3)))[:, None, :]
         guess = max(self._assembly.friction, 0.1)
         found = self._weakest(state, start, loads, order, guess=lambda _: guess, cap=LARGEST_SHARE)
         if found is None:
             return self._unbounded(state, start), self._unbounded(state, start)
         row, bracket = found
-        direction = tuple(self._directions[row].tolist())
+        direction = tuple(self.directions[row].tolist())
         horizontal = self._bound(state, bracket, self._times(start.condition, loads[row]), direction=direction)
-        if self._assembly.loads is None:
+        if self._assembly.loads is None and self._assembly.joints is None:
             # Weight and a horizontal acceleration `a g` are the weight on a ground tilted by atan(a), times a factor;
             # forces, displacements and velocities that prove one prove the other by that factor.
             tilted = Bracket(
@@ -185,17 +185,17 @@ class MarginFinder:
             return self._bound(state, tilted, self._tilts(start.condition, row), direction=direction), horizontal
         return self._tilt(state, start, order), horizontal
 
-    def _tilt_load(self, row: int, angle: float) -> Array:
+    def tilt_load(self, row: int, angle: float) -> Array:
         """Return what a tilt adds to the weights, N, shape (parts, 6)."""
-        turned = np.sin(angle) * self._directions[row] + np.array([0.0, 0.0, 1.0 - np.cos(angle)])
-        return self._weights[:, None] * np.pad(turned, (0, 3))
+        turned = np.sin(angle) * self.directions[row] + np.array([0.0, 0.0, 1.0 - np.cos(angle)])
+        return self.weights[:, None] * np.pad(turned, (0, 3))
 
     def _tilted(self, answer: Answer, row: int, share: float) -> Answer:
         angle = np.arctan(share)
         factor = float(np.cos(angle))
         return replace(
             answer,
-            condition=Condition(answer.condition.friction, self._tilt_load(row, angle)),
+            condition=Condition(answer.condition.friction, self.tilt_load(row, angle)),
             forces=None if answer.forces is None else factor * answer.forces,
             displacement=None if answer.displacement is None else factor * answer.displacement,
         )
@@ -204,7 +204,7 @@ class MarginFinder:
         """Return the largest tilt under loads that keep their direction."""
 
         def probe(row: int, angle: float, near: Answer) -> Answer:
-            return self._prober.ask(state, self._tilts(start.condition, row)(angle), near)
+            return self.prober.ask(state, self._tilts(start.condition, row)(angle), near)
 
         def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
             return largest(
@@ -220,13 +220,13 @@ class MarginFinder:
         if found is None:
             return self._unbounded(state, start)
         row, bracket = found
-        direction = tuple(self._directions[row].tolist())
+        direction = tuple(self.directions[row].tolist())
         return self._bound(state, bracket, self._tilts(start.condition, row), direction=direction)
 
     def _polygon(self, state: States, start: Answer) -> Array:
         guess, limits = max(self._assembly.friction, 0.1), np.full(DIRECTIONS, np.inf)
         for row in range(DIRECTIONS):
-            load = self._weights[:, None] * np.pad(self._directions[row], (0, 3))
+            load = self.weights[:, None] * np.pad(self.directions[row], (0, 3))
             bracket = self._along(state, start, load, guess=guess, cap=LARGEST_SHARE)
             if bracket.outside is not None:
                 limits[row] = guess = bracket.inside
@@ -235,8 +235,8 @@ class MarginFinder:
     def _load_factor(self, state: States, start: Answer) -> Bound:
         installed = np.flatnonzero(state == INSTALLED)
         loads = np.zeros((len(installed), self._parts, 6))
-        loads[np.arange(len(installed)), installed, 2] = -self._weights[installed]
-        order = np.argsort(-self._weights[installed], kind="stable").tolist()
+        loads[np.arange(len(installed)), installed, 2] = -self.weights[installed]
+        order = np.argsort(-self.weights[installed], kind="stable").tolist()
         found = self._weakest(state, start, loads, order, guess=lambda _: 1.0, cap=LARGEST_FACTOR - 1.0)
         if found is None:
             return self._unbounded(state, start)
@@ -245,18 +245,19 @@ class MarginFinder:
         return self._bound(state, bracket, times, shift=1.0, part=int(installed[row]), direction=(0.0, 0.0, -1.0))
 
     def _total_factor(self, state: States, start: Answer) -> Bound:
-        if self._assembly.loads is None:  # forces that balance the weights balance any multiple of them
+        if self._assembly.loads is None and self._assembly.joints is None:
+            # Forces that balance the weights balance any multiple of them.
             return self._unbounded(state, start)
-        load = np.where((state != REMOVED)[:, None], self._weights[:, None] * np.array([0, 0, -1.0, 0, 0, 0]), 0.0)
+        load = np.where((state != REMOVED)[:, None], self.weights[:, None] * np.array([0, 0, -1.0, 0, 0, 0]), 0.0)
         bracket = self._along(state, start, load, guess=1.0, cap=LARGEST_FACTOR - 1.0)
         return self._bound(state, bracket, self._times(start.condition, load), shift=1.0)
 
     def _push(self, state: States, start: Answer) -> Bound:
         pushes = self.pushes
         rows = pushes.exposed(state)
-        weights = self._weights[pushes.part[rows]]
+        weights = self.weights[pushes.part[rows]]
         order = np.argsort(weights, kind="stable").tolist()
-        cap = LARGEST_PUSH * self._prober.problem.weight
+        cap = LARGEST_PUSH * self.prober.problem.weight
         guess = max(self._assembly.friction, 0.1)
         loads = pushes.loads(rows, self._parts)
         found = self._weakest(state, start, loads, order, guess=lambda row: guess * weights[row], cap=cap)
@@ -279,21 +280,21 @@ class MarginFinder:
         """Return the bound on the multiple of a load, N and Nm, shape (parts, 6)."""
 
         def probe(value: float, near: Answer) -> Answer:
-            return self._prober.ask(state, Condition(start.condition.friction, value * load), near)
+            return self.prober.ask(state, Condition(start.condition.friction, value * load), near)
 
         def find(given: tuple[float, Answer] | None) -> Bracket:
-            cut = None if self._prober.contact else lambda answer: self._prober.cut(state, answer, load)
+            cut = None if self.prober.contact else lambda answer: self.prober.cut(state, answer, load)
             return largest(probe, start, guess=guess, cap=cap, floor=_FLOOR * guess, cut=cut, known=given)
 
         bracket = find(known)
         if bracket.fails is None or bracket.outside is None:
             return bracket
-        if not self._prober.contact:  # a velocity may prove more than where it was found
+        if not self.prober.contact:  # a velocity may prove more than where it was found
             beyond = Condition(start.condition.friction, bracket.outside * load)
             return replace(bracket, fails=replace(bracket.fails, condition=beyond))
 
         def anew(value: float, near: Answer | None) -> Answer:
-            return self._prober.ask(state, Condition(start.condition.friction, value * load), near)
+            return self.prober.ask(state, Condition(start.condition.friction, value * load), near)
 
         return checked(bracket, anew, start, lambda value, answer: find((value, answer)))
 
@@ -310,7 +311,7 @@ class MarginFinder:
         """Return the load of which the least can be added, and its bracket; loads have shape (loads, parts, 6)."""
 
         def test(row: int, value: float) -> Answer:
-            return self._prober.ask(state, Condition(start.condition.friction, value * loads[row]), start)
+            return self.prober.ask(state, Condition(start.condition.friction, value * loads[row]), start)
 
         def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
             return self._along(state, start, loads[row], guess=guess(row), cap=cap, known=known)
@@ -330,7 +331,7 @@ class MarginFinder:
         return lambda value: Condition(condition.friction, value * load)
 
     def _tilts(self, condition: Condition, row: int) -> Callable[[float], Condition]:
-        return lambda angle: Condition(condition.friction, self._tilt_load(row, angle))
+        return lambda angle: Condition(condition.friction, self.tilt_load(row, angle))
 
     def _bound(
         self,
@@ -354,19 +355,19 @@ class MarginFinder:
             always: the family has a bound at its inner end and fails below it, as friction does.
         """
         fails, outside = bracket.fails, bracket.outside
-        proof = None if fails is None else self._prober.certify(state, fails)
+        proof = None if fails is None else self.prober.certify(state, fails)
         if fails is not None and proof is not None and not _fails(proof):
             # Beside the bound neither side may be provable; try at the far end of what a bracket may span.
             share = 1.0 - OUTSIDE if always else 1.0 + OUTSIDE
             condition = beyond(share * bracket.inside)
-            again = self._prober.ask(state, condition)
-            second = proof if again.stands else self._prober.certify(state, again)
+            again = self.prober.ask(state, condition)
+            second = proof if again.stands else self.prober.certify(state, again)
             if _fails(second):
                 fails, outside, proof = again, share * bracket.inside, second
         return Bound(
             value=float(bracket.inside) + shift if outside is not None or always else None,
             outside=None if outside is None else float(outside) + shift,
-            inside_proof=self._prober.certify(state, bracket.stands),
+            inside_proof=self.prober.certify(state, bracket.stands),
             outside_proof=proof,
             inside_condition=bracket.stands.condition,
             outside_condition=None if fails is None else fails.condition,

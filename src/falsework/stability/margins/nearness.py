@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, States
+from falsework.stability.strength import strength_of
 
 Array = NDArray[np.float64]
 
@@ -14,9 +15,10 @@ Array = NDArray[np.float64]
 def nearness_to_limit(assembly: Assembly, state: States, forces: Array) -> Array:
     """Return how near each free part is to its limit, from 0 to 1; NaN for the others. Shape (parts,).
 
-    Of every contact two shares are taken: of the friction that its resultant uses, and of the way from the middle of
-    the contact to its edge at which the resultant acts. A part has the larger of the two means over its contacts,
-    weighted by their normal forces. Nothing is proven by it; margins are.
+    Of every contact that presses two shares are taken: of the friction and cohesion that its resultant uses, and of the
+    way from the middle of the contact to its edge at which the resultant acts. Of one that pulls it is that of its
+    tension. A part has the larger of the two means over its contacts, weighted by their normal forces. Nothing is
+    proven by it; margins are.
 
     Args:
         assembly: the structure.
@@ -27,17 +29,21 @@ def nearness_to_limit(assembly: Assembly, state: States, forces: Array) -> Array
     owner, count = contacts.contact_of_point, len(contacts)
     normal = np.bincount(owner, forces[:, 0], count)
     tangent = np.hypot(np.bincount(owner, forces[:, 1], count), np.bincount(owner, forces[:, 2], count))
-    pressed = normal > 1e-9 * max(float(normal.max(initial=0.0)), 1e-300)
+    strength = strength_of(assembly)
+    grip = np.bincount(owner, strength.friction * (forces[:, 0] + strength.pull) + strength.stick, count)
+    bears = np.abs(normal) > 1e-9 * max(float(np.abs(normal).max(initial=0.0)), 1e-300)
     slip, tip = np.zeros(count), np.zeros(count)
-    slip[pressed] = np.minimum(tangent[pressed] / np.maximum(assembly.friction * normal[pressed], 1e-300), 1.0)
-    for contact in np.flatnonzero(pressed):
+    slip[bears] = np.minimum(tangent[bears] / np.maximum(grip[bears], 1e-300), 1.0)
+    pulled = bears & (normal < 0)
+    tip[pulled] = np.minimum(-normal / np.maximum(np.bincount(owner, strength.pull, count), 1e-300), 1.0)[pulled]
+    for contact in np.flatnonzero(bears & ~pulled):
         rows = slice(contacts.start[contact], contacts.start[contact + 1])
         tip[contact] = _eccentricity(contacts.points[rows] @ contacts.frames[contact, 1:].T, forces[rows, 0])
     nearness = np.full(assembly.part_count, np.nan)
     for part in np.flatnonzero(state == INSTALLED):
-        mine = pressed & (contacts.parts == part).any(axis=1)
+        mine = bears & (contacts.parts == part).any(axis=1)
         if mine.any():
-            nearness[part] = max(np.average(share[mine], weights=normal[mine]) for share in (slip, tip))
+            nearness[part] = max(np.average(share[mine], weights=np.abs(normal[mine])) for share in (slip, tip))
     return nearness
 
 

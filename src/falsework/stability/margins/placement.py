@@ -63,6 +63,8 @@ def placement_curve(
         raise InputError(f"placement errors are {list(tolerances)} m; give numbers above zero")
     if draws < 1:
         raise InputError(f"{draws} draws are no sample; ask for at least 1")
+    if assembly.joints is not None:
+        raise InputError("placement knows no joints, which belong to contacts that are found anew; leave them out")
     if assembly.contacts_given:
         raise InputError("contacts of this structure were given, so they cannot be found anew for parts that moved")
     stands, refused = np.zeros((len(tolerances), len(batch))), np.zeros(len(tolerances), np.int64)

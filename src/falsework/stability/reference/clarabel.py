@@ -86,12 +86,12 @@ class ExactSolver:
                 program = program_of(problem, free, active, claim)
                 solution, multipliers, steps = self._solve(program)
                 forces, velocity = program.read(solution, multipliers)
-                verdict.forces[0][active] = into_cone(forces, problem.friction, claim.cone)
+                verdict.forces[0][active] = into_cone(forces, problem.strength.of(active), claim.cone)
                 verdict.velocity[0][free] = velocity
                 verdict.iterations[0] += steps
             above = residual_of_forces(self.assembly, state, verdict.forces, claim)[0]
             below = residual_bound_of_velocity(self.assembly, state, verdict.velocity, claim)[0]
-            if problem.friction > _ROUGH and above > claim.tolerance >= below:
+            if problem.strength.friction.max(initial=0.0) > _ROUGH and above > claim.tolerance >= below:
                 verdict.velocity[0][free] = without_slip(problem, free, active, verdict.velocity[0][free])
                 below = residual_bound_of_velocity(self.assembly, state, verdict.velocity, claim)[0]
             if above <= claim.tolerance:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.problem import Problem
+from falsework.stability.strength import Strength
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -68,25 +69,26 @@ def least_squares(problem: Problem, free: Mask, active: Mask, claim: StabilityCr
     # Forces in shares of the weight and accelerations in shares of gravity keep the numbers near one, and make them
     # the same whatever the size of the structure.
     rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
-    units = _force_units(problem, columns // 3)
+    units = _force_units(problem, active)
     lightest = (problem.momentum[free, 2, 2] / problem.measure[free, 0]).min()
     whiten = block_diagonal(problem.whitening[free] / lightest)
-    wrenches = whiten @ wrench_matrix(problem, free, active) @ sp.diags(units)
-    gravity = whiten @ problem.gravity_wrench[free].ravel()
-    cone = _cone_rows(problem, columns // 3, claim.cone)
-    cone_rows = cone.shape[0]  # type: ignore[index]
-    linear = claim.cone == "octagon"
+    wrench = wrench_matrix(problem, free, active)
+    tension = _tension(problem, active)
+    gravity = whiten @ (problem.gravity_wrench[free].ravel() + wrench @ tension)
+    cone = _cone_rows(problem, active, claim.cone)
 
     def read(x: Array, _: Array) -> tuple[Array, Array]:
-        return (units * x[:columns]).reshape(-1, 3), _normalised(whiten.T @ x[columns:])
+        return (units * x[:columns] + tension).reshape(-1, 3), _normalised(whiten.T @ x[columns:])
 
     return Program(
         curvature=np.repeat([0.0, 1.0], [columns, rows]),
         cost=np.zeros(columns + rows),
-        rows=_stack([[wrenches, -sp.eye(rows)], [cone, sp.csc_matrix((cone_rows, rows))]]),
-        bound=np.concatenate([-gravity, np.zeros(cone_rows)]),
+        rows=_stack(
+            [[whiten @ wrench @ sp.diags(units), -sp.eye(rows)], [cone.rows, sp.csc_matrix((len(cone.bound), rows))]]
+        ),
+        bound=np.concatenate([-gravity, cone.bound]),
         equalities=rows,
-        inequalities=cone_rows if linear else 0,
+        inequalities=cone.inequalities,
         read=read,
     )
 
@@ -98,20 +100,21 @@ def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: Stabil
     solution reaches. Arguments as for `least_squares`.
     """
     rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
-    units = _force_units(problem, columns // 3)
+    units = _force_units(problem, active)
     whiten = block_diagonal(problem.whitening[free])
     measured = sp.csc_matrix(sp.diags(np.repeat(problem.measure[free], 3)) @ (whiten.T @ whiten))  # D M^-1
-    accelerations = measured @ wrench_matrix(problem, free, active) @ sp.diags(units)
-    gravity = measured @ problem.gravity_wrench[free].ravel()
-    cone = _cone_rows(problem, columns // 3, claim.cone)
-    cone_rows = cone.shape[0]  # type: ignore[index]
-    linear = claim.cone == "octagon"
+    wrench = wrench_matrix(problem, free, active)
+    accelerations = measured @ wrench @ sp.diags(units)
+    tension = _tension(problem, active)
+    gravity = measured @ (problem.gravity_wrench[free].ravel() + wrench @ tension)
+    cone = _cone_rows(problem, active, claim.cone)
+    most = claim.force_bound - tension.sum() / problem.weight
     normals = sp.csc_matrix((np.tile([1.0, 0.0, 0.0], columns // 3) * units / problem.weight)[None])
     one = sp.csc_matrix(np.ones((rows, 1)))
 
     def read(x: Array, multipliers: Array) -> tuple[Array, Array]:
         velocity = measured.T @ (multipliers[:rows] - multipliers[rows : 2 * rows])
-        return (units * x[:columns]).reshape(-1, 3), _normalised(velocity)
+        return (units * x[:columns] + tension).reshape(-1, 3), _normalised(velocity)
 
     return Program(
         curvature=np.zeros(columns + 1),
@@ -121,12 +124,12 @@ def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: Stabil
                 [accelerations, -one],
                 [-accelerations, -one],
                 [normals, sp.csc_matrix((1, 1))],
-                [cone, sp.csc_matrix((cone_rows, 1))],
+                [cone.rows, sp.csc_matrix((len(cone.bound), 1))],
             ]
         ),
-        bound=np.concatenate([-gravity, gravity, [claim.force_bound], np.zeros(cone_rows)]),
+        bound=np.concatenate([-gravity, gravity, [most], cone.bound]),
         equalities=0,
-        inequalities=2 * rows + 1 + (cone_rows if linear else 0),
+        inequalities=2 * rows + 1 + cone.inequalities,
         read=read,
     )
 
@@ -148,16 +151,16 @@ def wrench_matrix(problem: Problem, free: Mask, active: Mask) -> sp.csc_matrix:
     return sp.csc_matrix((values, (row, column)), shape=(6 * int(free.sum()), 3 * len(points)))
 
 
-def into_cone(forces: Array, friction: float, cone: str) -> Array:
+def into_cone(forces: Array, strength: Strength, cone: str) -> Array:
     """Shrink the tangents of forces that stand outside the cone by a solver's last digits. Shape (points, 3)."""
     forces = forces.copy()
-    forces[:, 0] = np.maximum(forces[:, 0], 0.0)
+    forces[:, 0] = np.maximum(forces[:, 0], -strength.pull)
     x, y = np.abs(forces[:, 1]), np.abs(forces[:, 2])
     if cone == "quadratic":
         size = np.hypot(x, y)
     else:
         size = np.maximum(x, y) + (np.sqrt(2.0) - 1.0) * np.minimum(x, y)
-    limit = friction * forces[:, 0]
+    limit = strength.friction * (forces[:, 0] + strength.pull) + strength.stick
     shrink = np.divide(limit, size, out=np.ones_like(size), where=size > limit)
     forces[:, 1:] *= shrink[:, None]
     return forces
@@ -177,25 +180,58 @@ def without_slip(problem: Problem, free: Mask, active: Mask, velocity: Array) ->
     return (scaled / lengths).reshape(-1, 6)
 
 
-def _force_units(problem: Problem, points: int) -> Array:
-    """Return forces in N of variables of 1 at every contact point, shape (3 points,).
+def _tension(problem: Problem, active: Mask) -> Array:
+    """Return the forces of the acting points that all bear their tension, N, shape (3 points,).
 
-    Where friction is below 1, tangential variables count in shares of it, so that the cone keeps its slope. Without
-    friction their columns vanish, and the cone still says that the normal force is not negative.
+    Variables are the forces beyond them, so that the cones keep their tips at zero.
     """
-    tangent = min(problem.friction, 1.0)
-    return np.tile(np.array([1.0, tangent, tangent]) * problem.weight, points)
+    return np.concatenate([-problem.strength.pull[active, None], np.zeros((int(active.sum()), 2))], axis=1).ravel()
 
 
-def _cone_rows(problem: Problem, points: int, cone: str) -> sp.csc_matrix:
-    """Return rows `A` that keep variables in the friction cones: `A x <= 0`, or `-A x` in a second-order cone."""
-    slope = max(problem.friction, 1.0)
+def _tangent_units(problem: Problem, active: Mask) -> Array:
+    """Return tangential variables in shares of friction where it is below 1 and there is nothing else, else 1.
+
+    So the cone keeps its slope. Without friction their columns vanish, and the cone still says that the normal force
+    is not negative.
+    """
+    friction = problem.strength.friction[active]
+    return np.where(problem.strength.stick[active] > 0.0, 1.0, np.minimum(friction, 1.0))
+
+
+def _force_units(problem: Problem, active: Mask) -> Array:
+    """Return forces in N of variables of 1 at every acting point, shape (3 points,)."""
+    tangent = _tangent_units(problem, active)
+    return np.stack([np.ones_like(tangent), tangent, tangent], axis=1).ravel() * problem.weight
+
+
+@dataclass(frozen=True)
+class _Cone:
+    """Rows that keep variables admissible, in the order of `Program`."""
+
+    rows: sp.csc_matrix
+    bound: Array
+    inequalities: int
+
+
+def _cone_rows(problem: Problem, active: Mask, cone: str) -> _Cone:
+    """Return rows `A` and bounds `b` that keep variables in the friction cones, cut off where contact points stick."""
+    friction, stick = problem.strength.friction[active], problem.strength.stick[active] / problem.weight
+    tangent = _tangent_units(problem, active)
+    slope = np.divide(friction, tangent, out=np.ones_like(friction), where=tangent > 0)
+    points, sticky = len(friction), np.flatnonzero(stick > 0)
+    cut = sp.csc_matrix((-np.ones(len(sticky)), (np.arange(len(sticky)), 3 * sticky)), (len(sticky), 3 * points))
     if cone == "quadratic":
-        block = -np.diag([slope, 1.0, 1.0])
-    else:
-        angle = (np.arange(8) + 0.5) * np.pi / 4
-        block = np.stack([np.full(8, -slope * np.cos(np.pi / 8)), np.cos(angle), np.sin(angle)], axis=1)
-    return sp.csc_matrix(sp.kron(sp.eye(points), block))
+        diagonal = np.stack([slope, np.ones(points), np.ones(points)], axis=1).ravel()
+        rows, inequalities = _stack([[cut], [-sp.diags(diagonal)]]), len(sticky)
+        return _Cone(rows, np.r_[np.zeros(len(sticky)), np.outer(stick, [1.0, 0.0, 0.0]).ravel()], inequalities)
+    angle = (np.arange(8) + 0.5) * np.pi / 4
+    blocks = np.zeros((points, 8, 3))
+    blocks[:, :, 0] = -slope[:, None] * np.cos(np.pi / 8)
+    blocks[:, :, 1], blocks[:, :, 2] = np.cos(angle), np.sin(angle)
+    layout = (blocks, np.arange(points), np.arange(points + 1))
+    rows = _stack([[cut], [sp.bsr_matrix(layout, shape=(8 * points, 3 * points))]])
+    bound = np.r_[np.zeros(len(sticky)), np.repeat(stick * np.cos(np.pi / 8), 8)]
+    return _Cone(rows, bound, len(bound))
 
 
 def _stack(blocks: list[list]) -> sp.csc_matrix:

@@ -125,7 +125,7 @@ DEVICE void run_admm(const Structure& s, const Options& o, const Batch& b) {
     float* u = take<float>(top, OneEach ? 0 : a.groups * GROUP * 3);
     float* z = take<float>(top, OneEach ? 0 : a.groups * GROUP * 3);
     if (top - base > b.pool_bytes || (OneEach && a.groups > ON_CHIP_GROUPS)) {
-      if (TID == 0) b.large[atomicAdd(b.large_count, 1)] = index;
+      pass_on(b.large, b.large_count, index);
       continue;
     }
     Group q;

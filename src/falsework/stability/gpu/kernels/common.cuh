@@ -25,6 +25,8 @@ typedef unsigned int uint32_t;
 #define METHOD __device__ __forceinline__
 #define KERNEL(bounds) extern "C" __global__ void __launch_bounds__ bounds
 #define POPCOUNT __popc
+#define RECIPROCAL_ROOT rsqrt
+#define RECIPROCAL(x) __fdividef(1.0f, x)
 template <class T>
 DEVICE T load(const T* p) {
   return __ldg(p);
@@ -44,6 +46,7 @@ extern __shared__ double2 dynamic_pool[];
 #define METHOD inline
 #define KERNEL(bounds) extern "C" void
 #define POPCOUNT __builtin_popcount
+#define RECIPROCAL_ROOT(x) (1 / sqrt(x))
 #define __shared__ static thread_local
 using std::copysign;
 using std::fabs;
@@ -162,6 +165,7 @@ struct Batch {
   int* large_count;
   int* open;               // states that ADMM leaves undecided
   int* open_count;
+  int* open_ticket;
   int* rest;               // states of which the Newton iterations say whether they rest
   int* rest_count;
   char* scratch;           // `scratch_stride` bytes a block, where the pool is not in shared memory
@@ -204,6 +208,25 @@ DEVICE void reduce(double (&value)[Largest + Sums]) {
     }
 #else
   (void)value;
+#endif
+}
+
+// Logarithm of the number of neighbouring threads that share an item and add up their parts, where there are fewer
+// items than threads.
+DEVICE int lane_bits(int items) {
+  int bits = 0;
+  while (bits < 3 && items << (bits + 1) <= THREADS) bits++;
+  return bits;
+}
+// All numbers take a step of the sum before any takes the next, so that they do not wait for each other.
+template <class T, int N>
+DEVICE void sum_lanes(T (&x)[N], int bits) {
+#ifdef __CUDACC__
+  for (int step = (1 << bits) >> 1; step; step >>= 1)
+#pragma unroll
+    for (int k = 0; k < N; k++) x[k] += __shfl_xor_sync(0xffffffffu, x[k], step);
+#else
+  (void)x, (void)bits;
 #endif
 }
 

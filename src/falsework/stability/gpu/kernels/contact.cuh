@@ -30,40 +30,65 @@ PHASE void write_displaced(const Structure& s, const State& a, const Batch& b, i
     }
 }
 
-// The solvers of the equilibrium problem have not proved these states unstable. A state that does not rest slides where
-// forces in equilibrium exist; where neither proof was found and parts move away, an infinite residual says so.
+// Newton iterations of a state that the solvers of the equilibrium problem have not proved unstable; false where it
+// needs more memory than there is. A state that does not rest slides where forces in equilibrium exist; where neither
+// proof was found and parts move away, an infinite residual says so.
 template <bool InShared>
-DEVICE void run_contact(const Structure& s, const Options& o, const Batch& b) {
-  for (int index = next_state(b); index >= 0; index = next_state(b)) {
-    char* far = InShared ? nullptr : b.scratch + BLOCK * b.scratch_stride;
-    char* top = InShared || b.near ? POOL : far;
-    State a = restrict_to<false>(s, b.states + (long long)index * s.parts, top);
-    Newton q;
-    q.now = take<double>(top, a.nodes * 6);
-    q.ahead = take<double>(top, a.nodes * 6);
-    q.step = take<double>(top, a.nodes * 6);
-    q.residual = take<double>(top, a.nodes * 6);
-    q.ahead_residual = take<double>(top, a.nodes * 6);
-    q.between = take<double>(top, a.nodes * 6);
-    if (!InShared && b.near) top = far;
-    q.m.diagonal = take<double>(top, a.nodes * 36);
-    q.m.lower = take<double>(top, a.storage * 36);
-    q.m.upper = take<double>(top, a.storage * 36);
-    if (InShared && top - POOL > b.pool_bytes) {
-      if (TID == 0) b.large[atomicAdd(b.large_count, 1)] = index;
+DEVICE bool settle_state(const Structure& s, const Options& o, const Batch& b, int index) {
+  char* far = b.points_scratch + BLOCK * b.points_stride;
+  char* top = InShared || b.near ? POOL : b.scratch + BLOCK * b.scratch_stride;
+  State a = restrict_to<false>(s, b.states + (long long)index * s.parts, top);
+  Newton q;
+  q.now = take<double>(top, a.nodes * 6);
+  q.ahead = take<double>(top, a.nodes * 6);
+  q.residual = take<double>(top, a.nodes * 6);
+  q.ahead_residual = take<double>(top, a.nodes * 6);
+  q.step = take<float>(top, a.nodes * 6);
+  q.right = take<float>(top, a.nodes * 6);
+  q.between = take<float>(top, a.nodes * 6);
+  if (!InShared && b.near) top = b.scratch + BLOCK * b.scratch_stride;
+  q.m.diagonal = take<float>(top, a.nodes * 36);
+  q.m.lower = take<float>(top, a.storage * 36);
+  q.m.upper = take<float>(top, a.storage * 36);
+  if (InShared && top - POOL > b.pool_bytes) return false;
+  // What is kept of groups is on chip too where there is room.
+  long long room = InShared ? b.pool_bytes - (top - POOL) - 64 : 0;
+  bool wrenches = room >= a.groups * 96, both = room >= a.groups * 240;
+  q.trial = take<double>(far, a.groups * GROUP * 3);
+  q.ahead_trial = take<double>(far, a.groups * GROUP * 3);
+  q.wrench = reinterpret_cast<double*>(wrenches ? top : far);
+  q.local = reinterpret_cast<float*>((both ? top : far) + a.groups * 96);
+  double residual;
+  int steps, found = find_rest(s, a, o, q, residual, steps);
+  if (found != kUndecided) write_displaced(s, a, b, index, found == kStable, q.now);
+  if (TID == 0) {
+    bool balanced = b.verdict[index] == kStable, moves = found == kMovesAway;
+    b.iterations[index] += steps;
+    if (found == kStable) b.residual[index] = residual;
+    if (moves && !balanced) b.residual[index] = kHuge * kHuge;
+    b.verdict[index] = int8_t(found == kStable ? kStable : moves && balanced ? kSlides : kUndecided);
+  }
+  return true;
+}
+
+// What ADMM leaves: first the states that are not unstable, the last found before the others since they take longest;
+// then, on multiprocessors that have nothing else to do, the states that it leaves undecided.
+DEVICE void run_contact_shared(const Structure& s, const Options& o, const Batch& b) {
+  for (int i = next_ticket(b.ticket); i < *b.list_count; i = next_ticket(b.ticket)) {
+    int index = b.list[*b.list_count - 1 - i];
+    if (!settle_state<true>(s, o, b, index)) pass_on(b.rest, b.rest_count, index);
+  }
+  for (int i = next_ticket(b.open_ticket); i < *b.open_count; i = next_ticket(b.open_ticket)) {
+    int index = b.open[i], verdict;
+    if (!solve_interior<true>(s, o, b, index, verdict)) {
+      pass_on(b.large, b.large_count, index);
       continue;
     }
-    q.local = reinterpret_cast<double*>(b.points_scratch + BLOCK * b.points_stride);
-    q.wrench = q.local + s.groups * 36;
-    double residual;
-    int steps, found = find_rest(s, a, o, q, residual, steps);
-    if (found != kUndecided) write_displaced(s, a, b, index, found == kStable, q.now);
-    if (TID == 0) {
-      bool balanced = b.verdict[index] == kStable, moves = found == kMovesAway;
-      b.iterations[index] += steps;
-      if (found == kStable) b.residual[index] = residual;
-      if (moves && !balanced) b.residual[index] = kHuge * kHuge;
-      b.verdict[index] = int8_t(found == kStable ? kStable : moves && balanced ? kSlides : kUndecided);
-    }
+    SYNC;
+    if (verdict != kUnstable && !settle_state<true>(s, o, b, index)) pass_on(b.rest, b.rest_count, index);
   }
+}
+
+DEVICE void run_contact_scratch(const Structure& s, const Options& o, const Batch& b) {
+  for (int index = next_state(b); index >= 0; index = next_state(b)) settle_state<false>(s, o, b, index);
 }

@@ -11,41 +11,48 @@ struct Interior {
 template <bool WithMatrix>
 PHASE void prepare(const Structure& s, const State& a, const Interior& q, double target) {
   double mu = s.friction;
-  for (int slot = TID; slot < a.groups; slot += THREADS) {
-    int g = a.group[slot], count = load(s.group_count + g);
-    double strain[6], ahead[6], sum[6] = {}, local[21];
+  int bits = lane_bits(a.groups);
+  for (int t0 = 0; t0 < a.groups << bits; t0 += THREADS) {
+    int slot = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), g = 0;
+    double sum[6] = {}, local[21] = {};
+    if (slot < a.groups) {
+      g = a.group[slot];
+      int count = load(s.group_count + g);
+      double strain[6], ahead[6];
+      group_strain(s, a, slot, g, q.r, strain);
+      if (!WithMatrix) group_strain(s, a, slot, g, q.ahead, ahead);
+      for (int i = lane; i < count; i += 1 << bits) {
+        Point<double> p = point_of(s, i, g, 0.0);
+        double n, x, y, w[6], b[3], predicted[3];
+        point_strain(p, strain, n, x, y);
+        if (!WithMatrix) point_strain(p, ahead, predicted[0], predicted[1], predicted[2]);
+        point_system(mu, load_point(q.weights, q.slacks, a, i, slot), target, WithMatrix ? nullptr : predicted, w, b);
+        add_point_force(p, b[0] - w[0] * n - w[1] * x - w[2] * y, b[1] - w[1] * n - w[3] * x - w[4] * y,
+                        b[2] - w[2] * n - w[4] * x - w[5] * y, sum);
+        if (!WithMatrix) continue;
+        double column[6][3];  // the point's 6 x 3 map
 #pragma unroll
-    for (int k = 0; k < 21; k++) local[k] = 0;
-    group_strain(s, a, slot, g, q.r, strain);
-    if (!WithMatrix) group_strain(s, a, slot, g, q.ahead, ahead);
-    for (int i = 0; i < count; i++) {
-      Point<double> p = point_of(s, i, g, 0.0);
-      double n, x, y, w[6], b[3], predicted[3];
-      point_strain(p, strain, n, x, y);
-      if (!WithMatrix) point_strain(p, ahead, predicted[0], predicted[1], predicted[2]);
-      point_system(mu, load_point(q.weights, q.slacks, a, i, slot), target, WithMatrix ? nullptr : predicted, w, b);
-      add_point_force(p, b[0] - w[0] * n - w[1] * x - w[2] * y, b[1] - w[1] * n - w[3] * x - w[4] * y,
-                      b[2] - w[2] * n - w[4] * x - w[5] * y, sum);
-      if (!WithMatrix) continue;
-      double column[6][3];  // the point's 6 x 3 map
+        for (int k = 0; k < 3; k++) {
+          double fx = p.axis[k], fy = p.axis[3 + k], fz = p.axis[6 + k];
+          column[0][k] = fx, column[1][k] = fy, column[2][k] = fz;
+          column[3][k] = p.arm[1] * fz - p.arm[2] * fy;
+          column[4][k] = p.arm[2] * fx - p.arm[0] * fz;
+          column[5][k] = p.arm[0] * fy - p.arm[1] * fx;
+        }
 #pragma unroll
-      for (int k = 0; k < 3; k++) {
-        double fx = p.axis[k], fy = p.axis[3 + k], fz = p.axis[6 + k];
-        column[0][k] = fx, column[1][k] = fy, column[2][k] = fz;
-        column[3][k] = p.arm[1] * fz - p.arm[2] * fy;
-        column[4][k] = p.arm[2] * fx - p.arm[0] * fz;
-        column[5][k] = p.arm[0] * fy - p.arm[1] * fx;
-      }
+        for (int r = 0; r < 6; r++) {
+          double h0 = column[r][0] * w[0] + column[r][1] * w[1] + column[r][2] * w[2];
+          double h1 = column[r][0] * w[1] + column[r][1] * w[3] + column[r][2] * w[4];
+          double h2 = column[r][0] * w[2] + column[r][1] * w[4] + column[r][2] * w[5];
 #pragma unroll
-      for (int r = 0; r < 6; r++) {
-        double h0 = column[r][0] * w[0] + column[r][1] * w[1] + column[r][2] * w[2];
-        double h1 = column[r][0] * w[1] + column[r][1] * w[3] + column[r][2] * w[4];
-        double h2 = column[r][0] * w[2] + column[r][1] * w[4] + column[r][2] * w[5];
-#pragma unroll
-        for (int c = 0; c <= r; c++)
-          local[r * (r + 1) / 2 + c] += h0 * column[c][0] + h1 * column[c][1] + h2 * column[c][2];
+          for (int c = 0; c <= r; c++)
+            local[r * (r + 1) / 2 + c] += h0 * column[c][0] + h1 * column[c][1] + h2 * column[c][2];
+        }
       }
     }
+    sum_lanes(sum, bits);
+    if (WithMatrix) sum_lanes(local, bits);
+    if (slot >= a.groups || lane) continue;
     write_group_wrench(s, a, slot, g, sum, q.wrench);
     if (WithMatrix)
 #pragma unroll
@@ -75,8 +82,9 @@ PHASE void newton_step(const Structure& s, const State& a, const Interior& q) {
 template <bool Corrector>
 PHASE void measure(const Structure& s, const State& a, const Interior& q, double target, double (&tally)[4]) {
   tally[0] = -kHuge, tally[1] = tally[2] = tally[3] = 0;
-  for (int slot = TID; slot < a.groups; slot += THREADS) {
-    int g = a.group[slot], count = load(s.group_count + g);
+  int bits = lane_bits(a.groups);
+  for (int each = TID; each < a.groups << bits; each += THREADS) {
+    int slot = each >> bits, g = a.group[slot], count = load(s.group_count + g);
     double strain[6], ahead[6], step[6];
     group_strain(s, a, slot, g, q.ahead, ahead);
     if (Corrector) {
@@ -84,7 +92,7 @@ PHASE void measure(const Structure& s, const State& a, const Interior& q, double
       group_strain(s, a, slot, g, q.step, step);
       for (int k = 0; k < 6; k++) strain[k] += step[k];
     }
-    for (int i = 0; i < count; i++) {
+    for (int i = each & ((1 << bits) - 1); i < count; i += 1 << bits) {
       Point<double> p = point_of(s, i, g, 0.0);
       double n, x, y, predicted[3], dx[kRays], ds[kRays];
       point_strain(p, ahead, predicted[0], predicted[1], predicted[2]);
@@ -105,14 +113,15 @@ PHASE void measure(const Structure& s, const State& a, const Interior& q, double
 }
 
 PHASE void advance(const Structure& s, const State& a, const Interior& q, double target, double length) {
-  for (int slot = TID; slot < a.groups; slot += THREADS) {
-    int g = a.group[slot], count = load(s.group_count + g);
+  int bits = lane_bits(a.groups);
+  for (int each = TID; each < a.groups << bits; each += THREADS) {
+    int slot = each >> bits, g = a.group[slot], count = load(s.group_count + g);
     double strain[6], ahead[6], step[6];
     group_strain(s, a, slot, g, q.ahead, ahead);
     group_strain(s, a, slot, g, q.r, strain);
     group_strain(s, a, slot, g, q.step, step);
     for (int k = 0; k < 6; k++) strain[k] += step[k];
-    for (int i = 0; i < count; i++) {
+    for (int i = each & ((1 << bits) - 1); i < count; i += 1 << bits) {
       Point<double> p = point_of(s, i, g, 0.0);
       double n, x, y, predicted[3], dx[kRays], ds[kRays];
       point_strain(p, ahead, predicted[0], predicted[1], predicted[2]);
@@ -191,54 +200,62 @@ PHASE int start_interior(const Structure& s, const State& a, const Batch& b, int
   return int(mean[2]);
 }
 
+// The method on one state; false where it needs more memory than there is.
+template <bool InShared>
+DEVICE bool solve_interior(const Structure& s, const Options& o, const Batch& b, int index, int& verdict) {
+  char* base = InShared ? POOL : b.scratch + BLOCK * b.scratch_stride;
+  char* top = base;
+  State a = restrict_to<false>(s, b.states + (long long)index * s.parts, top);
+  Interior q;
+  q.m.diagonal = take<double>(top, a.nodes * 36);
+  q.m.lower = take<double>(top, a.storage * 36);
+  q.r = take<double>(top, a.nodes * 6);
+  q.ahead = take<double>(top, a.nodes * 6);
+  q.step = take<double>(top, a.nodes * 6);
+  q.x = take<double>(top, a.nodes * 6);
+  q.between = take<double>(top, a.nodes * 6);
+  if (top - base > b.pool_bytes) return false;
+  q.weights = reinterpret_cast<double*>(b.points_scratch + BLOCK * b.points_stride);
+  q.slacks = q.weights + s.groups * GROUP * kRays;
+  q.local = q.slacks + s.groups * GROUP * kRays;
+  q.wrench = q.local + s.groups * 21;
+  int points = start_interior(s, a, b, index, q);
+  FromMultipliers source = {q.weights, s.friction};
+  int step = 0;
+  verdict = kUndecided;
+  double residual = kHuge;
+  while (verdict == kUndecided && step < o.interior_steps && points) {
+    step++;
+    prepare<true>(s, a, q, 0.0);
+    assemble(s, a, 1.0, q.local, q.m);
+    if (!factor(a, q.m)) break;
+    newton_step(s, a, q);
+    for (int t = TID; t < a.nodes * 6; t += THREADS) q.ahead[t] = q.r[t] + q.step[t];
+    SYNC;
+    double tally[4];
+    measure<false>(s, a, q, 0.0, tally);
+    double length = fmin(1.0, -tally[0]);
+    double centring = fmax((tally[1] + length * (tally[2] + length * tally[3])) / tally[1], 0.0);
+    double target = centring * centring * centring * tally[1] / points / (QUADRATIC ? 1 : 8);
+    prepare<false>(s, a, q, target);
+    newton_step(s, a, q);
+    measure<true>(s, a, q, target, tally);
+    length = fmin(1.0, kBackOff * -tally[0]);
+    if (!(length > 0)) break;
+    advance(s, a, q, target, length);
+    verdict = judge(s, a, o, source, q.r, q.wrench, residual);
+  }
+  write_result(s, a, b, index, verdict, residual, b.iterations[index] + step, source, q.r);
+  return true;
+}
+
 template <bool InShared>
 DEVICE void run_interior(const Structure& s, const Options& o, const Batch& b) {
   for (int index = next_state(b); index >= 0; index = next_state(b)) {
-    char* base = InShared ? POOL : b.scratch + BLOCK * b.scratch_stride;
-    char* top = base;
-    State a = restrict_to<false>(s, b.states + (long long)index * s.parts, top);
-    Interior q;
-    q.m.diagonal = take<double>(top, a.nodes * 36);
-    q.m.lower = take<double>(top, a.storage * 36);
-    q.r = take<double>(top, a.nodes * 6);
-    q.ahead = take<double>(top, a.nodes * 6);
-    q.step = take<double>(top, a.nodes * 6);
-    q.x = take<double>(top, a.nodes * 6);
-    q.between = take<double>(top, a.nodes * 6);
-    if (top - base > b.pool_bytes) {
-      if (TID == 0) b.large[atomicAdd(b.large_count, 1)] = index;
-      continue;
-    }
-    q.weights = reinterpret_cast<double*>(b.points_scratch + BLOCK * b.points_stride);
-    q.slacks = q.weights + s.groups * GROUP * kRays;
-    q.local = q.slacks + s.groups * GROUP * kRays;
-    q.wrench = q.local + s.groups * 21;
-    int points = start_interior(s, a, b, index, q);
-    FromMultipliers source = {q.weights, s.friction};
-    int verdict = kUndecided, step = 0;
-    double residual = kHuge;
-    while (verdict == kUndecided && step < o.interior_steps && points) {
-      step++;
-      prepare<true>(s, a, q, 0.0);
-      assemble(s, a, 1.0, q.local, q.m);
-      if (!factor(a, q.m)) break;
-      newton_step(s, a, q);
-      for (int t = TID; t < a.nodes * 6; t += THREADS) q.ahead[t] = q.r[t] + q.step[t];
-      SYNC;
-      double tally[4];
-      measure<false>(s, a, q, 0.0, tally);
-      double length = fmin(1.0, -tally[0]);
-      double centring = fmax((tally[1] + length * (tally[2] + length * tally[3])) / tally[1], 0.0);
-      double target = centring * centring * centring * tally[1] / points / (QUADRATIC ? 1 : 8);
-      prepare<false>(s, a, q, target);
-      newton_step(s, a, q);
-      measure<true>(s, a, q, target, tally);
-      length = fmin(1.0, kBackOff * -tally[0]);
-      if (!(length > 0)) break;
-      advance(s, a, q, target, length);
-      verdict = judge(s, a, o, source, q.r, q.wrench, residual);
-    }
-    write_result(s, a, b, index, verdict, residual, b.iterations[index] + step, source, q.r);
-    ask_for_rest(o, b, index, verdict);
+    int verdict;
+    if (solve_interior<InShared>(s, o, b, index, verdict))
+      ask_for_rest(o, b, index, verdict);
+    else
+      pass_on(b.large, b.large_count, index);
   }
 }

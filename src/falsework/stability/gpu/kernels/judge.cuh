@@ -141,17 +141,25 @@ DEVICE void ask_for_rest(const Options& o, const Batch& b, int index, int verdic
   if (o.contact_steps && verdict != kUnstable && TID == 0) b.rest[atomicAdd(b.rest_count, 1)] = index;
 }
 
-// Takes the next state of the launch, -1 when there is none.
-DEVICE int next_state(const Batch& b) {
+// Draws the next number; every thread returns it.
+DEVICE int next_ticket(int* ticket) {
 #ifdef __CUDACC__
   __shared__ int drawn;
   SYNC;
-  if (TID == 0) drawn = atomicAdd(b.ticket, 1);
+  if (TID == 0) drawn = atomicAdd(ticket, 1);
   SYNC;
-  int i = drawn;
+  return drawn;
 #else
-  int i = atomicAdd(b.ticket, 1);
+  return atomicAdd(ticket, 1);
 #endif
-  int count = b.list_count ? *b.list_count : b.count;
+}
+
+// Takes the next state of the launch, -1 when there is none.
+DEVICE int next_state(const Batch& b) {
+  int i = next_ticket(b.ticket), count = b.list_count ? *b.list_count : b.count;
   return i >= count ? -1 : b.list ? b.list[i] : i;
+}
+
+DEVICE void pass_on(int* list, int* count, int index) {
+  if (TID == 0) list[atomicAdd(count, 1)] = index;
 }

@@ -13,8 +13,8 @@ KERNEL((INTERIOR_THREADS, INTERIOR_BLOCKS)) interior_shared(Structure s, Options
 KERNEL((INTERIOR_THREADS, 1)) interior_scratch(Structure s, Options o, Batch b) { run_interior<false>(s, o, b); }
 #endif
 #if !defined(PART) || PART == 4
-KERNEL((CONTACT_THREADS, CONTACT_BLOCKS)) contact_shared(Structure s, Options o, Batch b) { run_contact<true>(s, o, b); }
+KERNEL((CONTACT_THREADS, CONTACT_BLOCKS)) contact_shared(Structure s, Options o, Batch b) { run_contact_shared(s, o, b); }
 #endif
 #if !defined(PART) || PART == 5
-KERNEL((CONTACT_THREADS, 1)) contact_scratch(Structure s, Options o, Batch b) { run_contact<false>(s, o, b); }
+KERNEL((CONTACT_THREADS, 1)) contact_scratch(Structure s, Options o, Batch b) { run_contact_scratch(s, o, b); }
 #endif

@@ -1,121 +1,148 @@
-// The tangent stiffness of a state and its block factor. Where contact points slide it is not symmetric, so the blocks
-// above the diagonal are kept too, transposed, in the places of their mirror images: both then fill by rows alike.
+// The tangent stiffness of a state and its block factor, in float32: whether a state rests is read off wrenches in
+// float64, so the precision of a step matters only for how many are needed, and there are as many as in float64. Where
+// contact points slide the matrix is not symmetric, so the blocks above the diagonal are kept too, transposed, in the
+// places of their mirror images: both then fill by rows alike.
 
 struct General {
-  double* diagonal;  // (nodes, 36): the matrix, then the inverse pivots
-  double* lower;     // (storage, 36): L with unit diagonal
-  double* upper;     // (storage, 36): transposed blocks of U, at the end with unit diagonal too
+  float* diagonal;  // (nodes, 36): the matrix, then the inverse pivots
+  float* lower;     // (storage, 36): L with unit diagonal
+  float* upper;     // (storage, 36): transposed blocks of U, at the end with unit diagonal too
 };
+
+// Six numbers of a row, which are 24 bytes.
+DEVICE void load_row(const float* row, float (&out)[6]) {
+#ifdef __CUDACC__
+  const float2* p = reinterpret_cast<const float2*>(row);
+  float2 a = p[0], b = p[1], c = p[2];
+  out[0] = a.x, out[1] = a.y, out[2] = b.x, out[3] = b.y, out[4] = c.x, out[5] = c.y;
+#else
+  for (int k = 0; k < 6; k++) out[k] = row[k];
+#endif
+}
+DEVICE void store_row(float* row, const float (&in)[6]) {
+#ifdef __CUDACC__
+  float2* p = reinterpret_cast<float2*>(row);
+  p[0] = make_float2(in[0], in[1]), p[1] = make_float2(in[2], in[3]), p[2] = make_float2(in[4], in[5]);
+#else
+  for (int k = 0; k < 6; k++) row[k] = in[k];
+#endif
+}
+
+// Adds the products of a row with the six rows of a block.
+DEVICE void add_products(const float (&x)[6], const float* block, float (&out)[6]) {
+#pragma unroll
+  for (int k = 0; k < 6; k++) {
+    float y[6];
+    load_row(block + k * 6, y);
+    out[k] += (x[0] * y[0] + x[1] * y[1]) + (x[2] * y[2] + x[3] * y[3]) + (x[4] * y[4] + x[5] * y[5]);
+  }
+}
 
 // Row `r` of T_left local T_right^T, or of T_left local^T T_right^T, added to `out` with a sign.
 template <bool Transposed>
 DEVICE void add_general_row(
-    const Structure& s, const double* local, int groups, int g, int slot, int r, int left, int right, double sign,
-    double (&out)[6]) {
-  auto entry = [&](int i, int k) { return local[(Transposed ? k * 6 + i : i * 6 + k) * groups + slot]; };
-  double v[6];
-  if (r < 3) {
+    const Structure& s, const float* local, int g, int r, int left, int right, float sign, float (&out)[6]) {
+  auto entries = [&](int i, float (&v)[6]) {
+    if (!Transposed)
+      load_row(local + i * 6, v);
+    else
 #pragma unroll
-    for (int k = 0; k < 6; k++) v[k] = sign * entry(r, k);
-  } else {
+      for (int k = 0; k < 6; k++) v[k] = local[k * 6 + i];
+  };
+  float v[6];
+  entries(r, v);
+  if (r >= 3) {
     int q = r - 3, q1 = q == 2 ? 0 : q + 1, q2 = q == 0 ? 2 : q - 1;
-    double a1 = arm_of(s, left * 3 + q1, g, 0.0), a2 = arm_of(s, left * 3 + q2, g, 0.0);
+    float a1 = arm_of(s, left * 3 + q1, g, 0.0f), a2 = arm_of(s, left * 3 + q2, g, 0.0f), v1[6], v2[6];
+    entries(q1, v1), entries(q2, v2);
 #pragma unroll
-    for (int k = 0; k < 6; k++) v[k] = sign * (entry(r, k) + a1 * entry(q2, k) - a2 * entry(q1, k));
+    for (int k = 0; k < 6; k++) v[k] += a1 * v2[k] - a2 * v1[k];
   }
-  double x = arm_of(s, right * 3, g, 0.0), y = arm_of(s, right * 3 + 1, g, 0.0), z = arm_of(s, right * 3 + 2, g, 0.0);
-  out[0] += v[0], out[1] += v[1], out[2] += v[2];
-  out[3] += v[3] + y * v[2] - z * v[1];
-  out[4] += v[4] + z * v[0] - x * v[2];
-  out[5] += v[5] + x * v[1] - y * v[0];
+  float x = arm_of(s, right * 3, g, 0.0f), y = arm_of(s, right * 3 + 1, g, 0.0f), z = arm_of(s, right * 3 + 2, g, 0.0f);
+  out[0] += sign * v[0], out[1] += sign * v[1], out[2] += sign * v[2];
+  out[3] += sign * (v[3] + y * v[2] - z * v[1]);
+  out[4] += sign * (v[4] + z * v[0] - x * v[2]);
+  out[5] += sign * (v[5] + x * v[1] - y * v[0]);
 }
 
-// Sum of the groups' local matrices, (36, groups that act), plus `shift` times the masses.
-PHASE void assemble_general(const Structure& s, const State& a, double shift, const double* local, General m) {
-  for (int t = TID; t < (a.nodes + 2 * a.blocks) * 6; t += THREADS) {
+// Sum of the groups' local matrices, (groups that act, 36), plus `shift` times the masses.
+PHASE void assemble_general(const Structure& s, const State& a, double shift, const float* local, General m) {
+  for (int t = TID; t < (a.nodes + 2 * a.storage) * 6; t += THREADS) {
     int item = t / 6, r = t % 6;
-    double out[6] = {};
-    double* row;
+    float out[6] = {};
+    float* row;
     if (item < a.nodes) {
       int j = a.node[item];
       row = m.diagonal + t * 6;
       if (r < 3) {
 #pragma unroll
-        for (int k = 0; k < 3; k++) out[k] = r == k ? shift * load(s.mass + j) : 0.0;
+        for (int k = 0; k < 3; k++) out[k] = r == k ? float(shift * load(s.mass + j)) : 0.0f;
       } else {
 #pragma unroll
-        for (int k = 0; k < 3; k++) out[3 + k] = shift * load(s.inertia + ((r - 3) * 3 + k) * s.positions + j);
+        for (int k = 0; k < 3; k++) out[3 + k] = float(shift * load(s.inertia + ((r - 3) * 3 + k) * s.positions + j));
       }
       for (int k = a.incident_first[item]; k < a.incident_last[item]; k++) {
         int code = a.incident[k], slot = code >> 1;
-        add_general_row<false>(s, local, a.groups, a.group[slot], slot, r, code & 1, code & 1, 1.0, out);
+        add_general_row<false>(s, local + slot * 36, a.group[slot], r, code & 1, code & 1, 1.0f, out);
       }
     } else {
-      bool above = item >= a.nodes + a.blocks;
-      int b = item - a.nodes - (above ? a.blocks : 0), place = a.at(b);
-      if (place < 0) continue;
+      bool above = item >= a.nodes + a.storage;
+      int place = item - a.nodes - (above ? a.storage : 0);
       row = (above ? m.upper : m.lower) + place * 36 + r * 6;
-      int e = a.block_pattern[b], last = load(s.block_start + e + 1);
+      int e = a.block_pattern[a.place_block[place]], last = load(s.block_start + e + 1);
       for (int k = load(s.block_start + e); k < last; k++) {
         int g = load(s.block_group + k), slot = a.group_slot[g];
         int side = load(s.position + load(s.group_part + s.groups + g)) == load(s.block_row + e);
         if (above)
-          add_general_row<true>(s, local, a.groups, g, slot, r, side, 1 - side, -1.0, out);
+          add_general_row<true>(s, local + slot * 36, g, r, side, 1 - side, -1.0f, out);
         else
-          add_general_row<false>(s, local, a.groups, g, slot, r, side, 1 - side, -1.0, out);
+          add_general_row<false>(s, local + slot * 36, g, r, side, 1 - side, -1.0f, out);
       }
     }
-#pragma unroll
-    for (int k = 0; k < 6; k++) row[k] = out[k];
+    store_row(row, out);
   }
   SYNC;
 }
 
-DEVICE void swap_if(bool yes, double& x, double& y) {
-  double kept = x;
+DEVICE void swap_if(bool yes, float& x, float& y) {
+  float kept = x;
   x = yes ? y : x, y = yes ? kept : y;
 }
 
-// Inverse of a 6 x 6 block in place by elimination, with row pivots or with the diagonal as it comes; false where a pivot
-// is less than `least` of the largest entry below it, and the block is then left as it was.
-template <bool Exchange>
-DEVICE bool eliminate_block(double* block, double least) {
-  double m[6][6];
+// Inverse of a 6 x 6 block in place by elimination with exchange of rows; false if it is singular, and then it is left as
+// it was.
+DEVICE bool eliminate_block(float* block) {
+  float m[6][6];
 #pragma unroll
   for (int i = 0; i < 36; i++) m[i / 6][i % 6] = block[i];
   uint32_t swaps = 0;  // rows are exchanged one by one on the way to the pivot, so that all indices are constants
   bool good = true;
 #pragma unroll
   for (int k = 0; k < 6; k++) {
-    double largest = 0;
 #pragma unroll
     for (int i = k + 1; i < 6; i++) {
-      if (!Exchange) {
-        largest = fmax(largest, fabs(m[i][k]));
-        continue;
-      }
       bool yes = fabs(m[i][k]) > fabs(m[k][k]);
       swaps |= uint32_t(yes) << (k * 5 + i - 1 - k * (k + 1) / 2);
 #pragma unroll
       for (int j = 0; j < 6; j++) swap_if(yes, m[k][j], m[i][j]);
     }
-    good = good && fabs(m[k][k]) > 1e-300 && fabs(m[k][k]) >= least * largest;
-    double inverse = 1.0 / m[k][k];
-    m[k][k] = 1.0;
+    good = good && fabs(m[k][k]) > 1e-30f;
+    float inverse = 1.0f / m[k][k];
+    m[k][k] = 1.0f;
 #pragma unroll
     for (int j = 0; j < 6; j++) m[k][j] *= inverse;
 #pragma unroll
     for (int i = 0; i < 6; i++) {
       if (i == k) continue;
-      double share = m[i][k];
-      m[i][k] = 0.0;
+      float share = m[i][k];
+      m[i][k] = 0.0f;
 #pragma unroll
       for (int j = 0; j < 6; j++) m[i][j] -= share * m[k][j];
     }
   }
   if (!good) return false;
 #pragma unroll
-  for (int k = 4; Exchange && k >= 0; k--)
+  for (int k = 4; k >= 0; k--)
 #pragma unroll
     for (int i = 5; i > k; i--) {
       bool yes = swaps >> (k * 5 + i - 1 - k * (k + 1) / 2) & 1;
@@ -127,25 +154,40 @@ DEVICE bool eliminate_block(double* block, double least) {
   return true;
 }
 
-// Inverse of a 6 x 6 block in place; false if it is singular. Nearly all blocks need no exchange of rows, which takes as
-// long as the rest.
-DEVICE bool invert_block(double* block) {
-  return eliminate_block<false>(block, 0.1) || eliminate_block<true>(block, 0.0);
-}
-
-// Neighbouring threads that share an item and add up what they find, where a level has fewer items than threads.
-DEVICE int lanes_for(int items) {
-  int lanes = 1;
-  while (lanes < 8 && 2 * lanes * items <= THREADS) lanes *= 2;
-  return lanes;
-}
-DEVICE double sum_lanes(double x, int lanes) {
+// Inverts some 6 x 6 blocks in place; `bad` becomes 1 where one is singular. Nearly all need no exchange of rows, and
+// then six threads, one a row, invert a block.
+DEVICE void invert_blocks(float* blocks, int count, double& bad) {
 #ifdef __CUDACC__
-  for (int step = lanes >> 1; step; step >>= 1) x += __shfl_xor_sync(0xffffffffu, x, step);
+  int lane = TID & 31, i = lane % 8, warps = THREADS >> 5;
+  for (int first = (TID >> 5) * 4; first < count; first += warps * 4) {
+    float* block = blocks + (first + lane / 8) * 36;
+    bool in = first + lane / 8 < count && i < 6, good = true;
+    float row[6];
+#pragma unroll
+    for (int k = 0; k < 6; k++) row[k] = i == k ? 1.0f : 0.0f;
+    if (in) load_row(block + i * 6, row);
+#pragma unroll
+    for (int k = 0; k < 6; k++) {
+      float pivot = __shfl_sync(0xffffffffu, row[k], k, 8);
+      good = good && fabs(pivot) > 1e-30f && (i <= k || fabs(pivot) >= 0.1f * fabs(row[k]));
+      float inverse = RECIPROCAL(pivot), share = i == k ? 0.0f : row[k];
+      row[k] = i == k ? 1.0f : 0.0f;
+#pragma unroll
+      for (int j = 0; j < 6; j++) {
+        float above = __shfl_sync(0xffffffffu, row[j], k, 8) * inverse;
+        row[j] = i == k ? above : row[j] - share * above;
+      }
+    }
+    bool all = (__ballot_sync(0xffffffffu, good || !in) >> (lane & 24) & 0xff) == 0xff;
+    if (in && all)
+      store_row(block + i * 6, row);
+    else if (in && i == 0 && !eliminate_block(block))
+      bad = 1;
+  }
 #else
-  (void)lanes;
+  for (int i = 0; i < count; i++)
+    if (!eliminate_block(blocks + i * 36)) bad = 1;
 #endif
-  return x;
 }
 
 // Replaces the matrix, level by level, by its factor; false where a pivot block is singular.
@@ -153,66 +195,67 @@ PHASE bool factor_general(const State& a, General m) {
   double bad[1] = {0};
   for (int level = 0; level < a.levels; level++) {
     int node0 = a.level_node[level], nodes = a.level_node[level + 1] - node0;
-    int block0 = a.column[node0], blocks = a.column[node0 + nodes] - block0;
-    int rows = level ? (nodes + 2 * blocks) * 6 : 0, lanes = lanes_for(rows);
-    for (int t0 = 0; t0 < rows * lanes; t0 += THREADS) {
-      int t = (t0 + TID) / lanes, lane = (t0 + TID) % lanes, item = t / 6, r = t - item * 6;
+    int place0 = a.place_first[node0], blocks = a.place_first[node0 + nodes] - place0;
+    int rows = level ? (nodes + 2 * blocks) * 6 : 0, bits = lane_bits(rows);
+    for (int t0 = 0; t0 < rows << bits; t0 += THREADS) {
+      int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), item = t / 6, r = t - item * 6;
       bool above = item >= nodes + blocks;
-      int b = block0 + item - nodes - (above ? blocks : 0), place = t >= rows ? -1 : item < nodes ? 0 : a.at(b);
-      double* row = nullptr;
-      double sum[6] = {};
-      if (place >= 0) {
-        int j = item < nodes ? node0 + item : a.block_column[b];
-        int up = item < nodes ? 0 : a.depth[j] - a.depth[a.block_row[b]];
-        const double* mine = above ? m.upper : m.lower;
-        const double* other = above ? m.lower : m.upper;
+      int place = place0 + item - nodes - (above ? blocks : 0);
+      float* row = nullptr;
+      float sum[6] = {};
+      if (t < rows) {
+        int j = node0 + item, up = 0;
+        if (item >= nodes) {
+          int b = a.place_block[place];
+          j = a.block_column[b];
+          up = b - a.column[j] + 1;
+        }
+        const float* mine = (above ? m.upper : m.lower) + r * 6;
+        const float* other = above ? m.lower : m.upper;
         row = (item < nodes ? m.diagonal + j * 36 : (above ? m.upper : m.lower) + place * 36) + r * 6;
-        for (int n = a.row[j] + lane; n < a.row[j + 1]; n += lanes) {
-          int right = a.row_block[n];
-          if (right < 0) continue;
-          int left = a.at(right + up);
+        for (int n = a.row[j] + lane, last = a.row[j + 1]; n < last; n += 1 << bits) {
+          int right = a.row_block[n], left = a.stored[right + up];
           if (left < 0) continue;
-          const double* x = mine + left * 36 + r * 6;
-          const double* y = other + a.at(right) * 36;
-#pragma unroll
-          for (int k = 0; k < 6; k++) sum[k] += dot6(x, y + k * 6);
+          float x[6];
+          load_row(mine + left * 36, x);
+          add_products(x, other + a.stored[right] * 36, sum);
         }
       }
+      sum_lanes(sum, bits);
+      if (t < rows && lane == 0) {
+        float x[6];
+        load_row(row, x);
 #pragma unroll
-      for (int k = 0; k < 6; k++) sum[k] = sum_lanes(sum[k], lanes);
-      if (row && lane == 0)
-#pragma unroll
-        for (int k = 0; k < 6; k++) row[k] -= sum[k];
+        for (int k = 0; k < 6; k++) x[k] -= sum[k];
+        store_row(row, x);
+      }
     }
     SYNC;
-    for (int i = TID; i < nodes; i += THREADS)
-      if (!invert_block(m.diagonal + (node0 + i) * 36)) bad[0] = 1;
+    invert_blocks(m.diagonal + node0 * 36, nodes, bad[0]);
     SYNC;
     for (int t = TID; t < blocks * 6; t += THREADS) {
-      int b = block0 + t / 6, place = a.at(b);
-      if (place < 0) continue;
-      double* row = m.lower + place * 36 + t % 6 * 6;
-      const double* d = m.diagonal + a.block_column[b] * 36;
-      double x[6];
+      int place = place0 + t / 6;
+      float* row = m.lower + place * 36 + t % 6 * 6;
+      const float* d = m.diagonal + a.block_column[a.place_block[place]] * 36;
+      float x[6], out[6] = {};
+      load_row(row, x);
 #pragma unroll
-      for (int k = 0; k < 6; k++) x[k] = row[k];
+      for (int k = 0; k < 6; k++) {
+        float y[6];
+        load_row(d + k * 6, y);
 #pragma unroll
-      for (int c = 0; c < 6; c++)
-        row[c] = (x[0] * d[c] + x[1] * d[6 + c]) + (x[2] * d[12 + c] + x[3] * d[18 + c]) +
-                 (x[4] * d[24 + c] + x[5] * d[30 + c]);
+        for (int c = 0; c < 6; c++) out[c] += x[k] * y[c];
+      }
+      store_row(row, out);
     }
     SYNC;
   }
-  for (int t = TID; t < a.blocks * 6; t += THREADS) {
-    int b = t / 6, place = a.at(b);
-    if (place < 0) continue;
-    double* row = m.upper + place * 36 + t % 6 * 6;
-    const double* d = m.diagonal + a.block_column[b] * 36;
-    double out[6];
-#pragma unroll
-    for (int c = 0; c < 6; c++) out[c] = dot6(d + c * 6, row);
-#pragma unroll
-    for (int c = 0; c < 6; c++) row[c] = out[c];
+  for (int t = TID; t < a.storage * 6; t += THREADS) {
+    float* row = m.upper + t * 6;
+    float x[6], out[6] = {};
+    load_row(row, x);
+    add_products(x, m.diagonal + a.block_column[a.place_block[t / 6]] * 36, out);
+    store_row(row, out);
   }
   SYNC;
   reduce<1, 0>(bad);
@@ -221,39 +264,37 @@ PHASE bool factor_general(const State& a, General m) {
 }
 
 // Solves with the factor, level by level; overwrites x.
-PHASE void solve_general(const State& a, General m, double* x, double* between, double* out) {
+PHASE void solve_general(const State& a, General m, float* x, float* between, float* out) {
   for (int level = 1; level < a.levels; level++) {
-    int first = a.level_node[level] * 6, last = a.level_node[level + 1] * 6, lanes = lanes_for(last - first);
-    for (int t0 = 0; t0 < (last - first) * lanes; t0 += THREADS) {
-      int t = first + (t0 + TID) / lanes, lane = (t0 + TID) % lanes, i = t / 6, r = t - i * 6;
-      double sum = 0;
-      if (t < last)
-        for (int k = a.row[i] + lane; k < a.row[i + 1]; k += lanes) {
+    int first = a.level_node[level] * 6, items = a.level_node[level + 1] * 6 - first, bits = lane_bits(items);
+    for (int t0 = 0; t0 < items << bits; t0 += THREADS) {
+      int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), i = (first + t) / 6, r = first + t - i * 6;
+      float sum[1] = {0};
+      if (t < items)
+        for (int k = a.row[i] + lane, last = a.row[i + 1]; k < last; k += 1 << bits) {
           int b = a.row_block[k];
-          if (b >= 0) sum += dot6(m.lower + a.at(b) * 36 + r * 6, x + a.block_column[b] * 6);
+          sum[0] += dot6(m.lower + a.stored[b] * 36 + r * 6, x + a.block_column[b] * 6);
         }
-      sum = sum_lanes(sum, lanes);
-      if (t < last && lane == 0) x[t] -= sum;
+      sum_lanes(sum, bits);
+      if (t < items && lane == 0) x[first + t] -= sum[0];
     }
     SYNC;
   }
   for (int t = TID; t < a.nodes * 6; t += THREADS) between[t] = dot6(m.diagonal + t * 6, x + t / 6 * 6);
   SYNC;
   for (int level = a.levels - 1; level >= 0; level--) {
-    int first = a.level_node[level] * 6, last = a.level_node[level + 1] * 6, lanes = lanes_for(last - first);
-    for (int t0 = 0; t0 < (last - first) * lanes; t0 += THREADS) {
-      int t = first + (t0 + TID) / lanes, lane = (t0 + TID) % lanes, j = t / 6, c = t - j * 6;
-      double sum = 0;
-      if (t < last)
-        for (int b = a.column[j] + lane; b < a.column[j + 1]; b += lanes) {
-          int place = a.at(b);
-          if (place < 0) continue;
-          const double* u = m.upper + place * 36 + c;
-          const double* y = out + a.block_row[b] * 6;
-          sum += (u[0] * y[0] + u[6] * y[1]) + (u[12] * y[2] + u[18] * y[3]) + (u[24] * y[4] + u[30] * y[5]);
+    int first = a.level_node[level] * 6, items = a.level_node[level + 1] * 6 - first, bits = lane_bits(items);
+    for (int t0 = 0; t0 < items << bits; t0 += THREADS) {
+      int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), j = (first + t) / 6, c = first + t - j * 6;
+      float sum[1] = {0};
+      if (t < items)
+        for (int place = a.place_first[j] + lane, last = a.place_first[j + 1]; place < last; place += 1 << bits) {
+          const float* u = m.upper + place * 36 + c;
+          const float* y = out + a.block_row[a.place_block[place]] * 6;
+          sum[0] += (u[0] * y[0] + u[6] * y[1]) + (u[12] * y[2] + u[18] * y[3]) + (u[24] * y[4] + u[30] * y[5]);
         }
-      sum = sum_lanes(sum, lanes);
-      if (t < last && lane == 0) out[t] = between[t] - sum;
+      sum_lanes(sum, bits);
+      if (t < items && lane == 0) out[first + t] = between[first + t] - sum[0];
     }
     SYNC;
   }

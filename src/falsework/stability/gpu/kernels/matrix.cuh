@@ -139,27 +139,32 @@ PHASE bool factor(const State& a, Matrix<T> m) {
   for (int level = 0; level < a.levels; level++) {
     int node0 = a.level_node[level], nodes = a.level_node[level + 1] - node0;
     int block0 = a.column[node0], blocks = a.column[node0 + nodes] - block0;
-    for (int t = TID; level && t < (nodes + blocks) * 6; t += THREADS) {
-      int item = t / 6, r = t - item * 6, b = block0 + item - nodes;
-      if (item >= nodes && a.block_pattern[b] == kNone) continue;
-      int j = item < nodes ? node0 + item : a.block_column[b];
-      int up = item < nodes ? 0 : a.depth[j] - a.depth[a.block_row[b]];
-      T* row = (item < nodes ? m.diagonal + j * 36 : m.lower + a.at(b) * 36) + r * 6;
-      T out[6];
+    int rows = level ? (nodes + blocks) * 6 : 0, bits = lane_bits(rows);
+    for (int t0 = 0; t0 < rows << bits; t0 += THREADS) {
+      int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), item = t / 6, r = t - item * 6;
+      int b = block0 + item - nodes;
+      bool in = t < rows && (item < nodes || a.block_pattern[b] != kNone);
+      T* row = nullptr;
+      T sum[6] = {};
+      if (in) {
+        int j = item < nodes ? node0 + item : a.block_column[b];
+        int up = item < nodes ? 0 : a.depth[j] - a.depth[a.block_row[b]];
+        row = (item < nodes ? m.diagonal + j * 36 : m.lower + a.at(b) * 36) + r * 6;
+        for (int n = a.row[j] + lane, last = a.row[j + 1]; n < last; n += 1 << bits) {
+          int right = a.row_block[n];
+          if (right < 0) continue;
+          int left = a.at(right + up);
+          if (left < 0) continue;
+          const T* x = m.lower + left * 36 + r * 6;
+          const T* y = m.lower + a.at(right) * 36;
 #pragma unroll
-      for (int k = 0; k < 6; k++) out[k] = row[k];
-      for (int n = a.row[j]; n < a.row[j + 1]; n++) {
-        int right = a.row_block[n];
-        if (right < 0) continue;
-        int left = a.at(right + up);
-        if (left < 0) continue;
-        const T* x = m.lower + left * 36 + r * 6;
-        const T* y = m.lower + a.at(right) * 36;
-#pragma unroll
-        for (int k = 0; k < 6; k++) out[k] -= dot6(x, y + k * 6);
+          for (int k = 0; k < 6; k++) sum[k] += dot6(x, y + k * 6);
+        }
       }
+      sum_lanes(sum, bits);
+      if (in && lane == 0)
 #pragma unroll
-      for (int k = 0; k < 6; k++) row[k] = out[k];
+        for (int k = 0; k < 6; k++) row[k] -= sum[k];
     }
     SYNC;
     for (int i = TID; i < nodes; i += THREADS)
@@ -298,15 +303,17 @@ DEVICE void solve(const State& a, Matrix<T> m, const T* x, T* between, T* out) {
 template <class T>
 DEVICE void solve_by_levels(const State& a, Matrix<T> m, T* x, T* between, T* out) {
   for (int level = 1; level < a.levels; level++) {
-    int last = a.level_node[level + 1] * 6;
-    for (int t = a.level_node[level] * 6 + TID; t < last; t += THREADS) {
-      int i = t / 6, r = t - i * 6, end = a.row[i + 1];
-      T total = x[t];
-      for (int k = a.row[i]; k < end; k++) {
-        int b = a.row_block[k];
-        if (b >= 0) total -= dot6(m.lower + a.at(b) * 36 + r * 6, x + a.block_column[b] * 6);
-      }
-      x[t] = total;
+    int first = a.level_node[level] * 6, items = a.level_node[level + 1] * 6 - first, bits = lane_bits(items);
+    for (int t0 = 0; t0 < items << bits; t0 += THREADS) {
+      int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), i = (first + t) / 6, r = first + t - i * 6;
+      T sum[1] = {T(0)};
+      if (t < items)
+        for (int k = a.row[i] + lane, last = a.row[i + 1]; k < last; k += 1 << bits) {
+          int b = a.row_block[k];
+          if (b >= 0) sum[0] += dot6(m.lower + a.at(b) * 36 + r * 6, x + a.block_column[b] * 6);
+        }
+      sum_lanes(sum, bits);
+      if (t < items && lane == 0) x[first + t] -= sum[0];
     }
     SYNC;
   }
@@ -318,19 +325,23 @@ DEVICE void solve_by_levels(const State& a, Matrix<T> m, T* x, T* between, T* ou
   }
   SYNC;
   for (int level = a.levels - 1; level >= 0; level--) {
-    int last = a.level_node[level + 1] * 6;
-    for (int t = a.level_node[level] * 6 + TID; t < last; t += THREADS) {
-      int j = t / 6, c = t - j * 6, end = a.column[j + 1];
-      T total = T(0);
-      for (int k = c; k < 6; k++) total += m.diagonal[j * 36 + k * 6 + c] * between[j * 6 + k];
-      for (int b = a.column[j]; b < end; b++) {
-        int place = a.at(b);
-        if (place < 0) continue;
-        const T* l = m.lower + place * 36 + c;
-        const T* y = out + a.block_row[b] * 6;
-        total -= (l[0] * y[0] + l[6] * y[1]) + (l[12] * y[2] + l[18] * y[3]) + (l[24] * y[4] + l[30] * y[5]);
+    int first = a.level_node[level] * 6, items = a.level_node[level + 1] * 6 - first, bits = lane_bits(items);
+    for (int t0 = 0; t0 < items << bits; t0 += THREADS) {
+      int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), j = (first + t) / 6, c = first + t - j * 6;
+      T sum[1] = {T(0)};
+      if (t < items) {
+        if (lane == 0)
+          for (int k = c; k < 6; k++) sum[0] += m.diagonal[j * 36 + k * 6 + c] * between[j * 6 + k];
+        for (int b = a.column[j] + lane, last = a.column[j + 1]; b < last; b += 1 << bits) {
+          int place = a.at(b);
+          if (place < 0) continue;
+          const T* l = m.lower + place * 36 + c;
+          const T* y = out + a.block_row[b] * 6;
+          sum[0] -= (l[0] * y[0] + l[6] * y[1]) + (l[12] * y[2] + l[18] * y[3]) + (l[24] * y[4] + l[30] * y[5]);
+        }
       }
-      out[t] = total;
+      sum_lanes(sum, bits);
+      if (t < items && lane == 0) out[first + t] = sum[0];
     }
     SYNC;
   }

@@ -3,21 +3,22 @@
 // `unit / length` radians.
 
 // Size of a tangential force, at most mu n inside the cone, and its gradient where it is not zero.
-DEVICE double gauge(double x, double y) {
+template <class T>
+DEVICE T gauge(T x, T y) {
 #if QUADRATIC
   return sqrt(x * x + y * y);
 #else
   x = fabs(x), y = fabs(y);
-  return fmax(x, y) + fmin(x, y) * 0.41421356237309503;
+  return fmax(x, y) + fmin(x, y) * T(0.41421356237309503);
 #endif
 }
-DEVICE void gauge_gradient(double x, double y, double size, double& gx, double& gy) {
+DEVICE void gauge_gradient(float x, float y, float size, float& gx, float& gy) {
 #if QUADRATIC
   gx = x / size, gy = y / size;
 #else
   (void)size;
   bool along = fabs(x) >= fabs(y);
-  gx = copysign(along ? 1.0 : 0.41421356237309503, x), gy = copysign(along ? 0.41421356237309503 : 1.0, y);
+  gx = copysign(along ? 1.0f : 0.41421356f, x), gy = copysign(along ? 0.41421356f : 1.0f, y);
 #endif
 }
 
@@ -27,15 +28,25 @@ DEVICE void contact_force(double mu, double& n, double& x, double& y) {
     n = x = y = n <= 0 ? 0.0 : n;  // keeps NaN
     return;
   }
-  double size = gauge(x, y), limit = mu * n;
+  double limit = mu * n;
+#if QUADRATIC
+  double square = x * x + y * y;
+  if (square <= limit * limit) return;
+  double share = limit * RECIPROCAL_ROOT(square);
+#else
+  double size = gauge(x, y);
   if (size <= limit) return;
   double share = limit / size;
+#endif
   x *= share, y *= share;
 }
 
 struct Newton {
-  double *now, *ahead, *step, *residual, *ahead_residual, *between;  // (nodes, 6)
-  double *wrench, *local;                                            // (2, 6, groups), (36, groups)
+  double *now, *ahead, *residual, *ahead_residual;  // (nodes, 6)
+  float *step, *right, *between;                    // (nodes, 6)
+  double* wrench;                                   // (2, 6, groups)
+  float* local;                                     // (groups, 36)
+  double *trial, *ahead_trial;                      // (GROUP, 3, groups) spring forces before they are cut to the law
   General m;
 };
 
@@ -53,35 +64,56 @@ struct Progress {
   double v[5];  // residual, movement; squares of the residual's norm, residual on step, step on step
 };
 
-// Writes the residual wrenches of a displacement.
+// Writes the residual wrenches of a displacement, and the spring forces.
 PHASE void evaluate(
-    const Structure& s, const State& a, const Newton& q, const double* displacement, double* out, Progress& progress) {
-  for (int slot = TID; slot < a.groups; slot += THREADS) {
-    int g = a.group[slot], count = load(s.group_count + g);
-    double strain[6], sum[6] = {};
-    group_strain(s, a, slot, g, displacement, strain);
-    for (int i = 0; i < count; i++) {
-      Point<double> p = point_of(s, i, g, 0.0);
-      double n, x, y;
-      spring_force(s, p, i, g, strain, n, x, y);
-      contact_force(s.friction, n, x, y);
-      add_point_force(p, n, x, y, sum);
+    const Structure& s, const State& a, const Newton& q, const double* displacement, double* trial, double* out,
+    Progress& progress) {
+  int bits = lane_bits(a.groups);
+  for (int t0 = 0; t0 < a.groups << bits; t0 += THREADS) {
+    int slot = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), g = 0;
+    double sum[6] = {};
+    if (slot < a.groups) {
+      g = a.group[slot];
+      int count = load(s.group_count + g);
+      double strain[6];
+      group_strain(s, a, slot, g, displacement, strain);
+      for (int i = lane; i < count; i += 1 << bits) {
+        Point<double> p = point_of(s, i, g, 0.0);
+        double n, x, y;
+        spring_force(s, p, i, g, strain, n, x, y);
+        double* kept = trial + i * 3 * a.groups + slot;
+        kept[0] = n, kept[a.groups] = x, kept[2 * a.groups] = y;
+        contact_force(s.friction, n, x, y);
+        add_point_force(p, n, x, y, sum);
+      }
     }
-    write_group_wrench(s, a, slot, g, sum, q.wrench);
+    sum_lanes(sum, bits);
+    if (slot < a.groups && lane == 0) write_group_wrench(s, a, slot, g, sum, q.wrench);
   }
   SYNC;
 #pragma unroll
   for (int i = 0; i < 5; i++) progress.v[i] = 0;
-  for (int t = TID; t < a.nodes * 2; t += THREADS) {
-    int node = t >> 1, j = a.node[node], half = t & 1;
+  bits = lane_bits(a.nodes * 2);
+  for (int t0 = 0; t0 < (a.nodes * 2) << bits; t0 += THREADS) {
+    int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), node = t >> 1, half = t & 1;
+    double f[3] = {};
+    if (t < a.nodes * 2)
+      for (int k = a.incident_first[node] + lane, last = a.incident_last[node]; k < last; k += 1 << bits) {
+        int code = a.incident[k];
+        const double* from = q.wrench + ((code & 1) * 6 + half * 3) * a.groups + (code >> 1);
+        f[0] += from[0], f[1] += from[a.groups], f[2] += from[2 * a.groups];
+      }
+    sum_lanes(f, bits);
+    if (t >= a.nodes * 2 || lane) continue;
+    int j = a.node[node];
     const double* u = displacement + t * 3;
-    const double* step = q.step + t * 3;
-    double f[3], mass = load(s.mass + j), measure = half ? load(s.gyration + j) : 1.0;
+    const float* step = q.step + t * 3;
+    double mass = load(s.mass + j), light = 1 / mass, measure = half ? load(s.gyration + j) : 1.0;
 #pragma unroll
-    for (int r = 0; r < 3; r++) out[t * 3 + r] = f[r] = node_wrench(s, a, node, half * 3 + r, q.wrench);
+    for (int r = 0; r < 3; r++) out[t * 3 + r] = f[r] += load(s.gravity + (half * 3 + r) * s.positions + j);
 #pragma unroll
     for (int r = 0; r < 3; r++) {
-      double acceleration = f[r] / mass, momentum = mass * step[r];
+      double acceleration = f[r] * light, momentum = mass * step[r];
       if (half) {
         acceleration = momentum = 0;
 #pragma unroll
@@ -101,50 +133,60 @@ PHASE void evaluate(
   SYNC;
 }
 
-// Writes the groups' tangent stiffness. A contact that just touches counts as closed and rough, so the first step from
-// rest is that of a bonded structure.
+// Writes the groups' tangent stiffness at the spring forces. A contact that just touches counts as closed and rough, so
+// the first step from rest is that of a bonded structure.
 PHASE void write_tangent(const Structure& s, const State& a, const Newton& q) {
-  double mu = s.friction;
-  for (int slot = TID; slot < a.groups; slot += THREADS) {
-    int g = a.group[slot], count = load(s.group_count + g);
-    double strain[6], local[36];
+  float mu = float(s.friction);
+  int bits = lane_bits(a.groups);
+  for (int t0 = 0; t0 < a.groups << bits; t0 += THREADS) {
+    int slot = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1);
+    float local[36] = {};
+    if (slot < a.groups) {
+      int g = a.group[slot], count = load(s.group_count + g);
+      for (int i = lane; i < count; i += 1 << bits) {
+        const double* kept = q.trial + i * 3 * a.groups + slot;
+        float n = float(kept[0]), x = float(kept[a.groups]), y = float(kept[2 * a.groups]);
+        Point<float> p = point_of(s, i, g, 0.0f);
+        float kn = float(load(s.stiffness + i * s.groups + g)), kt = float(s.tangential) * kn;
+        if (n < 0) continue;
+        float k10 = 0, k20 = 0, k11 = kt, k12 = 0, k21 = 0, k22 = kt, size = gauge(x, y);
+        if (size > mu * n) {
+          float ex = x / size, ey = y / size, gx, gy, share = kt * mu * n / size;
+          gauge_gradient(x, y, size, gx, gy);
+          k10 = mu * kn * ex, k20 = mu * kn * ey;
+          k11 = share * (1 - ex * gx), k12 = -share * ex * gy;
+          k21 = -share * ey * gx, k22 = share * (1 - ey * gy);
+        }
+        float column[6][3];  // the point's 6 x 3 map
 #pragma unroll
-    for (int k = 0; k < 36; k++) local[k] = 0;
-    group_strain(s, a, slot, g, q.now, strain);
-    for (int i = 0; i < count; i++) {
-      Point<double> p = point_of(s, i, g, 0.0);
-      double n, x, y, kn = load(s.stiffness + i * s.groups + g), kt = s.tangential * kn;
-      spring_force(s, p, i, g, strain, n, x, y);
-      if (n < 0) continue;
-      double k10 = 0, k20 = 0, k11 = kt, k12 = 0, k21 = 0, k22 = kt, size = gauge(x, y);
-      if (size > mu * n) {
-        double ex = x / size, ey = y / size, gx, gy, share = kt * mu * n / size;
-        gauge_gradient(x, y, size, gx, gy);
-        k10 = mu * kn * ex, k20 = mu * kn * ey;
-        k11 = share * (1 - ex * gx), k12 = -share * ex * gy;
-        k21 = -share * ey * gx, k22 = share * (1 - ey * gy);
-      }
-      double column[6][3];  // the point's 6 x 3 map
+        for (int k = 0; k < 3; k++) {
+          float fx = p.axis[k], fy = p.axis[3 + k], fz = p.axis[6 + k];
+          column[0][k] = fx, column[1][k] = fy, column[2][k] = fz;
+          column[3][k] = p.arm[1] * fz - p.arm[2] * fy;
+          column[4][k] = p.arm[2] * fx - p.arm[0] * fz;
+          column[5][k] = p.arm[0] * fy - p.arm[1] * fx;
+        }
 #pragma unroll
-      for (int k = 0; k < 3; k++) {
-        double fx = p.axis[k], fy = p.axis[3 + k], fz = p.axis[6 + k];
-        column[0][k] = fx, column[1][k] = fy, column[2][k] = fz;
-        column[3][k] = p.arm[1] * fz - p.arm[2] * fy;
-        column[4][k] = p.arm[2] * fx - p.arm[0] * fz;
-        column[5][k] = p.arm[0] * fy - p.arm[1] * fx;
-      }
+        for (int r = 0; r < 6; r++) {
+          float h0 = column[r][0] * kn + column[r][1] * k10 + column[r][2] * k20;
+          float h1 = column[r][1] * k11 + column[r][2] * k21;
+          float h2 = column[r][1] * k12 + column[r][2] * k22;
 #pragma unroll
-      for (int r = 0; r < 6; r++) {
-        double h0 = column[r][0] * kn + column[r][1] * k10 + column[r][2] * k20;
-        double h1 = column[r][1] * k11 + column[r][2] * k21;
-        double h2 = column[r][1] * k12 + column[r][2] * k22;
-#pragma unroll
-        for (int c = 0; c < 6; c++)
-          local[r * 6 + c] += h0 * column[c][0] + h1 * column[c][1] + h2 * column[c][2];
+          for (int c = 0; c < 6; c++)
+            local[r * 6 + c] += h0 * column[c][0] + h1 * column[c][1] + h2 * column[c][2];
+        }
       }
     }
+    sum_lanes(local, bits);
+    if (slot >= a.groups || lane) continue;
+    float* out = q.local + slot * 36;
 #pragma unroll
-    for (int k = 0; k < 36; k++) q.local[k * a.groups + slot] = local[k];
+    for (int r = 0; r < 6; r++) {
+      float row[6];
+#pragma unroll
+      for (int c = 0; c < 6; c++) row[c] = local[r * 6 + c];
+      store_row(out + r * 6, row);
+    }
   }
   SYNC;
 }
@@ -155,28 +197,27 @@ constexpr double kFar = 10;  // times the limit on movement at which iterations 
 
 // Iterates from rest until the parts rest (kStable), move away (kMovesAway) or the steps are used up (kUndecided).
 DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newton& q, double& residual, int& steps) {
-  for (int t = TID; t < a.nodes * 6; t += THREADS) q.now[t] = q.step[t] = 0;
+  for (int t = TID; t < a.nodes * 6; t += THREADS) q.now[t] = 0, q.step[t] = 0;
   SYNC;
-  Progress progress;
-  evaluate(s, a, q, q.now, q.residual, progress);
-  double time = o.first_step, size = sqrt(progress.v[2]), moved = 0;
-  residual = progress.v[0];
-  for (steps = 0; residual > (1 - kMargin) * o.tolerance; steps++) {
-    if (steps == o.contact_steps) return kUndecided;
-    write_tangent(s, a, q);
-    assemble_general(s, a, 1 / time, q.local, q.m);
-    if (!factor_general(a, q.m)) {
-      time *= kCut;
-      continue;
-    }
-    for (int t = TID; t < a.nodes * 6; t += THREADS) q.ahead[t] = q.residual[t];
-    SYNC;
-    solve_general(a, q.m, q.ahead, q.between, q.step);
+  double time = o.first_step, size = kHuge;
+  for (steps = -1; steps < o.contact_steps; steps++) {
     double length = 1, ahead_size;
+    Progress progress;
+    if (steps >= 0) {  // the first pass evaluates rest itself, so that the code for that is there once
+      write_tangent(s, a, q);
+      assemble_general(s, a, 1 / time, q.local, q.m);
+      if (!factor_general(a, q.m)) {
+        time *= kCut;
+        continue;
+      }
+      for (int t = TID; t < a.nodes * 6; t += THREADS) q.right[t] = float(q.residual[t]);
+      SYNC;
+      solve_general(a, q.m, q.right, q.between, q.step);
+    }
     while (true) {
       for (int t = TID; t < a.nodes * 6; t += THREADS) q.ahead[t] = q.now[t] + length * q.step[t];
       SYNC;
-      evaluate(s, a, q, q.ahead, q.ahead_residual, progress);
+      evaluate(s, a, q, q.ahead, q.ahead_trial, q.ahead_residual, progress);
       ahead_size = sqrt(progress.v[2]);
       // Residual of the implicit Euler step: r - (length / time) M step.
       double c = length / time, implicit = progress.v[2] - 2 * c * progress.v[3] + c * c * progress.v[4];
@@ -188,19 +229,21 @@ DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newto
       time *= kCut;
       continue;
     }
-    if (length == 1)
+    if (steps >= 0 && length == 1)
       time = fmin(time * fmax(kGrowth, size / fmax(ahead_size, 1e-300)), kLongestStep);
-    else
+    else if (steps >= 0)
       time *= 2 * length;
     size = ahead_size, residual = progress.v[0];
     double* kept = q.now;
     q.now = q.ahead, q.ahead = kept;
     kept = q.residual, q.residual = q.ahead_residual, q.ahead_residual = kept;
-    moved = progress.v[1] * s.unit;
-    if (moved > kFar * s.limit) {
+    kept = q.trial, q.trial = q.ahead_trial, q.ahead_trial = kept;
+    double moved = progress.v[1] * s.unit;
+    bool rests = residual <= (1 - kMargin) * o.tolerance;
+    if (rests || moved > kFar * s.limit) {
       steps++;
-      return kMovesAway;
+      return rests && moved <= s.limit ? kStable : kMovesAway;
     }
   }
-  return moved > s.limit ? kMovesAway : kStable;
+  return kUndecided;
 }

@@ -18,9 +18,11 @@ struct State {
   uint16_t* block_row;                // node of each block's row
   uint16_t* block_column;             // node of each block's column
   uint16_t* block_pattern;            // block of the structure's pattern, kNone where the factor is zero
-  short* stored;                      // where each block is stored, -1 where it is not; null where all are
+  short* stored;                      // place of each block, -1 where it is not stored; null where all are
+  uint16_t* place_block;              // the block in each place, column by column; not there where all are stored
+  uint16_t* place_first;              // (nodes + 1,) first place of each column
   int* row;                           // first entry of each node's row
-  int* row_block;                     // blocks of the rows, column by column; -1 - block where the factor is zero
+  int* row_block;                     // stored blocks of the rows, column by column; -1 - block where the factor is zero
   uint16_t* incident;                 // 2 slot + side of the groups on each node
   uint16_t *incident_first, *incident_last;
 
@@ -198,18 +200,28 @@ PHASE State restrict_to(const Structure& s, const uint8_t* state, char*& top) {
       count[i] = uint16_t(total);
     }
     SYNC;
-    for (int i = TID; i < a.nodes; i += THREADS) {
-      int out = 0;
-      for (int k = 0; k < i; k++) out += count[k];
-      for (int b = a.column[i]; b < a.column[i + 1]; b++) a.stored[b] = short(a.block_pattern[b] == kNone ? -1 : out++);
-    }
     a.storage = 0;
     for (int k = 0; k < a.nodes; k++) a.storage += count[k];
+    a.place_block = take<uint16_t>(top, a.storage);
+    a.place_first = take<uint16_t>(top, a.nodes + 1);
+    for (int i = TID; i <= a.nodes; i += THREADS) {
+      int out = 0;
+      for (int k = 0; k < i; k++) out += count[k];
+      a.place_first[i] = uint16_t(out);
+      for (int b = a.column[i]; i < a.nodes && b < a.column[i + 1]; b++) {
+        bool filled_in = a.block_pattern[b] != kNone;
+        if (filled_in) a.place_block[out] = uint16_t(b);
+        a.stored[b] = short(filled_in ? out++ : -1);
+      }
+    }
     SYNC;
   }
   for (int i = TID; i < a.nodes; i += THREADS) {
     int total = 0;
-    for (int j = 0; j < i; j++) total += a.block_of(i, j) >= 0;
+    for (int j = 0; j < i; j++) {
+      int b = a.block_of(i, j);
+      total += b >= 0 && (StoreAll || a.block_pattern[b] != kNone);
+    }
     count[i] = uint16_t(total);
   }
   SYNC;
@@ -219,7 +231,8 @@ PHASE State restrict_to(const Structure& s, const uint8_t* state, char*& top) {
     a.row[i] = out;
     for (int j = 0; j < i && i < a.nodes; j++) {
       int b = a.block_of(i, j);
-      if (b >= 0) a.row_block[out++] = a.block_pattern[b] == kNone ? -1 - b : b;
+      if (b < 0 || (!StoreAll && a.block_pattern[b] == kNone)) continue;
+      a.row_block[out++] = a.block_pattern[b] == kNone ? -1 - b : b;
     }
   }
   SYNC;

@@ -1,0 +1,108 @@
+"""Chairs of bricks: what a verdict and a plan cost where studs pull.
+
+    python benchmarks/bricks.py --heights 8,40 --repeats 3
+
+A chair has four legs of 2 by 2 studs, a seat of 12 by 12 in three bonded layers, and a back in running bond.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+from record import report, spread, write_to
+
+from falsework.assembly.state import INSTALLED
+from falsework.interop import Brick, assemble_bricks
+from falsework.interop.bricks import HEIGHT, PITCH
+from falsework.search import find_plans
+from falsework.stability import Stability
+
+STATES = 40
+"""Late states of a plan, most bricks in place, whose verdicts are timed."""
+WIDTH, LEGS = 12, 12
+"""Studs along the sides of the seat, and layers of the legs."""
+
+
+def chair(back: int) -> list[Brick]:
+    """Return the bricks of a chair whose back has so many layers."""
+    bricks: list[Brick] = []
+
+    def put(x: int, y: int, layer: int, *studs: int) -> None:
+        bricks.append(Brick((PITCH * x, PITCH * y, HEIGHT * layer), (studs[0], studs[1])))
+
+    for layer in range(LEGS):
+        for x in (0, WIDTH - 2):
+            for y in (0, WIDTH - 2):
+                put(x, y, layer, 2, 2)
+    for across in range(0, WIDTH, 2):
+        for start, length in rows(across // 2 % 2 == 1):
+            put(start, across, LEGS, length, 2)
+        for start, length in rows(True):
+            put(across, start, LEGS + 1, 2, length)
+        for start, length in rows(False):
+            put(across, start, LEGS + 2, 2, length)
+    for layer in range(back):
+        for start, length in rows(layer % 2 == 1):
+            put(start, WIDTH - 2, LEGS + 3 + layer, length, 2)
+    return bricks
+
+
+def rows(shifted: bool) -> list[tuple[int, int]]:
+    """Return places and lengths of the bricks along a side."""
+    if not shifted:
+        return [(start, 4) for start in range(0, WIDTH, 4)]
+    return [(0, 2), *((start, 4) for start in range(2, WIDTH - 2, 4)), (WIDTH - 2, 2)]
+
+
+def cost(back: int, repeats: int) -> None:
+    """Time a plan, and verdicts of states of it, by themselves and from the state before."""
+    bricks = chair(back)
+    assembly = assemble_bricks(bricks)
+    seconds, found = [], None
+    for _ in range(repeats):
+        begun = time.process_time()
+        found = find_plans(assembly, robots=2)
+        seconds.append(time.process_time() - begun)
+    assert found is not None
+    assert found.found
+    states = found.plans[0].assembly_states
+    late = np.flatnonzero((states == INSTALLED).sum(axis=1) > 0.7 * len(bricks))
+    alone, beside = [], []
+    for row in late[:: max(len(late) // STATES, 1)]:
+        oracle = Stability(assembly)
+        begun = time.process_time()
+        oracle.judge(states[row - 1])
+        between = time.process_time()
+        oracle.judge(states[row], parents=states[row - 1 : row])
+        beside.append(time.process_time() - between)
+        alone.append(between - begun)
+    report(
+        "bricks cost",
+        bricks=len(bricks),
+        points=len(assembly.contacts.points),
+        robots=2,
+        steps=len(found.plans[0].actions),
+        plan_processor_s=float(np.median(seconds)),
+        plan_range=spread(seconds),
+        verdict_processor_ms=1000 * float(np.median(alone)),
+        next_verdict_processor_ms=1000 * float(np.median(beside)),
+    )
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--heights", default="8,40", help="layers of the back of each chair")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    write_to(arguments.out)
+    for height in arguments.heights.split(","):
+        cost(int(height), arguments.repeats)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,123 @@
+"""Independent methods on delivered plans and on random scenes: one JSON object a line.
+
+    python benchmarks/judges.py plans --structures wall-38 dome-37
+    python benchmarks/judges.py plans --structures barrel-vault-121 --lmgc90 40
+    python benchmarks/judges.py scenes --scenes 1000
+
+`plans`: a plan under `contact`, its replay, the replay under other numbers (stiffness ratio, speed of release, damping,
+random friction at the start), the same building sequence by discrete elements, and each state by discrete elements:
+`settled` from nothing and `proven` from the contact forces of its verdict. For `--lmgc90` states evenly spaced over
+the plan, LMGC90. Discrete elements leave a state open that
+neither rests nor has fallen after their last step; LMGC90 does not judge a state whose contacts it cannot make.
+`scenes`: the random rows and stacks of the tests; the verdict of each beside the replay in which the robots let go.
+"""
+
+from __future__ import annotations
+
+import runpy
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+from record import report, write_to
+from states import REAL, find
+
+from falsework.assembly import load_structure
+from falsework.assembly.state import HELD, complete_state
+from falsework.search import find_plans, task_of
+from falsework.stability import Stability, Verdict
+from falsework.stability.contact.replay import replay_varied
+from falsework.stability.judges import judge_by_lmgc90, replay_by_discrete_elements, settle
+
+_STANDS = {1: "stands", -1: "falls", 0: "open"}
+_TESTS = Path(__file__).resolve().parents[1] / "tests"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to run."""
+
+    what: tyro.conf.Positional[Literal["plans", "scenes"]]
+    """Benchmark."""
+    structures: tuple[str, ...] = REAL
+    """Built-in names, paths, or names of real structures."""
+    robots: int = 2
+    """Parts held at once."""
+    draws: int = 20
+    """Random states of friction at the start of a replay."""
+    lmgc90: int = 0
+    """States of a plan for LMGC90, at most; each takes a second to a minute."""
+    scenes: int = 1000
+    """Random scenes, from seed 0 on."""
+    out: Path | None = None
+    """File to which the records are appended."""
+
+
+def plans(options: Options) -> Iterator[dict[str, Any]]:
+    """Agreement of independent methods with the plan of each structure."""
+    for name in options.structures:
+        assembly = load_structure(find(name))
+        oracle = Stability(assembly)
+        found = find_plans(assembly, task_of(assembly, options.robots), oracle=oracle, forces=False).plans
+        row = {"structure": name, "parts": assembly.part_count, "robots": options.robots, "seeds": (0,)}
+        if not found:
+            yield {**row, "states": 0}
+            continue
+        states, replayer = found[0].assembly_states, oracle.replayer
+        assert replayer is not None
+        varied = replay_varied(replayer, states, draws=options.draws)
+        row |= {
+            "states": len(states),
+            "replay": _count(replayer.replay(states).stands),
+            "varied": len(varied),
+            "varied_stands": sum(case.good for case in varied),
+            "varied_falls": [f"{case.name}: state {case.falls_at}" for case in varied if not case.good],
+            "built": _count(replay_by_discrete_elements(assembly, states).stands),
+            "settled": _count(settle(assembly, states).stands),
+            "proven": _count(settle(assembly, states, forces=oracle.check(states).forces).stands),
+        }
+        if options.lmgc90:
+            some = np.unique(np.linspace(0, len(states) - 1, options.lmgc90).round().astype(int))
+            answers = judge_by_lmgc90(assembly, states[some])
+            row["lmgc90"] = {
+                answer: sum(one.answer == answer for one in answers) for answer in ("stands", "falls", "not judged")
+            }
+            row["lmgc90_reasons"] = sorted({one.reason for one in answers if one.reason})[:3]
+        yield row
+
+
+def scenes(options: Options) -> Iterator[dict[str, Any]]:
+    """Verdicts on random scenes beside the replay in which robots hold every part and let go."""
+    makers = runpy.run_path(str(_TESTS / "stability" / "contact" / "conftest.py"))["RandomScenes"]
+    found: Counter[str] = Counter()
+    for seed in range(options.scenes):
+        assembly = (makers.row, makers.slope)[seed % 2](np.random.default_rng(seed))
+        state = complete_state(assembly.boundary)
+        oracle = Stability(assembly)
+        assert oracle.replayer is not None
+        verdict = Verdict(oracle.judge(state[None]).verdict[0]).name.lower()
+        replay = oracle.replayer.replay(np.stack([np.full_like(state, HELD), state]))
+        found[f"{verdict}, {_STANDS[int(replay.stands[-1])]} in the replay"] += 1
+    yield {"scenes": options.scenes, "seeds": tuple(range(options.scenes)), "found": dict(found)}
+
+
+def _count(stands: Any) -> dict[str, int]:
+    """Return how many states stand, fall, and are left open."""
+    return {name: int((np.asarray(stands) == value).sum()) for value, name in _STANDS.items()}
+
+
+def main(options: Options) -> None:
+    """Run the benchmark."""
+    warnings.simplefilter("ignore")
+    write_to(options.out)
+    for row in {"plans": plans, "scenes": scenes}[options.what](options):
+        report(f"judges {options.what}", **row)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

@@ -1,0 +1,145 @@
+"""Fasteners: screws, dowels and magnets, as points with a strength between two parts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.joints import Joints
+from falsework.assembly.loads import Loads, part_id
+from falsework.errors import AssemblyError
+from falsework.geometry.contact.interfaces import Contacts
+from falsework.geometry.contact.patches import frames_of
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+
+Array = NDArray[np.float64]
+
+_ENTRIES = {"parts", "at", "tension", "shear", "axis", "ductile"}
+
+
+def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly:
+    """Return the assembly with fasteners, each a contact point of its own.
+
+    A fastener is as stiff as a corner of the contacts between its parts, or of the structure where they have none. It
+    presses too, as if the parts met there.
+
+    Args:
+        assembly: with or without joints.
+        entries: objects with `parts` (two ids or names), `at` (m), `tension` (N), and perhaps `shear` (N; friction
+            times tension if not given), `axis` (towards either part; the normal of the contact between the parts if not
+            given) and `ductile` (true for one that slides out or lets go slowly).
+
+    Raises:
+        AssemblyError: parts that are not there, numbers that cannot be used, or no axis where the parts do not meet.
+    """
+    contacts = assembly.contacts
+    joints = assembly.joints or Joints.of(contacts)
+    corner = contacts.areas / np.diff(contacts.start)
+    parts, points, axes, areas, strengths = [], [], [], [], []
+    for entry in entries:
+        if not isinstance(entry, Mapping) or not {"parts", "at", "tension"} <= set(entry) <= _ENTRIES:
+            raise AssemblyError(
+                f"fastener {entry!r} is no object with parts, at, tension and perhaps shear, axis and ductile"
+            )
+        pair = entry["parts"]
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise AssemblyError(f"fastener between {pair!r}; give two parts")
+        a, b = sorted(part_id(item, assembly.names, "a fastener is in part") for item in pair)
+        names = f"the fastener between parts {assembly.names[a]} and {assembly.names[b]}"
+        mine = (contacts.parts == (a, b)).all(axis=1)
+        axis = _vector(entry["axis"], f"axis of {names}") if "axis" in entry else _normal(contacts, mine, names)
+        if a == b or not axis.any():
+            raise AssemblyError(f"{names} needs two parts and an axis that is not zero")
+        if axis @ (assembly.mass.center[b] - assembly.mass.center[a]) < 0 and "axis" in entry:
+            axis = -axis
+        parts.append((a, b))
+        points.append(_vector(entry["at"], f"place of {names}"))
+        axes.append(axis / np.linalg.norm(axis))
+        areas.append(float(corner[mine].mean() if mine.any() else corner.mean() if len(corner) else 1.0))
+        if not isinstance(entry.get("ductile", False), bool):
+            raise AssemblyError(f"ductile of {names} is {entry['ductile']!r}; give true or false")
+        tension = _strength(entry["tension"], f"tension of {names}")
+        shear = _strength(entry["shear"], f"shear of {names}") if "shear" in entry else np.nan
+        strengths.append((np.nan, shear, tension, bool(entry.get("ductile", False)), -1))
+    if not parts:
+        return assembly
+    frames = frames_of(np.array(axes))
+    order = np.lexsort((*np.concatenate([contacts.parts, np.array(parts)]).T[::-1],))
+    counts = np.concatenate([np.diff(contacts.start), np.ones(len(parts), int)])
+    first = np.concatenate([contacts.start[:-1], contacts.start[-1] + np.arange(len(parts))])
+    rows = np.concatenate([np.arange(first[k], first[k] + counts[k]) for k in order.tolist()])
+    joined = replace(
+        contacts,
+        parts=np.concatenate([contacts.parts, np.array(parts, np.int32)])[order],
+        frames=np.concatenate([contacts.frames, frames])[order],
+        points=np.concatenate([contacts.points, np.array(points)])[rows],
+        start=np.concatenate([[0], np.cumsum(counts[order])]).astype(np.int32),
+        areas=np.concatenate([contacts.areas, areas])[order],
+    )
+    old = (joints.friction, joints.cohesion, joints.tension, joints.ductile, joints.sets)
+    arrays = [
+        np.concatenate([array, np.array(new, array.dtype)])[rows] if len(array) == len(contacts.points) else array
+        for array, new in zip(old, zip(*strengths, strict=True), strict=True)
+    ]
+    for array in arrays:
+        array.setflags(write=False)
+    return replace(
+        assembly, contacts=joined, contacts_given=True, joints=Joints(*arrays[:4], joints.setting, arrays[4])
+    )
+
+
+def furnish(
+    assembly: Assembly,
+    *,
+    loads: Any = None,
+    earthquake: Any = None,
+    materials: Any = None,
+    joints: Any = None,
+    fasteners: Any = None,
+) -> Assembly:
+    """Return the assembly with the loads, joints and fasteners that `assembly.json` or a caller gives.
+
+    Args:
+        assembly: as it was read.
+        loads, earthquake: as for `Loads.read`.
+        materials, joints: as for `Joints.read`.
+        fasteners: as for `fasten`.
+
+    Raises:
+        AssemblyError: any of them cannot be used.
+    """
+    acting = Loads.read(loads, earthquake, assembly.names, assembly.mass.center)
+    joined = Joints.read(joints, materials, assembly.names, assembly.contacts)
+    if acting is not None or joined is not None:
+        assembly = assembly.replace(loads=acting, joints=joined)
+    return fasten(assembly, fasteners or [])
+
+
+def _normal(contacts: Contacts, mine: NDArray[np.bool_], names: str) -> Array:
+    """Return the normal of the largest contact between two parts."""
+    if not mine.any():
+        raise AssemblyError(f"{names} has no contact to be normal to; give its axis")
+    rows = np.flatnonzero(mine)
+    return contacts.frames[rows[np.argmax(contacts.areas[rows])], 0]
+
+
+def _vector(value: Any, what: str) -> Array:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise AssemblyError(f"{what} is {value!r}; give three finite numbers")
+    return array
+
+
+def _strength(value: Any, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
+        raise AssemblyError(f"{what} is {value!r}; give a number from 0 up in N")
+    return float(value)

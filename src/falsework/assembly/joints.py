@@ -1,0 +1,302 @@
+"""Joints: friction, cohesion and tension of contacts, by pair of materials or of parts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.assembly.loads import part_id
+from falsework.errors import AssemblyError
+from falsework.geometry.contact.interfaces import Contacts
+
+Array = NDArray[np.float64]
+
+Setting = tuple[tuple[float, float], ...]
+"""Steps after both parts are in place, rising, and the share of its strength that a joint has then, likewise."""
+
+_VALUES = ("friction", "cohesion", "tension")
+_ENTRIES = {"between", "parts", "sets", "ductile", *_VALUES}
+_UNITS = {"friction": "", "cohesion": " Pa", "tension": " Pa"}
+
+
+@dataclass(frozen=True, eq=False)
+class Joints:
+    """Mohr-Coulomb strength of contact points, with a tension cut-off; arrays are read-only.
+
+    A contact point bears a normal force from `-tension` up, and under a normal force `n` a tangential one of at most
+    `cohesion + friction n`. Strengths of a contact are shared equally by its points.
+    """
+
+    friction: Array
+    """Shape (points,); NaN is the friction of the assembly."""
+    cohesion: Array
+    """N, shape (points,); NaN is friction times tension, the least with which all of the tension acts."""
+    tension: Array
+    """N, shape (points,)."""
+    ductile: NDArray[np.bool_]
+    """Whether a point that is pulled apart goes on bearing its tension, as studs do, and does not tear, as mortar does;
+    of the criterion `contact`, shape (points,)."""
+    setting: tuple[Setting, ...] = ()
+    """How cohesion and tension of joints that set grow with the steps since both parts are in place."""
+    sets: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+    """Which of them is that of each contact point, -1 for none, shape (points,); empty where nothing sets."""
+
+    @staticmethod
+    def of(
+        contacts: Contacts,
+        *,
+        friction: ArrayLike = np.nan,
+        cohesion: ArrayLike = np.nan,
+        tension: ArrayLike = 0.0,
+        ductile: ArrayLike = False,
+        setting: Sequence[Setting] = (),
+        sets: ArrayLike = 0,
+    ) -> Joints:
+        """Give contacts a strength.
+
+        Args:
+            contacts: of the assembly.
+            friction: coefficient of friction of every contact, or one a contact; NaN is that of the assembly.
+            cohesion: Pa, likewise; NaN is friction times tension.
+            tension: Pa, likewise.
+            ductile: whether the joint goes on bearing its tension when it is pulled apart, likewise.
+            setting: ways in which joints set; with none, all have their strength at once.
+            sets: which of them is that of every contact, or one a contact; -1 for none.
+
+        Raises:
+            AssemblyError: a number that is negative or infinite, strength of a contact without area, or a way to set
+                that falls.
+        """
+        count = len(contacts)
+        values = {}
+        for name, given in zip(_VALUES, (friction, cohesion, tension), strict=True):
+            array = np.array(given, dtype=np.float64)
+            if array.shape not in ((), (count,)):
+                raise AssemblyError(f"{name} has shape {array.shape}; give one number, or {count}, one a contact")
+            values[name] = array = np.array(np.broadcast_to(array, count))
+            bad = array[~(array >= 0) & ~np.isnan(array) | np.isinf(array)]
+            if len(bad) or (name == "tension" and np.isnan(array).any()):
+                value = bad[0] if len(bad) else np.nan
+                raise AssemblyError(f"{name} of a joint is {value:g}{_UNITS[name]}; give a number from 0 up")
+        share = np.where(contacts.dimension == 2, contacts.areas, 0.0) / np.diff(contacts.start)
+        strong = (np.nan_to_num(values["cohesion"]) > 0) | (values["tension"] > 0)
+        bare = np.flatnonzero(strong & (share == 0))
+        if len(bare):
+            a, b = contacts.parts[bare[0]].tolist()
+            raise AssemblyError(
+                f"parts {a} and {b} touch along a line or at a point, which has no area for cohesion or tension; "
+                "leave them out of the joint, or join them at points (fasteners)"
+            )
+        owner = contacts.contact_of_point
+        ways = tuple(_setting(way) for way in setting)
+        return Joints._frozen(
+            values["friction"][owner],
+            (values["cohesion"] * share)[owner],
+            (values["tension"] * share)[owner],
+            np.broadcast_to(np.array(ductile, bool), count)[owner],
+            ways,
+            np.broadcast_to(np.array(sets, np.int32), count)[owner] if ways else np.zeros(0, np.int32),
+        )
+
+    @staticmethod
+    def throughout(contacts: Contacts, *, cohesion: float | None = None, tension: float | None = None) -> Joints | None:
+        """Give all contacts with an area the same strength; None where there is none to give.
+
+        Args:
+            contacts: of the assembly.
+            cohesion: Pa; None is friction times tension.
+            tension: Pa.
+
+        Raises:
+            AssemblyError: a number that is negative or infinite.
+        """
+        if not cohesion and not tension:
+            return None
+        flat = contacts.dimension == 2
+        given = np.nan if cohesion is None else cohesion
+        return Joints.of(contacts, cohesion=np.where(flat, given, np.nan), tension=np.where(flat, tension or 0.0, 0.0))
+
+    @staticmethod
+    def read(entries: Any, materials: Any, names: Sequence[str], contacts: Contacts) -> Joints | None:
+        """Read joints as `assembly.json` gives them; where several apply, the last one counts.
+
+        Args:
+            entries: objects with `friction`, `cohesion` (Pa), `tension` (Pa), perhaps `ductile` and `sets`, pairs of
+                steps and shares, and either `between`, two materials, or `parts`, two ids or names, or neither, for
+                all contacts; or None.
+            materials: name of the material of each part, or one for all; or None.
+            names: of the parts; a ground added to them is the last and of the material `ground`.
+            contacts: of the parts.
+
+        Returns:
+            Joints, or None where there is no entry. Contacts along lines and at points have no area, and so no strength
+            between materials.
+
+        Raises:
+            AssemblyError: no such material or part, parts that do not meet, or numbers that cannot be used.
+        """
+        if not entries:
+            return None
+        made_of = _materials(materials, names)
+        values = {name: np.full(len(contacts), np.nan) for name in _VALUES}
+        values["tension"][:] = 0.0
+        flat = contacts.dimension == 2
+        ways: list[Any] = []
+        sets, ductile = np.full(len(contacts), -1, np.int32), np.zeros(len(contacts), bool)
+        for entry in entries:
+            if not isinstance(entry, Mapping) or not set(entry) <= _ENTRIES or not set(entry) & set(_VALUES):
+                raise AssemblyError(
+                    f"joint {entry!r} is no object with friction, cohesion or tension, and between or parts"
+                )
+            named = {name: _number(entry[name], name) for name in _VALUES if name in entry}
+            rows = _rows(entry, made_of, names, contacts)
+            strong = named.get("cohesion", 0.0) > 0 or named.get("tension", 0.0) > 0
+            if "parts" in entry and strong and not flat[rows].any():
+                a, b = (names[part] for part in contacts.parts[np.flatnonzero(rows)[0]].tolist())
+                raise AssemblyError(
+                    f"parts {a} and {b} touch along a line or at a point, which has no area for cohesion or tension; "
+                    "leave the joint out, or join them at points (fasteners)"
+                )
+            for name, value in named.items():
+                values[name][rows if name == "friction" else rows & flat] = value
+            if not isinstance(entry.get("ductile", False), bool):
+                raise AssemblyError(f"ductile of a joint is {entry['ductile']!r}; give true or false")
+            if strong or "ductile" in entry:
+                ductile[rows] = entry.get("ductile", False)
+            if strong or "sets" in entry:
+                sets[rows] = len(ways) if "sets" in entry else -1
+                ways += [entry["sets"]] if "sets" in entry else []
+        return Joints.of(contacts, **values, ductile=ductile, setting=ways, sets=sets)
+
+    @staticmethod
+    def _frozen(
+        friction: Array,
+        cohesion: Array,
+        tension: Array,
+        ductile: NDArray[np.bool_],
+        setting: tuple[Setting, ...],
+        sets: NDArray[np.int32],
+    ) -> Joints:
+        for array in (friction, cohesion, tension, ductile, sets):
+            array.setflags(write=False)
+        return Joints(friction, cohesion, tension, ductile, setting, sets)
+
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """Everything that a verdict or a replay depends on."""
+        ways = [np.array(way).ravel() for way in self.setting]
+        kinds = self.ductile.astype(np.float64), *([self.sets.astype(np.float64)] if ways else [])
+        return self.friction, self.cohesion, self.tension, *ways, *kinds
+
+    def set_share(self, age: NDArray[np.int32]) -> Array:
+        """Return the share of its strength that each contact point has, of the shape of `age`.
+
+        Args:
+            age: steps since both parts are in place, shape (..., points).
+        """
+        share = np.ones(age.shape)
+        for number, way in enumerate(self.setting):
+            mine = self.sets == number
+            share[..., mine] = np.interp(age[..., mine], *np.array(way).T)
+        return share
+
+    def once_set(self) -> Joints:
+        """Return the same joints, which have set from the start."""
+        return Joints(self.friction, self.cohesion, self.tension, self.ductile)
+
+    def among(self, before: Contacts, after: Contacts, parts: int) -> Joints:
+        """Return the joints of contacts found anew with more parts, which have none.
+
+        Args:
+            before: contacts of these joints.
+            after: contacts with more parts.
+            parts: number of parts before.
+
+        Raises:
+            AssemblyError: contacts between the parts that were there have changed.
+        """
+        kept = (after.parts[after.contact_of_point] < parts).all(axis=1)
+        if not np.array_equal(after.points[kept], before.points):
+            raise AssemblyError("the contacts of the parts change with the ground, so joints have no place; fix parts")
+        arrays = []
+        more_of = (self.friction, np.nan), (self.cohesion, np.nan), (self.tension, 0.0), (self.ductile, False)
+        for array, rest in (*more_of, (self.sets, -1)):
+            more = np.full(len(kept) if len(array) else 0, rest, array.dtype)
+            if len(array):
+                more[kept] = array
+            arrays.append(more)
+        return Joints._frozen(*arrays[:4], self.setting, arrays[4])
+
+    def of_points(self, kept: NDArray[np.bool_]) -> Joints:
+        """Return the joints of some contact points, shape (points,)."""
+        sets = self.sets[kept] if len(self.sets) else self.sets
+        return Joints._frozen(
+            self.friction[kept], self.cohesion[kept], self.tension[kept], self.ductile[kept], self.setting, sets
+        )
+
+
+def _materials(given: Any, names: Sequence[str]) -> list[str]:
+    """Return the material of each part; a part beyond those given is the ground."""
+    if given is None:
+        return [""] * len(names)
+    if isinstance(given, str):
+        return [given] * len(names)
+    made_of = list(given) if isinstance(given, list) else []
+    made_of += ["ground"] * (len(names) - 1 == len(made_of) and names[-1].startswith("ground"))
+    if len(made_of) != len(names) or not all(isinstance(item, str) for item in made_of):
+        raise AssemblyError(f"materials must be one name, or {len(names)} names, one a part")
+    return made_of
+
+
+def _rows(
+    entry: Mapping[str, Any], made_of: Sequence[str], names: Sequence[str], contacts: Contacts
+) -> NDArray[np.bool_]:
+    """Return the contacts that an entry is about, shape (contacts,)."""
+    if "between" in entry and "parts" in entry:
+        raise AssemblyError(f"joint {entry!r} has both between and parts; give one of them")
+    if "between" in entry:
+        pair = entry["between"]
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise AssemblyError(f"joint between {pair!r}; give two materials")
+        known = sorted(set(made_of) - {""})
+        for name in pair:
+            if name not in known:
+                raise AssemblyError(
+                    f"no part is of material {name!r}; materials of the parts are {', '.join(known) or 'not given'}"
+                )
+        kind = np.array([sorted((made_of[a], made_of[b])) for a, b in contacts.parts.tolist()]).reshape(-1, 2)
+        return (kind == sorted(pair)).all(axis=1)
+    if "parts" not in entry:
+        return np.ones(len(contacts), dtype=bool)
+    pair = entry["parts"]
+    if not isinstance(pair, list) or len(pair) != 2:
+        raise AssemblyError(f"joint of parts {pair!r}; give two parts")
+    a, b = sorted(part_id(item, names, "a joint is of part") for item in pair)
+    rows = (contacts.parts == (a, b)).all(axis=1)
+    if not rows.any():
+        raise AssemblyError(f"parts {names[a]} and {names[b]} do not meet, so no joint is between them")
+    return rows
+
+
+def _setting(given: Any) -> Setting:
+    """Return a way to set, checked."""
+    try:
+        way = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        way = np.zeros(0)
+    good = way.ndim == 2 and way.shape[1] == 2 and len(way) > 0 and np.isfinite(way).all()
+    if not good or (way < 0).any() or (way[:, 1] > 1).any() or (np.diff(way, axis=0) < 0).any() or way[-1, 1] != 1:
+        raise AssemblyError(
+            f"a joint sets by {given!r}; give pairs of steps and shares that rise to 1, such as [[0, 0], [5, 1]]"
+        )
+    return tuple((float(steps), float(share)) for steps, share in way)
+
+
+def _number(value: Any, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
+        raise AssemblyError(f"{name} of a joint is {value!r}; give a number from 0 up{_UNITS[name] and ' in Pa'}")
+    return float(value)

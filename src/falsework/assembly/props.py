@@ -1,0 +1,262 @@
+"""Props: passive posts from the floor to the lower side of a part, which carry it without a robot.
+
+A prop is a part of its own that never moves: it is there or it is not, so what is known of states holds for it too.
+Its head is a small square cut to the slope of the part's lower side, with a pad that does not slip up to 45 degrees. It
+is a contact like any other: it pushes, and does not pull, within a cone of friction that is as wide as those of the
+structure, turned upright as far as the pad holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from dataclasses import replace as _replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.prop import Prop
+from falsework.errors import AssemblyError
+from falsework.geometry.contact.patches import frames_of
+from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+
+Array = NDArray[np.float64]
+
+_HEAD = 0.05
+"""Side of a head, as a share of the diagonal of the part above."""
+_GRID = 9
+"""Places tried along each side of a part, seen from above."""
+_FLAT = 1e-6
+"""Largest deviation of the corners of a head from one plane, as a share of its side."""
+_PAD = 1.0
+"""Friction of the pad of a head, rubber on dry concrete: the steepest lower side that takes a load straight down."""
+_DENSITY = 600.0
+"""kg/m3: timber. A prop never moves, so nothing depends on it."""
+
+
+def prop_places(assembly: Assembly) -> tuple[Prop, ...]:
+    """Return a place for a prop under each part that has one, as near below its centre of mass as there is.
+
+    The lower side must be flat there and at most 45 degrees steep, so that the prop can carry weight straight down, and
+    nothing but a fixed part may be below: that is its floor.
+
+    Raises:
+        AssemblyError: no part has such a place.
+    """
+    columns = _Columns(assembly)
+    found = []
+    for part in np.flatnonzero(~assembly.boundary).tolist():
+        low, high = assembly.meshes[part].bounds
+        share = (np.arange(_GRID) + 0.5) / _GRID
+        x, y = np.meshgrid(low[0] + share * (high[0] - low[0]), low[1] + share * (high[1] - low[1]))
+        center = assembly.mass.center[part, :2]
+        places = np.vstack([center, np.column_stack([x.ravel(), y.ravel()])])
+        for place in places[np.argsort(np.linalg.norm(places - center, axis=1), kind="stable")]:
+            head, _ = columns.head(part, place)
+            if head is not None:
+                found.append(head.prop)
+                break
+    if not found:
+        raise AssemblyError(
+            "no part has a place for a prop: below none is a fixed part and nothing else; "
+            "put a floor under the structure (--ground)"
+        )
+    return tuple(found)
+
+
+def with_props(assembly: Assembly, props: Sequence[Prop]) -> Assembly:
+    """Return the structure with places for props as its last parts, which are there only in states that say so.
+
+    Args:
+        assembly: a structure without props.
+        props: where they stand; their floors are found anew.
+
+    Raises:
+        AssemblyError: a part that is not there or fixed, a head that is not on a flat lower side, or no floor under it.
+    """
+    if not props:
+        return assembly
+    columns, parts = _Columns(assembly), assembly.part_count
+    heads = [columns.placed(prop) for prop in props]
+    taken = set(assembly.names)
+    meshes = []
+    for number, head in enumerate(heads):
+        name = f"prop-{assembly.names[head.prop.part]}"
+        name = name if name not in taken else f"{name}-{number}"
+        taken.add(name)
+        meshes.append(head.mesh(name))
+    mass = mass_properties(meshes, np.full(len(meshes), _DENSITY))
+    joined = {key: np.concatenate([getattr(assembly.mass, key), getattr(mass, key)]) for key in vars(mass)}
+    contacts = assembly.contacts
+    pairs = np.array([[head.prop.part, parts + number] for number, head in enumerate(heads)], dtype=np.int32)
+    counts = np.concatenate([np.diff(contacts.start), np.full(len(heads), 4)])
+    all_pairs = np.concatenate([contacts.parts, pairs])
+    order = np.lexsort((all_pairs[:, 1], all_pairs[:, 0]))
+    blocks = [*np.split(contacts.points, contacts.start[1:-1]), *(head.corners for head in heads)]
+    merged = _replace(
+        contacts,
+        parts=np.ascontiguousarray(all_pairs[order]),
+        frames=np.concatenate([contacts.frames, frames_of(np.array([head.axis for head in heads]))])[order],
+        points=np.concatenate([blocks[k] for k in order]),
+        start=np.concatenate([[0], np.cumsum(counts[order])]).astype(np.int32),
+        areas=np.concatenate([contacts.areas, [head.area for head in heads]])[order],
+    )
+    loads = assembly.loads
+    if loads is not None:
+        loads = _replace(loads, wrench=np.concatenate([loads.wrench, np.zeros((len(heads), 6))]))
+    propped = _replace(
+        assembly,
+        meshes=(*assembly.meshes, *meshes),
+        boundary=np.append(assembly.boundary, np.zeros(len(heads), dtype=bool)),
+        density=np.append(assembly.density, np.full(len(heads), _DENSITY)),
+        mass=MassProperties(**joined),
+        contacts=merged,
+        loads=loads,
+        joints=None if assembly.joints is None else assembly.joints.among(contacts, merged, parts),
+        props=tuple(head.prop for head in heads),
+    )
+    for array in (propped.boundary, propped.density):
+        array.setflags(write=False)
+    return propped
+
+
+def keep_props(assembly: Assembly, kept: Sequence[int]) -> Assembly:
+    """Return a structure with only some of its props, by their numbers from 0."""
+    bare = assembly.part_count - len(assembly.props)
+    stays = (assembly.contacts.parts < bare).all(axis=1)
+    contacts = assembly.contacts
+    blocks = np.split(contacts.points, contacts.start[1:-1])
+    loads, joints = assembly.loads, assembly.joints
+    plain = _replace(
+        assembly,
+        meshes=assembly.meshes[:bare],
+        boundary=assembly.boundary[:bare],
+        density=assembly.density[:bare],
+        mass=MassProperties(**{key: value[:bare] for key, value in vars(assembly.mass).items()}),
+        contacts=_replace(
+            contacts,
+            parts=contacts.parts[stays],
+            frames=contacts.frames[stays],
+            points=np.concatenate([np.empty((0, 3)), *(blocks[k] for k in np.flatnonzero(stays))]),
+            start=np.concatenate([[0], np.cumsum(np.diff(contacts.start)[stays])]).astype(np.int32),
+            areas=contacts.areas[stays],
+        ),
+        loads=None if loads is None else _replace(loads, wrench=loads.wrench[:bare]),
+        joints=None if joints is None else joints.of_points(stays[contacts.contact_of_point]),
+        props=(),
+    )
+    return with_props(plain, [assembly.props[k] for k in kept])
+
+
+@dataclass(frozen=True, eq=False)
+class _Head:
+    """Head of a prop: a square seen from above, in the plane of the lower side of its part."""
+
+    prop: Prop
+    corners: Array
+    """Shape (4, 3), m, counter-clockwise from above."""
+    axis: Array
+    """Axis of the cone of friction, out of the part, downwards."""
+
+    @property
+    def area(self) -> float:
+        """Area in the plane of the lower side, m2."""
+        first, second, _, last = self.corners
+        return float(np.linalg.norm(np.cross(second - first, last - first)))
+
+    def mesh(self, name: str) -> TriangleMesh:
+        """Return the prop as a post below its head."""
+        foot = np.column_stack([self.corners[:, :2], np.full(4, self.prop.floor)])
+        faces = [(4, 5, 6), (4, 6, 7), (0, 2, 1), (0, 3, 2)]
+        for k in range(4):
+            n = (k + 1) % 4
+            faces += [(k, n, 4 + n), (k, 4 + n, 4 + k)]
+        return TriangleMesh.from_arrays(name, np.concatenate([foot, self.corners]), faces)
+
+
+def _upright(normal: Array, most: float) -> Array:
+    """Turn the downward normal of a lower side towards straight down, by at most so many radians."""
+    slope = float(np.hypot(*normal[:2]))
+    steep = max(np.arctan2(slope, -normal[2]) - max(float(most), 0.0), 0.0)
+    return np.array([0.0, 0.0, -1.0]) if steep == 0.0 else np.append(normal[:2] / slope * np.sin(steep), -np.cos(steep))
+
+
+class _Columns:
+    """Vertical lines through the parts of a structure."""
+
+    def __init__(self, assembly: Assembly) -> None:
+        self._assembly = assembly
+        self._triangles = np.concatenate([mesh.triangles for mesh in assembly.meshes])
+        self._part = np.repeat(np.arange(assembly.part_count), [len(mesh.faces) for mesh in assembly.meshes])
+        edges = self._triangles[:, 1:] - self._triangles[:, :1]
+        self._normal = np.cross(edges[:, 0], edges[:, 1])
+        self._low, self._high = self._triangles[:, :, :2].min(axis=1), self._triangles[:, :, :2].max(axis=1)
+
+    def placed(self, prop: Prop) -> _Head:
+        """Return the head of a prop that is asked for.
+
+        Raises:
+            AssemblyError: as `with_props`.
+        """
+        assembly = self._assembly
+        if not 0 <= prop.part < assembly.part_count:
+            last = assembly.part_count - 1
+            raise AssemblyError(f"a prop stands under part {prop.part}, but parts are numbered 0 to {last}")
+        name = assembly.names[prop.part]
+        if assembly.boundary[prop.part]:
+            raise AssemblyError(f"a prop stands under part {name}, which is fixed; leave it out")
+        head, wrong = self.head(prop.part, np.asarray(prop.at[:2]))
+        if head is None:
+            raise AssemblyError(f"the prop under part {name} {wrong}; move it, or put a floor there (--ground)")
+        if abs(head.prop.at[2] - prop.at[2]) > 1e-3 * max(abs(prop.at[2] - prop.floor), 1e-6):
+            raise AssemblyError(f"the prop under part {name} ends off its lower side; give its height there")
+        return head
+
+    def head(self, part: int, place: Array) -> tuple[_Head | None, str]:
+        """Return the head of a prop under a part at a place seen from above, or None and why there is none.
+
+        Args:
+            part: part to be carried.
+            place: x and y, m.
+        """
+        assembly = self._assembly
+        side = _HEAD * float(np.linalg.norm(np.ptp(assembly.meshes[part].bounds, axis=0)))
+        offsets = 0.5 * side * np.array([[0, 0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
+        points, normals, floors = [], [], []
+        for x, y in place + offsets:
+            hits = self._hits(x, y)
+            own = [hit for hit in hits if hit[1] == part and hit[2][2] < 0]
+            if not own:
+                return None, "is not below it"
+            z, _, normal = own[0]
+            below = [hit for hit in hits if hit[0] <= z + 0.5 * side and hit[1] != part and hit[2][2] > 0]
+            if not below or not assembly.boundary[below[-1][1]]:
+                return None, "has no floor under it"
+            points.append((x, y, z))
+            normals.append(normal / np.linalg.norm(normal))
+            floors.append(below[-1][0])
+        corners, normal = np.array(points[1:]), normals[0]
+        off = np.abs((corners - points[0]) @ normal).max()
+        if off > max(_FLAT * side, 1e-9) or np.hypot(*normal[:2]) > _PAD * -normal[2]:
+            return None, "has no flat lower side of at most 45 degrees above it"
+        if points[0][2] - max(floors) < side:
+            return None, "has no room above its floor"
+        axis = _upright(normal, np.arctan(_PAD) - np.arctan(assembly.friction))
+        x, y, z = (float(value) for value in points[0])
+        return _Head(Prop(part, (x, y, z), float(min(floors))), corners, axis), ""
+
+    def _hits(self, x: float, y: float) -> list[tuple[float, int, Array]]:
+        """Return height, part and normal where a vertical line meets faces, from below."""
+        near = np.flatnonzero(((self._low <= (x, y)) & (self._high >= (x, y))).all(axis=1))
+        a, b, c = (self._triangles[near, k] - (x, y, 0.0) for k in range(3))
+        u, v, w = (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b)))
+        whole = u + v + w  # twice the area seen from above, negative for lower sides
+        inside = (whole != 0) & ((u * whole >= 0) & (v * whole >= 0) & (w * whole >= 0))
+        near, a, b, c, u, v, w, whole = (row[inside] for row in (near, a, b, c, u, v, w, whole))
+        heights = (u * a[:, 2] + v * b[:, 2] + w * c[:, 2]) / whole
+        order = np.argsort(heights, kind="stable")
+        return [(float(heights[k]), int(self._part[near[k]]), self._normal[near[k]]) for k in order]

@@ -1,0 +1,309 @@
+"""Toy bricks that hold each other by studs: an assembly of bricks on a grid, and readers of BrickGPT text and LDraw.
+
+Studs are those of StableLego (Liu et al., IEEE Robotics and Automation Letters 9, 2024; arXiv 2402.10711). A stud
+meets the cavity above it at four points, where the upper brick is one stud wide, or at three. Each point bears a
+tension of 0.98 N, also while it slides off. Sideways a stud is held by the walls of the cavity, which bear more than
+any load here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from falsework.assembly.draft import Block, Draft
+from falsework.assembly.joints import Joints
+from falsework.assembly.model import Assembly
+from falsework.assembly.store import part_ids
+from falsework.errors import AssemblyError, InputError
+from falsework.geometry.contact.interfaces import Contacts
+from falsework.geometry.mesh.mesh import TriangleMesh
+
+Array = NDArray[np.float64]
+
+STUD_TENSION = 0.98
+"""Tension in N that each contact point of a stud bears: 100 g at 9.8 m/s2 (StableLego's configuration)."""
+STUD_FRICTION = 10.0
+"""Tangential over normal force beyond the tension that a point bears, in place of the walls of the cavity: a stud that
+is not about to come off bears many weights sideways."""
+UNIT = 0.4e-3
+"""Metres of an LDraw unit (LDU): a stud is 20 of them wide and a brick 24 high (LDraw file format, revision 1.0.2)."""
+PITCH, HEIGHT = 20, 24
+_PLAY = 0.1e-3
+"""Distance of the side of a brick from its place on the grid, m."""
+_PLATE = 3.2e-3
+"""Thickness of the baseplate, m."""
+_MASSES = {
+    (1, 1): 0.43, (1, 2): 0.81, (1, 4): 1.57, (1, 6): 2.28, (1, 8): 3.03, (2, 2): 1.15, (2, 4): 2.16, (2, 6): 3.23,
+}  # fmt: skip
+"""Grams by studs (StableLego's library of bricks)."""
+_OTHER_MASS = (0.06, 0.375, 0.265)
+"""Grams of other bricks: in all, a stud in bricks one stud wide, and a stud in wider ones; within 3 % of the above."""
+_AROUND = {
+    3: np.array([[0.125, -0.125], [-0.25, 0.0], [0.125, 0.125]]),
+    4: np.array([[0.25, 0.0], [0.0, 0.25], [-0.25, 0.0], [0.0, -0.25]]),
+}
+"""Contact points of a stud about its axis, in studs (StableLego)."""
+_PARTS = {
+    "3005": (1, 1), "3004": (2, 1), "3622": (3, 1), "3010": (4, 1), "3009": (6, 1), "3008": (8, 1),
+    "3003": (2, 2), "3002": (3, 2), "3001": (4, 2), "2456": (6, 2), "3007": (8, 2),
+}  # fmt: skip
+"""Studs along x and z of LDraw parts."""
+_STIFF = 100.0
+"""Area that a stud stands for, in squares of its width. Sticks of bricks bend by more than the thousandth of their
+length that counts as falling, and yet stand; the scale of the stiffness changes displacements but no force."""
+_LINE = re.compile(r"\s*(\d+)x(\d+)\s*\(\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*\)\s*")
+_FACES = np.array(
+    [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
+     (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5)]
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Brick:
+    """A brick on the grid."""
+
+    low: tuple[int, int, int]
+    """Lowest corner in LDU, z up."""
+    studs: tuple[int, int]
+    """Along x and y."""
+
+    @property
+    def mass(self) -> float:
+        """Mass in kg."""
+        narrow, wide = sorted(self.studs)
+        base, one, more = _OTHER_MASS
+        grams = _MASSES.get((narrow, wide), base + narrow * wide * (one if narrow == 1 else more))
+        return 1e-3 * grams
+
+
+def assemble_bricks(
+    bricks: Sequence[Brick],
+    *,
+    name: str = "bricks",
+    density: ArrayLike | None = None,
+    boundary: ArrayLike | None = None,
+    tension: float = STUD_TENSION,
+) -> Assembly:
+    """Make an assembly of bricks, joined by their studs.
+
+    Bricks that have nothing below stand on the studs of a baseplate, the last part, if they are in the lowest layer.
+    Sides of bricks do not touch: there is play between them.
+
+    Args:
+        bricks: in any order.
+        name: how plans and messages call the structure.
+        density: kg/m3 of the boxes around the bricks, one number or one a brick; by default from their masses.
+        boundary: fixed bricks; without them, the baseplate.
+        tension: that each contact point of a stud bears, N.
+
+    Raises:
+        AssemblyError: bricks that overlap, studs that do not meet, or a brick that is joined to no other.
+    """
+    if not bricks:
+        raise AssemblyError("an assembly needs at least one brick")
+    if not (np.isfinite(tension) and tension >= 0):
+        raise AssemblyError(f"the tension of a stud is {tension:g} N; give a number from 0 up")
+    low = np.array([brick.low for brick in bricks])
+    high = low + np.array([(PITCH * brick.studs[0], PITCH * brick.studs[1], HEIGHT) for brick in bricks])
+    meshes = [_box(str(number), UNIT * a, UNIT * b) for number, (a, b) in enumerate(zip(low, high, strict=True))]
+    plate = boundary is None
+    masses = np.array([brick.mass for brick in bricks])
+    volumes = np.array([mesh.volume for mesh in meshes])
+    densities = np.broadcast_to(masses / volumes if density is None else np.asarray(density, float), len(bricks))
+    if plate:
+        ground = low[:, 2].min()
+        margin = [PITCH, PITCH, 0]
+        below, top = low.min(axis=0) - margin, high.max(axis=0) + margin
+        corner = UNIT * np.array([below[0], below[1], ground]) - [0.0, 0.0, _PLATE]
+        meshes.append(_box("baseplate", corner, UNIT * np.array([top[0], top[1], ground])))
+        boundary = [len(bricks)]
+        densities = np.append(densities, 1000.0)
+    contacts = _contacts(bricks, low, high, plate)
+    assembly = Assembly.from_meshes(
+        meshes, boundary=boundary, density=densities, friction=STUD_FRICTION, name=name, contacts=contacts
+    )
+    point = np.diff(contacts.start) * tension / contacts.areas
+    return assembly.replace(joints=Joints.of(contacts, tension=point, ductile=True))
+
+
+def _box(name: str, low: Array, high: Array) -> TriangleMesh:
+    corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)])
+    inner = np.array([_PLAY, _PLAY, 0.0])
+    return TriangleMesh.from_arrays(name, low + inner + corners * (high - low - 2 * inner), _FACES)
+
+
+def _contacts(bricks: Sequence[Brick], low: NDArray, high: NDArray, plate: bool) -> Contacts:
+    """Return one contact of each pair of bricks of which one lies on the other, with the points of their studs."""
+    common = np.minimum(high[:, None, :2], high[None, :, :2]) - np.maximum(low[:, None, :2], low[None, :, :2])
+    meet = (common > 0).all(axis=2)
+    deep = np.minimum(high[:, None, 2], high[None, :, 2]) - np.maximum(low[:, None, 2], low[None, :, 2])
+    through = np.argwhere(np.triu(meet & (deep > 0), 1))
+    if len(through):
+        raise AssemblyError("bricks {} and {} overlap; move one of them".format(*through[0].tolist()))
+    parts, frames, points, start, areas = [], [], [], [0], []
+    pairs = [(below, above) for below, above in np.argwhere(meet & (high[:, None, 2] == low[None, :, 2])).tolist()]
+    if plate:
+        pairs += [(len(bricks), above) for above in np.flatnonzero(low[:, 2] == low[:, 2].min()).tolist()]
+    for below, above in sorted(pairs, key=sorted):
+        first, last = low[above], high[above]
+        if below < len(bricks):
+            if ((low[below, :2] - first[:2]) % PITCH).any():
+                raise AssemblyError(
+                    f"brick {above} lies on brick {below}, but their studs do not meet; move one by whole studs"
+                )
+            first, last = np.maximum(first, low[below]), np.minimum(last, high[below])
+        x, y = (np.arange(a, b, PITCH) + PITCH / 2 for a, b in zip(first[:2], last[:2], strict=True))
+        axes = np.array(np.meshgrid(x, y, indexing="ij")).reshape(2, -1).T
+        around = _AROUND[4 if min(bricks[above].studs) == 1 else 3]
+        plane = (axes[:, None] + PITCH * around).reshape(-1, 2)
+        up = 1.0 if below < above else -1.0
+        parts.append(sorted((below, above)))
+        frames.append([[0.0, 0.0, up], [1.0, 0.0, 0.0], [0.0, up, 0.0]])
+        points.append(UNIT * np.column_stack([plane, np.full(len(plane), low[above, 2])]))
+        start.append(start[-1] + len(plane))
+        areas.append(_STIFF * (PITCH * UNIT) ** 2 * len(axes))
+    return Contacts(
+        np.array(parts, np.int32).reshape(-1, 2),
+        np.array(frames).reshape(-1, 3, 3),
+        np.concatenate([np.zeros((0, 3)), *points]),
+        np.array(start, np.int32),
+        np.array(areas),
+    )
+
+
+def is_bricks(path: Path | str) -> bool:
+    """Return whether a path is a file of bricks: text as BrickGPT writes it, or an LDraw model."""
+    path = Path(path)
+    if path.suffix.lower() in (".ldr", ".mpd"):
+        return path.is_file()
+    if path.suffix.lower() != ".txt" or not path.is_file():
+        return False
+    lines = (line for line in _text(path).splitlines() if line.strip())
+    return _LINE.fullmatch(next(lines, "")) is not None
+
+
+def load_bricks(path: Path | str, **options: Any) -> Assembly:
+    """Read an assembly of bricks.
+
+    Text has a brick a line, such as `2x4 (3,0,1)`: studs along x and y, and the place of its lowest corner in studs and
+    layers (BrickGPT, StableText2Brick). An LDraw model (`.ldr`, `.mpd`) may have upright bricks, one and two studs
+    wide, and models within the file.
+
+    Args:
+        path: the file.
+        options: density and boundary, as for `assemble_bricks`; boundary also by name.
+
+    Raises:
+        InputError: a line that cannot be read, another part than a brick, or an option that bricks do not take.
+        AssemblyError: the bricks make no assembly.
+    """
+    path = Path(path)
+    given = {key: value for key, value in options.items() if value is not None and value is not False}
+    for key in given:
+        if key not in ("density", "boundary"):
+            raise InputError(f"{path} has bricks, which have their own {key}; leave it out")
+    bricks = _read(path)
+    if isinstance(given.get("boundary"), list):
+        given["boundary"] = part_ids(given["boundary"], [str(number) for number in range(len(bricks))])
+    return assemble_bricks(bricks, name=path.stem, **given)
+
+
+def read_bricks(path: Path | str, *, unit: str | None = None) -> Draft:
+    """Read bricks and their baseplate as parts of their own, without the studs.
+
+    Args:
+        path: the file.
+        unit: may not be given, since bricks have their size.
+
+    Raises:
+        InputError: as `load_bricks`, or a unit.
+        AssemblyError: as `load_bricks`.
+    """
+    if unit is not None:
+        raise InputError(f"{path} has bricks, which have their own unit; leave it out")
+    assembly = assemble_bricks(_read(Path(path)))
+    parts = zip(assembly.meshes, assembly.boundary.tolist(), strict=True)
+    return Draft.of(
+        Path(path), 1.0, [Block(mesh.name, mesh.vertices, mesh.faces.tolist(), fixed) for mesh, fixed in parts]
+    )
+
+
+def _read(path: Path) -> list[Brick]:
+    return _read_text(path) if path.suffix.lower() == ".txt" else _read_ldraw(path)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def _read_text(path: Path) -> list[Brick]:
+    bricks = []
+    for number, line in enumerate(_text(path).splitlines(), 1):
+        if not line.strip():
+            continue
+        found = _LINE.fullmatch(line)
+        if found is None or "0" in found.groups()[:2]:
+            raise InputError(f"{path}, line {number}: {line.strip()[:40]!r} is no brick such as 2x4 (3,0,1)")
+        along, across, x, y, z = (int(value) for value in found.groups())
+        bricks.append(Brick((PITCH * x, PITCH * y, HEIGHT * z), (along, across)))
+    return bricks
+
+
+def _read_ldraw(path: Path) -> list[Brick]:
+    models: dict[str, list[tuple[int, list[str]]]] = {}
+    name = ""
+    for number, line in enumerate(_text(path).splitlines(), 1):
+        words = line.split()
+        if words[:2] == ["0", "FILE"]:
+            name = " ".join(words[2:]).lower()
+        elif words[:1] == ["1"]:
+            models.setdefault(name, []).append((number, words))
+    if not models:
+        raise InputError(f"{path} has no parts; export the model as LDraw again")
+    main = "" if "" in models else next(iter(models))
+    return list(_bricks_of(path, models, main, np.eye(4), ()))
+
+
+def _bricks_of(
+    path: Path,
+    models: Mapping[str, list[tuple[int, list[str]]]],
+    name: str,
+    place: Array,
+    within: tuple[str, ...],
+) -> Iterator[Brick]:
+    """Yield the bricks of a model at a place, which is a matrix in LDU and the axes of LDraw."""
+    for number, words in models[name]:
+        try:
+            x, y, z, *turn = (float(word) for word in words[2:14])
+            own = np.array([[*turn[0:3], x], [*turn[3:6], y], [*turn[6:9], z], [0.0, 0.0, 0.0, 1.0]])
+        except ValueError:
+            raise InputError(f"{path}, line {number}: no place and turn of a part; export the model again") from None
+        part, here = " ".join(words[14:]).lower(), place @ own
+        if part in models:
+            if part in within:
+                raise InputError(f"{path}, line {number}: model {part} contains itself; mend the file")
+            yield from _bricks_of(path, models, part, here, (*within, part))
+            continue
+        studs = _PARTS.get(part.removesuffix(".dat"))
+        if studs is None:
+            known = ", ".join(_PARTS)
+            raise InputError(f"{path}, line {number}: part {part or '(none)'} is no brick that is known: {known}")
+        # LDraw's y points down; a brick hangs from the middle of its top.
+        half = np.abs(here[:3, :3] @ [PITCH / 2 * studs[0], 0.0, PITCH / 2 * studs[1]])
+        upright = np.allclose(here[:3, 1], [0.0, 1.0, 0.0], atol=1e-4)
+        low = np.array([here[0, 3] - half[0], here[2, 3] - half[2], -here[1, 3] - HEIGHT])
+        size = 2 * half[[0, 2]] / PITCH
+        if not upright or np.abs(size - size.round()).max() > 1e-3 or np.abs(low - low.round()).max() > 1e-2:
+            raise InputError(f"{path}, line {number}: brick {part} is not upright along the axes; turn or move it")
+        whole = low.round().astype(int).tolist()
+        yield Brick((whole[0], whole[1], whole[2]), (int(size[0].round()), int(size[1].round())))

@@ -1,0 +1,356 @@
+"""Beam search with holding again: sets of present parts level by level, holds changed between them where need be."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from heapq import heappop, heappush
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from falsework.assembly.state import REMOVED, States
+from falsework.search.problem.guide import Guide
+from falsework.search.problem.oracle import CountingOracle, Oracle
+from falsework.search.problem.result import (
+    Outcome,
+    Progress,
+    SearchCounters,
+    SearchProgress,
+    SearchResult,
+    Stop,
+    unstable_end,
+)
+from falsework.search.problem.support_moves import SupportMoves
+from falsework.search.problem.support_route import SupportRoute
+from falsework.search.problem.task import Direction, Task
+from falsework.search.support.histories import WayHistories
+
+if TYPE_CHECKING:
+    from falsework.stability.contact.replay import History
+
+_RETREATS = (8, 16, 32, 8, 16, 32)
+"""Levels that a beam which died goes back, one after the other, before it gives up."""
+_DISORDER = 0.3
+"""Spread of the random preference for each part in a trial; each further trial adds as much."""
+_NEW_HOLDS = 8
+"""Other holds that are found for a level before the next level is tried again."""
+_REJECTED = 64
+"""States that are not stable which a result names where the beam died."""
+_MOST_AT_GOAL = 10_000
+"""Other holds of the parts of the goal that are looked at on the way to its own."""
+_MOST_AT_ONCE = 8
+"""Candidates that are judged together at most; the first ones mostly stand."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """States that lead on from one in which a robot is free, one move each, to the next such state."""
+
+    origin: bytes
+    states: tuple[States, ...]
+    score: float
+
+
+class SupportBeam:
+    """Beam over the sets of present parts; each comes with holds that keep one robot free.
+
+    From a level to the next a part is removed, or in assembly placed, with what is held now, or with one hold or prop
+    changed. Only where nothing gets through are other holds looked for, by letting parts go and holding others, a few
+    at a time. Where that does not help either, the beam goes back some levels and prefers other parts at random. In the
+    order of assembly, states come with their contact history, and those that do not come to rest are dropped.
+    """
+
+    def __init__(
+        self, task: Task, oracle: Oracle, direction: Direction, *, guide: Guide, width: int = 1, seed: int = 0
+    ) -> None:
+        """Begin at the origin of a direction.
+
+        Args:
+            task: rules between start and target, with `Task.support`.
+            oracle: decides stability.
+            direction: end to begin at.
+            guide: scores actions.
+            width: sets of parts kept a level.
+            seed: of the random preferences.
+        """
+        self.task = task = task.judged_by(oracle)
+        self.width, self.direction = width, direction
+        self.judge = CountingOracle(oracle, batch=16)
+        self.parent: dict[bytes, bytes] = {task.origin(direction).tobytes(): b""}
+        """States found to be stable, each with the one that it was reached from."""
+        self._oracle, self._guide, self._moves = oracle, guide, SupportMoves(task)
+        replayer = getattr(oracle, "replayer", None)
+        self._histories: WayHistories | None = None
+        if replayer is not None and direction is Direction.ASSEMBLY:
+            self._histories = WayHistories(replayer, self.parent)
+        self._known: dict[bytes, bool] = {}
+        self._rng = np.random.default_rng(seed)
+        self._taste = np.zeros(task.part_count)
+        self._levels: list[list[bytes]] = [[task.origin(direction).tobytes()]]
+        self._farthest, self._trials = 0, 0
+        self._last: list[bytes] = []
+        self._wrong: list[States] = []
+        self._rejected: list[States] = []
+        self._pending: list[History] | None = None
+        self._seconds = 0.0
+
+    def forbid(self, state: States) -> None:
+        """Rule a state out, such as one in which the replay of a route falls, and begin anew; verdicts are kept."""
+        self.judge.forbidden.add(state.tobytes())
+        self._known.pop(state.tobytes(), None)
+        origin = self.task.origin(self.direction).tobytes()
+        self.parent.clear()
+        self.parent[origin] = b""
+        self._levels, self._trials = [[origin]], 0
+        self._taste[:] = 0.0
+
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        """Search until the goal is reached, the beam has died too often, or `stop` or the keyboard ends it.
+
+        Args:
+            progress: called after every level.
+            stop: called before every level; true ends the search, which can then be run on.
+        """
+        begun, interrupted, route = time.perf_counter(), False, None
+        failed = unstable_end(self.task, self._oracle)
+        if failed is not None:
+            return failed
+        try:
+            while route is None:
+                if stop is not None and stop():
+                    interrupted = True
+                    break
+                if len(self._levels) > self._moves.removals:
+                    route = self._to_goal()
+                if route is None and not self._advance() and not self._retreat():
+                    break
+                if progress is not None:
+                    seconds = self._seconds + time.perf_counter() - begun
+                    kept, level = len(self._levels[-1]), len(self._levels) - 1
+                    counts = 2 * level, 2 * self._moves.removals, kept, self.width, self.judge.asked
+                    progress(SearchProgress(self.direction, *counts, seconds))
+        except KeyboardInterrupt:
+            interrupted = True
+        self._seconds += time.perf_counter() - begun
+        parts = self.task.part_count
+        return SearchResult(
+            outcome=Outcome.NOT_FOUND if route is None else Outcome.FOUND,
+            routes=() if route is None else (route,),
+            direction=self.direction,
+            steps=2 * self._moves.removals,
+            reached=2 * self._farthest,
+            deepest=np.array([_array(key) for key in self._last], dtype=np.uint8).reshape(-1, parts),
+            rejected=np.array(self._rejected, dtype=np.uint8).reshape(-1, parts),
+            counters=SearchCounters(len(self.parent), len(self._known), self.judge.asked, self.judge.rejected),
+            seconds=self._seconds,
+            interrupted=interrupted,
+            limit=f"beams of width {self.width} with holding again died" if route is None else "",
+            undecided=self.judge.undecided,
+            sliding=self.judge.sliding,
+        )
+
+    def _advance(self) -> bool:
+        """Find the next level, changing holds where need be; False where there is none."""
+        level = self._levels[-1]
+        if len(self._levels) > self._moves.removals:
+            return False
+        self._wrong = []
+        found: dict[bytes, bytes] = {}
+        ring, seen = list(level), set(level)
+        while ring:
+            ways = self._sorted(w for key in ring for w in self._across(key))
+            for way in self._stable(ways, found):
+                found.setdefault(self._presence(way.states[-1]), self._take(way))
+                if len(found) == self.width:
+                    break
+            if 4 * len(found) >= self.width:
+                break
+            ring = self._other_holds(ring, seen)
+        if not found:
+            if len(self._levels) > self._farthest:
+                self._rejected = self._wrong
+            return False
+        self._levels.append(list(found.values()))
+        if len(self._levels) - 1 > self._farthest:
+            self._farthest, self._last = len(self._levels) - 1, self._levels[-1]
+        return True
+
+    def _other_holds(self, ring: list[bytes], seen: set[bytes]) -> list[bytes]:
+        """Return some more states with the same parts and other holds that can be reached; none if none is left."""
+        ways = self._sorted(w for key in seen for w in self._within(key) if w.states[-1].tobytes() not in seen)
+        fresh = []
+        for way in self._stable(ways):
+            key = way.states[-1].tobytes()
+            if key not in seen:
+                self._take(way)
+                seen.add(key)
+                fresh.append(key)
+            if len(fresh) == _NEW_HOLDS:
+                break
+        return fresh
+
+    def _across(self, key: bytes) -> Iterator[_Way]:
+        """Yield the ways from a state to those with one part less, or in assembly more, and a robot free."""
+        moves, state = self._moves, _array(key)
+        for action, after in self._after(state, presence=True):
+            if self._free(after):
+                yield self._way(key, action, after)
+            if self.direction is Direction.ASSEMBLY:
+                for _, let_go in self._after(after, presence=False):
+                    if moves.held(let_go) < moves.held(after):
+                        yield self._way(key, action, after, let_go)
+                for _, propped in self._props(after, int(action) - moves.parts):
+                    for _, let_go in self._after(propped, presence=False):
+                        if moves.held(let_go) < moves.held(after):
+                            yield self._way(key, action, after, propped, let_go)
+        if self.direction is Direction.DISASSEMBLY:
+            for hold, held in self._after(state, presence=False):
+                if moves.held(held) < moves.held(state):
+                    continue
+                for _, bare in [(0, held), *self._props(held, int(hold))]:
+                    between = (held,) if bare is held else (held, bare)
+                    for action, after in self._after(bare, presence=True):
+                        if self._free(after) and (action == hold + moves.parts or not self._free(held)):
+                            yield self._way(key, action, *between, after)
+
+    def _within(self, key: bytes) -> Iterator[_Way]:
+        """Yield the ways from a state to those with the same parts, other holds or props, and a robot free."""
+        state, moves = _array(key), self._moves
+        for action, after in self._after(state, presence=False):
+            if self._free(after):
+                yield self._way(key, action, after)
+            else:
+                for _, let_go in self._after(after, presence=False):
+                    if moves.held(let_go) < moves.held(after) and not np.array_equal(let_go, state):
+                        yield self._way(key, action, after, let_go)
+        for action, after in self._props(state):
+            yield self._way(key, action, after)
+
+    def _after(self, state: States, *, presence: bool) -> Iterator[tuple[int, States]]:
+        """Yield the actions of robots on a state and what they lead to: those on presence, or those on holds."""
+        parts, last = self._moves.parts, self._moves.parts - len(self.task.props)
+        legal = self._moves.legal(state[None], self.direction)[0]
+        actions = np.flatnonzero(legal[parts : parts + last]) + parts if presence else np.flatnonzero(legal[:parts])
+        after = self._moves.follow(np.repeat(state[None], len(actions), axis=0), actions)
+        yield from zip(actions.tolist(), after, strict=True)
+
+    def _props(self, state: States, above: int | None = None) -> Iterator[tuple[int, States]]:
+        """Yield what placing a prop, or taking one away, leads to; of a prop under a part where that is given."""
+        parts, count = self._moves.parts, len(self.task.props)
+        if not count:
+            return
+        legal = self._moves.legal(state[None], self.direction)[0, 2 * parts - count :]
+        if above is not None:
+            legal = legal & (np.asarray(self.task.props) == above)
+        for prop in np.flatnonzero(legal):
+            action = 2 * parts - count + int(prop)
+            yield action, self._moves.follow(state[None], np.array([action]))[0]
+
+    def _presence(self, state: States) -> bytes:
+        """Return the parts that are there, props left aside."""
+        return np.packbits(state[: len(state) - len(self.task.props)] != REMOVED).tobytes()
+
+    def _free(self, state: States) -> bool:
+        """Return whether a robot is free."""
+        return int(self._moves.held(state)) < self.task.robots
+
+    def _way(self, origin: bytes, action: int, *states: States) -> _Way:
+        """Return a way with its score: free robots first, then few props, then the guide, then few moves."""
+        before, part = _array(origin), action % self._moves.parts
+        mask = np.zeros((1, 2 * self._moves.parts), dtype=bool)
+        mask[0, action] = True
+        score = float(self._guide(before[None], mask, self.direction)[0, action]) + float(self._taste[part])
+        busy = 10.0 * float(self._moves.held(states[-1])) + 5.0 * float(self._moves.standing(states[-1]))
+        return _Way(origin, states, score - busy - 1e-3 * len(states))
+
+    @staticmethod
+    def _sorted(ways: Iterator[_Way]) -> list[_Way]:
+        return sorted(ways, key=lambda way: -way.score)
+
+    def _stable(self, ways: list[_Way], found: Collection[bytes] = ()) -> Iterator[_Way]:
+        """Yield the ways whose states all stand, judged in growing batches, but none to parts that are `found`."""
+        begin, count = 0, 1
+        while begin < len(ways):
+            batch = [way for way in ways[begin : begin + count] if self._presence(way.states[-1]) not in found]
+            self._ask(batch)
+            yield from (way for way in batch if self._presence(way.states[-1]) not in found and self._stands(way))
+            begin, count = begin + count, min(2 * count, _MOST_AT_ONCE)
+
+    def _ask(self, ways: list[_Way]) -> None:
+        """Judge the states of some ways that are not known, those last in the ways first."""
+        for place in (-1, -2, -3):
+            asked: dict[bytes, tuple[States, States]] = {}
+            for way in ways:
+                if len(way.states) < -place or any(self._known.get(s.tobytes()) is False for s in way.states):
+                    continue
+                before = way.states[place - 1] if len(way.states) > -place else _array(way.origin)
+                state = way.states[place]
+                if state.tobytes() not in self._known:
+                    asked.setdefault(state.tobytes(), (state, before))
+            if not asked:
+                continue
+            states, before = (np.array(list(rows)) for rows in zip(*asked.values(), strict=True))
+            stable = self.judge.stable(states, before)
+            self._known.update(zip(asked, stable.tolist(), strict=True))
+            self._wrong = [*self._wrong, *states[~stable]][:_REJECTED]
+
+    def _stands(self, way: _Way) -> bool:
+        """Return whether all states of a way, which have been judged, stand with their contact history too."""
+        if not all(self._known.get(state.tobytes(), False) for state in way.states):
+            return False
+        if self._histories is None:
+            return True
+        self._pending = self._histories.along(way.origin, way.states)
+        return self._pending is not None
+
+    def _take(self, way: _Way) -> bytes:
+        """Note how the states of a way, the last that `_stable` yielded, were reached; return the last of them."""
+        before = way.origin
+        if self._histories is not None and self._pending is not None:
+            fresh = [k for k, state in enumerate(way.states) if state.tobytes() not in self.parent]
+            self._histories.keep([way.states[k] for k in fresh], [self._pending[k] for k in fresh])
+        for state in way.states:
+            key = state.tobytes()
+            self.parent.setdefault(key, before)
+            before = key
+        return before
+
+    def _retreat(self) -> bool:
+        """Go back and prefer other parts; False once every retreat was tried."""
+        if self._trials == len(_RETREATS):
+            return False
+        back = _RETREATS[self._trials]
+        self._trials += 1
+        self._levels = self._levels[: max(1, len(self._levels) - back)]
+        self._taste = self._rng.normal(0.0, _DISORDER * self._trials, self.task.part_count)
+        return True
+
+    def _to_goal(self) -> SupportRoute | None:
+        """Let go, or hold, what the goal still lacks, once all parts are there or gone; None where no way is found."""
+        goal = self.task.goal(self.direction).tobytes()
+        seen, ways, count = set(self._levels[-1]), [], 0
+        ring = list(self._levels[-1])
+        while goal not in self.parent:
+            for key in ring:
+                state = _array(key)
+                for _, after in [*self._after(state, presence=False), *self._props(state)]:
+                    if after.tobytes() not in seen:
+                        seen.add(after.tobytes())
+                        lacking, count = int(np.sum(after != _array(goal))), count + 1
+                        heappush(ways, (lacking, count, _Way(key, (after,), 0.0)))
+            if not ways or count > _MOST_AT_GOAL:
+                break
+            ring = [self._take(way) for way in self._stable([heappop(ways)[2]])]
+        if goal not in self.parent:
+            return None
+        route = SupportRoute.back_from(goal, self.parent, self.task.part_count)
+        return route if self.direction is Direction.DISASSEMBLY else SupportRoute.through(route.states[::-1].copy())
+
+
+def _array(key: bytes) -> States:
+    return np.frombuffer(key, dtype=np.uint8)
+
+
+__all__ = ["SupportBeam"]

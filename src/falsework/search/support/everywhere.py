@@ -1,0 +1,159 @@
+"""Search through every state that holding again leads to: the shortest plan, or a proof that there is none."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from falsework.assembly.state import States
+from falsework.errors import InputError
+from falsework.search.problem.oracle import CountingOracle, Oracle
+from falsework.search.problem.result import (
+    Outcome,
+    Progress,
+    SearchCounters,
+    SearchProgress,
+    SearchResult,
+    Stop,
+    beam_failure,
+    unstable_end,
+)
+from falsework.search.problem.support_moves import SupportMoves
+from falsework.search.problem.support_route import SupportRoute
+from falsework.search.problem.task import Direction, Task
+
+STATE_LIMIT = 200_000
+"""Stable states after which a search gives up by default."""
+
+
+class SupportEverywhere:
+    """Breadth-first search from the start through all stable states, whatever is held, let go and held again.
+
+    Nothing is left out and no state is visited twice, so where it ends without the target there is no plan. Steps are
+    counted as two for each part to be removed, which every plan needs at least.
+    """
+
+    def __init__(self, task: Task, oracle: Oracle, *, state_limit: int = STATE_LIMIT) -> None:
+        """Begin at the start of the task.
+
+        Args:
+            task: rules between start and target, with `Task.support`.
+            oracle: decides stability.
+            state_limit: give up once more states than this were found.
+
+        Raises:
+            InputError: a limit below one.
+        """
+        if state_limit < 1:
+            raise InputError(f"a limit of {state_limit} states allows no search; give at least 1")
+        self.task = task = task.judged_by(oracle)
+        self._moves, self._oracle, self._limit = SupportMoves(task), oracle, state_limit
+        self.parent: dict[bytes, bytes] = {task.start.tobytes(): b""}
+        """States found to be stable, each with the one that it was reached from."""
+        self.gave_up = False
+        """Whether the limit on states was exceeded."""
+        self.judge = CountingOracle(oracle)
+        self._ring = self._deepest = task.start[None]
+        self._last = self._deepest[:0]
+        self._refused: set[bytes] = set()
+        self._seconds = 0.0
+
+    def forbid(self, state: States) -> None:
+        """Rule a state out, such as one in which the replay of a route falls, and begin anew; that proves no more."""
+        self.judge.forbidden.add(state.tobytes())
+        self.parent = {self.task.start.tobytes(): b""}
+        self._ring = self._deepest = self.task.start[None]
+        self._refused = set()
+
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        """Search until the target is reached, every state was examined, the limit is exceeded, or `stop` stops it.
+
+        Args:
+            progress: called after every ring of states.
+            stop: called before every ring; true ends the search, which can then be run on.
+        """
+        begun, goal, interrupted = time.perf_counter(), self.task.target.tobytes(), False
+        failed = unstable_end(self.task, self._oracle)
+        if failed is not None:
+            return failed
+        try:
+            while len(self._ring) and goal not in self.parent and not self.gave_up:
+                if stop is not None and stop():
+                    interrupted = True
+                    break
+                self._advance()
+                if progress is not None:
+                    seconds = self._seconds + time.perf_counter() - begun
+                    counts = (
+                        2 * self._level(self._deepest),
+                        2 * self._moves.removals,
+                        len(self._ring),
+                        0,
+                        self.judge.asked,
+                    )
+                    progress(SearchProgress(Direction.DISASSEMBLY, *counts, seconds))
+        except KeyboardInterrupt:
+            interrupted = True
+        self._seconds += time.perf_counter() - begun
+        return self.result(interrupted=interrupted)
+
+    def result(self, *, interrupted: bool = False) -> SearchResult:
+        """Return the result so far; `interrupted` if the search was stopped from outside."""
+        goal = self.task.target.tobytes()
+        found, judge = goal in self.parent, self.judge
+        complete = not interrupted and not self.gave_up
+        outcome, limit = beam_failure(self._limit, complete, judge.undecided, judge.sliding, self.task.doubt)
+        if self.gave_up:
+            limit = f"gave up after {self._limit} states with holding again"
+        if found:
+            outcome, limit = Outcome.FOUND, ""
+        seen = len(self.parent)
+        return SearchResult(
+            outcome=outcome,
+            routes=(SupportRoute.back_from(goal, self.parent, self.task.part_count),) if found else (),
+            direction=Direction.DISASSEMBLY,
+            steps=2 * self._moves.removals,
+            reached=2 * self._level(self._deepest),
+            deepest=self._deepest,
+            rejected=self._last,
+            counters=SearchCounters(seen, seen + len(self._refused), judge.asked, judge.rejected),
+            seconds=self._seconds,
+            interrupted=interrupted,
+            limit=limit,
+            undecided=judge.undecided,
+            sliding=judge.sliding,
+        )
+
+    def _level(self, states: States) -> int:
+        """Return the most parts that are removed in some states."""
+        return int(self._moves.removed(states).max())
+
+    def _advance(self) -> None:
+        """Find the next ring: an interruption in the middle of it leaves the search as it was."""
+        ring, wrong = self._next(self._ring, self.judge, self._refused)
+        if len(ring) and self._level(ring) >= self._level(self._deepest):
+            self._deepest, self._last = ring[self._moves.removed(ring) == self._level(ring)], wrong
+        self._ring = ring
+        self.gave_up = len(self.parent) > self._limit
+
+    def _next(self, ring: States, judge: CountingOracle, refused: set[bytes]) -> tuple[States, States]:
+        """Return the stable states one move from a ring that were not found before, and those that are not stable."""
+        row, action = np.nonzero(self._moves.legal(ring, Direction.DISASSEMBLY))
+        after = self._moves.follow(ring[row], action)
+        fresh: dict[bytes, int] = {}
+        for number, state in enumerate(after):
+            key = state.tobytes()
+            if key not in self.parent and key not in refused:
+                fresh.setdefault(key, number)
+        rows = np.array(list(fresh.values()), dtype=np.int64)
+        before, after = ring[row[rows]], after[rows]
+        stable = np.ones(len(after), dtype=bool)
+        asked = ~(self._moves.fixes(before, after) & self.task.holds_keep_stable)
+        stable[asked] = judge.stable(after[asked], before[asked])
+        for key, good, origin in zip(fresh, stable.tolist(), before, strict=True):
+            if good:
+                self.parent[key] = origin.tobytes()
+            else:
+                refused.add(key)
+        return after[stable], after[~stable]

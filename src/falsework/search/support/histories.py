@@ -1,0 +1,73 @@
+"""Contact histories of the states of a beam with holding again, in the order of assembly."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from falsework.assembly.state import States
+
+if TYPE_CHECKING:
+    from falsework.stability.contact.replay import History, Replayer
+
+_HISTORY_BYTES = 256 << 20
+"""Memory for histories; the earliest are computed anew where they are needed again."""
+
+
+class WayHistories:
+    """Contact history of each state, along the way by which it was reached first."""
+
+    def __init__(self, replayer: Replayer, parent: Mapping[bytes, bytes]) -> None:
+        """Begin with nothing.
+
+        Args:
+            replayer: of the structure.
+            parent: state that each state was reached from, empty for the origin; the search that owns it adds to it.
+        """
+        self._replayer, self._parent = replayer, parent
+        self._known: OrderedDict[bytes, History] = OrderedDict()
+        problem = replayer.problem
+        self._most = max(_HISTORY_BYTES // (8 * (6 * problem.parts + 3 * problem.points)), 4)
+
+    def along(self, origin: bytes, states: Sequence[States]) -> list[History] | None:
+        """Return the histories after each of some moves from a state; None where one does not come to rest."""
+        history, before = self._of(origin), np.frombuffer(origin, dtype=np.uint8)
+        found = []
+        for after in states:
+            stands, history = (False, None) if history is None else self._replayer.step(history, before, after)
+            if not stands or history is None:
+                return None
+            found.append(history)
+            before = after
+        return found
+
+    def keep(self, states: Sequence[States], histories: Sequence[History]) -> None:
+        """Remember the histories of states that were reached for the first time."""
+        for state, history in zip(states, histories, strict=True):
+            self._known.setdefault(state.tobytes(), history)
+        while len(self._known) > self._most:
+            self._known.popitem(last=False)
+
+    def _of(self, state: bytes) -> History | None:
+        """Return the history of a state, along its way from the last state whose history is known."""
+        way = [state]
+        while way[-1] not in self._known and self._parent[way[-1]]:
+            way.append(self._parent[way[-1]])
+        first = way.pop()
+        if first not in self._known:
+            start = self._replayer.replay(np.frombuffer(first, dtype=np.uint8)[None])
+            if not start.histories:
+                return None
+            self._known[first] = start.histories[0]
+        states = [np.frombuffer(key, dtype=np.uint8) for key in reversed(way)]
+        history = self._known[first]
+        if states:
+            found = self.along(first, states)
+            if found is None:
+                return None
+            self.keep(states, found)
+            history = found[-1]
+        return history

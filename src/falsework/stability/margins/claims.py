@@ -1,0 +1,66 @@
+"""Check of margins that are claimed, such as those of a plan file, without finding the bounds anew."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import States
+from falsework.stability.margins.conditions import Condition, Prober
+from falsework.stability.margins.margins import DIRECTIONS, LARGEST_PUSH, LARGEST_SHARE, MarginFinder
+
+_WITHIN = (1.0, 0.9975, 0.995)
+"""Times a claimed bound at which a state may stand: numbers are rounded, and mean what they say within 1 %."""
+
+
+class MarginClaims:
+    """Checker of claimed margins of states of one structure."""
+
+    def __init__(self, prober: Prober) -> None:
+        """Take the structure and its criterion from a prober."""
+        self._finder = MarginFinder(prober)
+
+    def holds(self, state: States, kind: str, value: float | None) -> bool:
+        """Return whether a state stands at a claimed margin, within 1 %.
+
+        Args:
+            state: shape (parts,).
+            kind: `friction`, `tilt`, `horizontal` or `push`.
+            value: the margin, SI units; None claims that there is no bound.
+        """
+        prober = self._finder.prober
+        if kind == "friction":
+            tried = ((value or 0.0) / share for share in _WITHIN)
+            return any(prober.ask(state, Condition(friction, prober.own().extra)).stands for friction in tried)
+        near = start = prober.ask(state, prober.own())
+        if not start.stands:
+            return False
+        for load in self._loads(state, kind, value):
+            for share in _WITHIN:
+                condition = Condition(start.condition.friction, share * load)
+                answer = prober.ask(state, condition, near)
+                if not answer.stands and near is not start:
+                    answer = prober.ask(state, condition, start)
+                if answer.stands:
+                    near = answer
+                    break
+            else:
+                return False
+        return True
+
+    def _loads(self, state: States, kind: str, value: float | None) -> Iterator[NDArray[np.float64]]:
+        """Yield the loads of a margin at a value, shape (parts, 6) each: N and Nm."""
+        finder = self._finder
+        if kind == "push":
+            pushes = finder.pushes
+            most = LARGEST_PUSH * finder.prober.problem.weight if value is None else value
+            yield from most * pushes.loads(pushes.exposed(state), len(state))
+            return
+        for row in range(DIRECTIONS):
+            if kind == "tilt" and value is not None:
+                yield finder.tilt_load(row, value)
+            else:
+                share = LARGEST_SHARE if value is None else value
+                yield share * finder.weights[:, None] * np.pad(finder.directions[row], (0, 3))

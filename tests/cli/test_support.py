@@ -1,0 +1,58 @@
+"""`falsework plan` and `robots-needed` with `--support` and `--props`, and the commands that take such plans."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from falsework.search import load_plan
+
+Run = Callable[..., Any]
+
+
+def test_props_and_what_shows_them(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    options = ("--ground", "--robots", "1", "--props", "3", "--start", "complete", "--out", out)
+    finished = falsework("plan", "arch:blocks=7", *options)
+    assert finished.code == 0, finished.error
+    assert load_plan(out).prop_limit == 3
+    checked = falsework("check", out, "--replay", "--json")
+    assert checked.code == 0, checked.error
+    assert checked.records[0]["good"]
+    assert falsework("export", out, "--out", tmp_path / "plan.glb").code == 0
+    sheet = falsework("sheet", out, "--out", tmp_path / "plan.csv")
+    assert sheet.code == 2
+    assert sheet.error.count("\n") == 1
+    elsewhere = falsework("check", out, "--structure", "arch:blocks=7")
+    assert elsewhere.code == 2
+    assert "has no floor under it" in elsewhere.error
+
+
+def test_support(falsework: Run, tmp_path: Path) -> None:
+    finished = falsework("robots-needed", "arch:blocks=7", "--support", "--json")
+    assert finished.code == 0, finished.error
+    assert (finished.records[0]["robots"], finished.records[0]["proven"]) == (2, True)
+    refused = falsework("plan", "arch:blocks=7", "--support", "--robots", "1", "--out", tmp_path / "plan.json")
+    assert refused.code == 1
+    assert refused.error.startswith("falsework: no plan exists")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--props", "-1"), "--props -1 is no number of props"),
+        (("--props", "1"), "no part has a place for a prop"),
+        (("--support", "--missing", "2"), "take no missing parts"),
+        (("--support", "--alternatives", "2"), "take neither"),
+        (("--support", "--margin", "tilt=1deg"), "take neither"),
+        (("--support", "--resume"), "take neither"),
+    ],
+)
+def test_bad_input(falsework: Run, options: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    finished = falsework("plan", "vault", *options, "--out", tmp_path / "plan.json")
+    assert finished.code == 2
+    assert finished.error.count("\n") == 1
+    assert message in finished.error
