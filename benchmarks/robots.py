@@ -249,7 +249,7 @@ def midway(name: str, arguments: Arguments) -> None:
                 seconds[kind].append(time.perf_counter() - begun)
                 cpu[kind].append(time.process_time() - work)
                 tried += 1
-found += plan is not None
+                found += plan is not None
                 good += plan is not None and not arguments.no_check and check_robot_plan(plan, assembly, cell).good
     report(
         "robots midway",
