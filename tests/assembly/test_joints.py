@@ -148,6 +148,7 @@ def test_a_fastener_is_a_contact_point_among_those_of_its_pair() -> None:
     assert screwed.joints is not None
     assert (screwed.joints.tension[row], screwed.joints.cohesion[row]) == (90.0, 40.0)
     rest = np.delete(np.arange(len(pairs)), row)
+    assert joined.joints is not None
     np.testing.assert_array_equal(screwed.joints.cohesion[rest], joined.joints.cohesion)
     np.testing.assert_array_equal(screwed.contacts.points[rest], tower.contacts.points)
     assert screwed.identity != joined.identity

@@ -298,12 +298,14 @@ def test_margins_know_joints(scenes: Any) -> None:
     for criterion in CRITERIA:
         oracle = Stability(joined(block, tension=3.0 * weight), StabilitySettings(criterion=criterion))
         (found,) = oracle.margins(complete_state(block.boundary), ["load_factor"])
+        assert found.load_factor is not None
         assert found.load_factor.value == pytest.approx(3.0, rel=0.011)
     slope = scenes.slope(0.2, friction=0.5)
     rough = joined(slope, cohesion=9.81 * slope.mass.mass[0] * 0.1)
     (found,) = Stability(rough, StabilitySettings(criterion="equilibrium", cone="quadratic")).margins(
         complete_state(slope.boundary), ["friction"]
     )
+    assert found.friction is not None
     assert found.friction.value == pytest.approx(np.tan(0.2) - 0.1 / np.cos(0.2), rel=0.011)
 
 

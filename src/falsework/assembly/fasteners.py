@@ -73,7 +73,7 @@ def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly
     order = np.lexsort((*np.concatenate([contacts.parts, np.array(parts)]).T[::-1],))
     counts = np.concatenate([np.diff(contacts.start), np.ones(len(parts), int)])
     first = np.concatenate([contacts.start[:-1], contacts.start[-1] + np.arange(len(parts))])
-    rows = np.concatenate([np.arange(first[k], first[k] + counts[k]) for k in order.tolist()])
+    rows = np.concatenate([int(first[k]) + np.arange(int(counts[k])) for k in order.tolist()])
     joined = replace(
         contacts,
         parts=np.concatenate([contacts.parts, np.array(parts, np.int32)])[order],
@@ -83,15 +83,14 @@ def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly
         areas=np.concatenate([contacts.areas, areas])[order],
     )
     old = (joints.friction, joints.cohesion, joints.tension, joints.ductile, joints.sets)
-    arrays = [
+    friction, cohesion, tension, ductile, sets = (
         np.concatenate([array, np.array(new, array.dtype)])[rows] if len(array) == len(contacts.points) else array
         for array, new in zip(old, zip(*strengths, strict=True), strict=True)
-    ]
-    for array in arrays:
-        array.setflags(write=False)
-    return replace(
-        assembly, contacts=joined, contacts_given=True, joints=Joints(*arrays[:4], joints.setting, arrays[4])
     )
+    for array in (friction, cohesion, tension, ductile, sets):
+        array.setflags(write=False)
+    strength = Joints(friction, cohesion, tension, ductile, joints.setting, sets)
+    return replace(assembly, contacts=joined, contacts_given=True, joints=strength)
 
 
 def furnish(

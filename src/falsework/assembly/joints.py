@@ -219,17 +219,24 @@ class Joints:
         Raises:
             AssemblyError: contacts between the parts that were there have changed.
         """
-        kept = (after.parts[after.contact_of_point] < parts).all(axis=1)
+        kept = np.asarray((after.parts[after.contact_of_point] < parts).all(axis=1))
         if not np.array_equal(after.points[kept], before.points):
             raise AssemblyError("the contacts of the parts change with the ground, so joints have no place; fix parts")
-        arrays = []
-        more_of = (self.friction, np.nan), (self.cohesion, np.nan), (self.tension, 0.0), (self.ductile, False)
-        for array, rest in (*more_of, (self.sets, -1)):
+
+        def longer(array: NDArray[Any], rest: float) -> NDArray[Any]:
             more = np.full(len(kept) if len(array) else 0, rest, array.dtype)
             if len(array):
                 more[kept] = array
-            arrays.append(more)
-        return Joints._frozen(*arrays[:4], self.setting, arrays[4])
+            return more
+
+        return Joints._frozen(
+            longer(self.friction, np.nan),
+            longer(self.cohesion, np.nan),
+            longer(self.tension, 0.0),
+            longer(self.ductile, False),
+            self.setting,
+            longer(self.sets, -1),
+        )
 
     def of_points(self, kept: NDArray[np.bool_]) -> Joints:
         """Return the joints of some contact points, shape (points,)."""
@@ -268,7 +275,7 @@ def _rows(
                 raise AssemblyError(
                     f"no part is of material {name!r}; materials of the parts are {', '.join(known) or 'not given'}"
                 )
-        kind = np.array([sorted((made_of[a], made_of[b])) for a, b in contacts.parts.tolist()]).reshape(-1, 2)
+        kind = np.array([sorted([made_of[a], made_of[b]]) for a, b in contacts.parts.tolist()]).reshape(-1, 2)
         return (kind == sorted(pair)).all(axis=1)
     if "parts" not in entry:
         return np.ones(len(contacts), dtype=bool)
@@ -288,12 +295,12 @@ def _setting(given: Any) -> Setting:
         way = np.array(given, dtype=np.float64)
     except (TypeError, ValueError):
         way = np.zeros(0)
-    good = way.ndim == 2 and way.shape[1] == 2 and len(way) > 0 and np.isfinite(way).all()
+    good = way.ndim == 2 and way.shape[-1] == 2 and len(way) > 0 and np.isfinite(way).all()
     if not good or (way < 0).any() or (way[:, 1] > 1).any() or (np.diff(way, axis=0) < 0).any() or way[-1, 1] != 1:
         raise AssemblyError(
             f"a joint sets by {given!r}; give pairs of steps and shares that rise to 1, such as [[0, 0], [5, 1]]"
         )
-    return tuple((float(steps), float(share)) for steps, share in way)
+    return tuple((float(steps), float(share)) for steps, share in way.tolist())
 
 
 def _number(value: Any, name: str) -> float:

@@ -127,7 +127,7 @@ def with_props(assembly: Assembly, props: Sequence[Prop]) -> Assembly:
 def keep_props(assembly: Assembly, kept: Sequence[int]) -> Assembly:
     """Return a structure with only some of its props, by their numbers from 0."""
     bare = assembly.part_count - len(assembly.props)
-    stays = (assembly.contacts.parts < bare).all(axis=1)
+    stays = np.asarray((assembly.contacts.parts < bare).all(axis=1))
     contacts = assembly.contacts
     blocks = np.split(contacts.points, contacts.start[1:-1])
     loads, joints = assembly.loads, assembly.joints

@@ -225,9 +225,9 @@ def test_no_plan_with_props_is_no_proof(propped_arch: Assembly) -> None:
 
 
 def test_props_that_cannot_be(small_arch: Assembly, propped_arch: Assembly) -> None:
-    for structure, rules in ((small_arch, {"support": True, "props": 1}), (propped_arch, {"props": 1})):
+    for structure, support in ((small_arch, True), (propped_arch, False)):
         with pytest.raises(InputError, match="1 props cannot be placed"):
-            find_plans(structure, **rules)
+            find_plans(structure, support=support, props=1)
     with pytest.raises(InputError, match="-1 props cannot be placed"):
         task_of(propped_arch, support=True, props=-1)
 

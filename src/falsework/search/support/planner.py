@@ -121,7 +121,7 @@ class SupportPlanner:
             plain = replace(task, support=False)
             return Planner(plain, oracle, replace(settings, width=1), guide=guide)
 
-        def beam(direction, width: int) -> Callable[[], SupportBeam]:
+        def beam(direction, width: int) -> Callable[[], _Search]:
             return lambda: SupportBeam(task, oracle, direction, guide=guide, width=width, seed=settings.seed)
 
         widths = [_WIDENING**k for k in range(1 + int(np.log(settings.width) / np.log(_WIDENING) + 1e-9))]
