@@ -28,7 +28,7 @@ class RuleReplayer:
         bad = np.flatnonzero(stands < 0)
         reached = int(bad[0]) if len(bad) else len(states)
         stands[reached + 1 :] = 0
-        none = History(np.zeros((1, 6)), np.zeros((1, 3)), np.zeros(1, bool))
+        none = History(np.zeros((1, 6)), np.zeros((1, 3)), np.zeros(1, bool), np.zeros(1, np.int32))
         zeros = np.zeros(len(states))
         return Replay(stands, zeros, zeros.astype(np.int32) - 1, zeros, 1.0, (none,) * reached)
 

@@ -4,11 +4,11 @@ from falsework.stability.certificate import verify_certificates as verify_certif
 from falsework.stability.contact.replay import Replay as Replay
 from falsework.stability.contact.replay import Replayer as Replayer
 from falsework.stability.contact.replay import ReplaySettings as ReplaySettings
+from falsework.stability.counters import Counters as Counters
 from falsework.stability.margins.state_margins import Bound as Bound
 from falsework.stability.margins.state_margins import HeldLoad as HeldLoad
 from falsework.stability.margins.state_margins import StateMargins as StateMargins
 from falsework.stability.motion import motion_of as motion_of
-from falsework.stability.oracle import Counters as Counters
 from falsework.stability.oracle import Stability as Stability
 from falsework.stability.problem import Problem as Problem
 from falsework.stability.problem import build_problem as build_problem

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -18,6 +17,7 @@ from falsework.stability.cache import VerdictCache
 from falsework.stability.certificate import verify_certificates
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
+from falsework.stability.counters import Counters
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.margins.conditions import Prober
@@ -37,34 +37,6 @@ _BATCH = 32 * 1024 * 1024
 """Bytes of contact forces or displacements in work at once."""
 _WORTH_A_GPU = 8
 """States from which `auto` takes the GPU: a launch costs what the processor needs for a few states."""
-
-
-@dataclass
-class Counters:
-    """Numbers of queries to the oracle, by the solver that answered."""
-
-    asked: int = 0
-    """Number of requested states, repetitions included."""
-    cached: int = 0
-    """Number of states answered from the cache."""
-    by_monotonicity: int = 0
-    """Answered because a proof of another state holds for this one."""
-    cpu: int = 0
-    """Decided by the solver on the processor."""
-    gpu: int = 0
-    """Decided by the solver on the GPU."""
-    exact: int = 0
-    """Decided by the exact solver."""
-    undecided: int = 0
-    """Left open by all solvers."""
-    rejected: int = 0
-    """Proofs of the fast solver that the checker did not accept; the exact solver then decided."""
-    warm: int = 0
-    """Solved from the forces or the displacement of a parent."""
-
-    def to_dict(self) -> dict[str, int]:
-        """Plain numbers for reports."""
-        return asdict(self)
 
 
 class Stability:
