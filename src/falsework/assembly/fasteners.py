@@ -83,10 +83,11 @@ def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly
         areas=np.concatenate([contacts.areas, areas])[order],
     )
     old = (joints.friction, joints.cohesion, joints.tension, joints.ductile, joints.sets)
-    friction, cohesion, tension, ductile, sets = (
+    arrays: list[NDArray[Any]] = [
         np.concatenate([array, np.array(new, array.dtype)])[rows] if len(array) == len(contacts.points) else array
         for array, new in zip(old, zip(*strengths, strict=True), strict=True)
-    )
+    ]
+    friction, cohesion, tension, ductile, sets = arrays
     for array in (friction, cohesion, tension, ductile, sets):
         array.setflags(write=False)
     strength = Joints(friction, cohesion, tension, ductile, joints.setting, sets)

@@ -275,7 +275,7 @@ def _rows(
                 raise AssemblyError(
                     f"no part is of material {name!r}; materials of the parts are {', '.join(known) or 'not given'}"
                 )
-        kind = np.array([sorted([made_of[a], made_of[b]]) for a, b in contacts.parts.tolist()]).reshape(-1, 2)
+        kind = np.array([sorted((str(made_of[a]), str(made_of[b]))) for a, b in contacts.parts.tolist()]).reshape(-1, 2)
         return (kind == sorted(pair)).all(axis=1)
     if "parts" not in entry:
         return np.ones(len(contacts), dtype=bool)
@@ -300,7 +300,7 @@ def _setting(given: Any) -> Setting:
         raise AssemblyError(
             f"a joint sets by {given!r}; give pairs of steps and shares that rise to 1, such as [[0, 0], [5, 1]]"
         )
-    return tuple((float(steps), float(share)) for steps, share in way.tolist())
+    return tuple((float(row[0]), float(row[1])) for row in way)
 
 
 def _number(value: Any, name: str) -> float:
