@@ -300,7 +300,7 @@ def _setting(given: Any) -> Setting:
         raise AssemblyError(
             f"a joint sets by {given!r}; give pairs of steps and shares that rise to 1, such as [[0, 0], [5, 1]]"
         )
-    return tuple((float(row[0]), float(row[1])) for row in way)
+    return tuple(zip(way[:, 0].tolist(), way[:, 1].tolist(), strict=True))
 
 
 def _number(value: Any, name: str) -> float:
