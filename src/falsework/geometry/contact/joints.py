@@ -31,7 +31,7 @@ class JointReport:
     """Joints that were resolved: what overlap and gap their middle surfaces divide; one row a pair of parts."""
 
     parts: NDArray[np.int32]
-    """Shape (joints, 2): part `a` and part `b`, `a < b`, sorted."""
+    """Part `a` and part `b`, `a < b`, sorted; shape (joints, 2)."""
     overlap: NDArray[np.float64]
     """Largest depth to which the surfaces pass through each other, along their normal, shape (joints,), metres."""
     gap: NDArray[np.float64]
