@@ -37,7 +37,7 @@ class MakePlan(Command):
         "falsework plan my-folder --missing 3,4 --alternatives 5 --out plan.json",
         "falsework plan arch --margin friction=1.25,tilt=1deg --out safe.json",
         "falsework plan arch --maximise friction --out strong.json",
-        "falsework plan arch:blocks=7 --ground --robots 1 --props 3 --out plan.json",
+        "falsework plan arch:blocks=7 --ground --robots 1 --props 3 --out propped.json",
     )
 
     structure: StructureOptions

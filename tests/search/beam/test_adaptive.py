@@ -47,7 +47,7 @@ def test_widens_and_becomes_narrow_again(rules: Any) -> None:
     beam = AdaptiveBeam(task, oracle, AdaptiveSettings(), guide=guide)
     narrow = beam.run(1)
     assert narrow.outcome is Outcome.NOT_FOUND
-    assert "beams of up to 1 states" in narrow.limit
+    assert "up to a width of 1" in narrow.limit
     result = beam.run(64)
     assert result.found
     assert beam.search.settings.width == 1
