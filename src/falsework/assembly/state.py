@@ -129,7 +129,7 @@ STEP_WORDS = {
     (HELD, REMOVED): "remove",
     (REMOVED, HELD): "insert",
 }
-"""What a step is called, by the value of its part before and after."""
+"""Name of a step, by the value of its part before and after."""
 
 
 def describe_step(before: States, after: States, names: Sequence[str]) -> str:

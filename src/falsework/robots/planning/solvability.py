@@ -36,7 +36,7 @@ _JOIN_WIDTH = 6
 _JOIN_VERDICTS = 48
 """Verdicts that it asks for before it gives up: what does not join soon rarely does."""
 _FEWEST_JOIN_VERDICTS = 12
-"""What it asks for at least where ways that were found took fewer."""
+"""Least budget of verdicts, where the ways found so far took fewer."""
 _FIRST_BEAM_WIDTH = 256
 """Widest beam for the first plan."""
 _VARIED_BEAM_WIDTH = 16

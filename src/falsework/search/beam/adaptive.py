@@ -15,8 +15,8 @@ from falsework.search.problem.result import Progress, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
 
 _LOOKED_FARTHER, _BOUND_OTHERWISE, _WIDE_NEARBY = 1, 2, 3
-"""How the beam comes back the first times: with more states ahead; from before robots were bound to a part that they
-could not let go of, which is avoided; and wider, but from near by."""
+"""Retries after the first three deaths: with a larger lookahead; from before robots were bound to a part that they
+could not release, which is avoided; and wider, from a few levels back."""
 _TRIALS = 3
 """Times in a row that the beam comes back as narrow as it was, with other random preferences, before it is widened."""
 _DISORDER = 0.3

@@ -28,9 +28,9 @@ from falsework.stability.judges.relaxation import FALLS, STANDS, Model, relax
 Array = NDArray[np.float64]
 
 _SINKS = (2e-5, 2e-7)
-"""How far a typical part sinks under its weight on eight typical contact points, in sizes of it. Between joints that
-are nearly parallel to the load parts slip by thousands of times that before they jam; so what falls with the soft
-springs, which rest in the fewest steps, is judged once more with the stiff ones."""
+"""Sink of a typical part under its weight on eight typical contact points, in sizes of it: soft and stiff springs.
+Between joints nearly parallel to the load, parts slip by thousands of times their sink before they jam. A state that
+falls on the soft springs, which come to rest in the fewest steps, is therefore judged again on the stiff ones."""
 _GRAVITY = 9.81
 """m/s2; weights are measured in that of a typical part, loads alone need it."""
 _POINTS = 8

@@ -11,8 +11,8 @@ from falsework.assembly.state import States
 from falsework.stability.margins.conditions import Condition, Prober
 from falsework.stability.margins.margins import DIRECTIONS, LARGEST_PUSH, LARGEST_SHARE, MarginFinder
 
-_WITHIN = (1.0, 0.9975, 0.995)
-"""Times a claimed bound at which a state may stand: numbers are rounded, and mean what they say within 1 %."""
+_WITHIN = (1.0, 1.0025, 1.005)
+"""Factors by which a state may miss a claimed bound: numbers are rounded, and mean what they say within 1 %."""
 
 
 class MarginClaims:
@@ -32,14 +32,14 @@ class MarginClaims:
         """
         prober = self._finder.prober
         if kind == "friction":
-            tried = ((value or 0.0) / share for share in _WITHIN)
+            tried = ((value or 0.0) * factor for factor in _WITHIN)
             return any(prober.ask(state, Condition(friction, prober.own().extra)).stands for friction in tried)
         near = start = prober.ask(state, prober.own())
         if not start.stands:
             return False
         for load in self._loads(state, kind, value):
-            for share in _WITHIN:
-                condition = Condition(start.condition.friction, share * load)
+            for factor in _WITHIN:
+                condition = Condition(start.condition.friction, load / factor)
                 answer = prober.ask(state, condition, near)
                 if not answer.stands and near is not start:
                     answer = prober.ask(state, condition, start)
