@@ -11,7 +11,9 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
-# Modules are compiled when they are first imported; to compile all that comes along takes a minute.
+# Modules are compiled when they are first imported, and kept: to compile all that comes along takes a minute, to compile
+# torch in each of the processes that tests start takes ten seconds a process.
+unexport PYTHONDONTWRITEBYTECODE
 PIP    := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
 OUT    ?= out
 

@@ -15,6 +15,7 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.learn.data.dataset import Report, check_states, search_several, search_states
 from falsework.learn.data.goal_pairs import Pairs, PairSource, joined_pairs, unsolved_at_random
+from falsework.learn.env.verdict_cache import VerdictTable
 from falsework.search.device.oracle import TensorOracle, tensor_oracle, without_fallback
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.state_graph import StateGraph, criterion_of, read_criterion
@@ -247,9 +248,10 @@ def _unseen(
     except InputError:
         return PairSource(wider).draw(1, rng)[:0]
     kept: list[Pairs] = []
+    known = VerdictTable(rules)
     for number in range(_ROUNDS):
         drawn = source.one_for_each_end(rng)[: 2 * count]
-        kept.append(drawn[unsolved_at_random(drawn, rules, oracle, _RANDOM_TRIES, number)])
+        kept.append(drawn[unsolved_at_random(drawn, rules, oracle, known, _RANDOM_TRIES, number)])
         pairs = joined_pairs(kept)
         both = np.concatenate([pairs.states, pairs.targets], axis=1)
         kept = [pairs[np.sort(np.unique(both, axis=0, return_index=True)[1])]]

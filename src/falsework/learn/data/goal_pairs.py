@@ -144,13 +144,16 @@ class PairSource:
         return leads
 
 
-def unsolved_at_random(pairs: Pairs, rules: TensorRules, oracle: TensorOracle, tries: int, seed: int = 0) -> Mask:
+def unsolved_at_random(
+    pairs: Pairs, rules: TensorRules, oracle: TensorOracle, known: VerdictTable, tries: int, seed: int = 0
+) -> Mask:
     """Try pairs by uniformly random legal actions, and tell which of them never came to their target.
 
     Args:
         pairs: states and targets.
         rules: of disassembly, on the device where verdicts are computed.
         oracle: verdicts.
+        known: verdicts that earlier calls learned; this one adds its own.
         tries: rollouts of each pair, at most; the first that succeeds is the last.
         seed: of the actions.
 
@@ -160,7 +163,6 @@ def unsolved_at_random(pairs: Pairs, rules: TensorRules, oracle: TensorOracle, t
     generator = torch.Generator(rules.device).manual_seed(seed)
     starts, targets, _ = pairs.tensors(rules.device)
     left = torch.arange(len(pairs), device=rules.device)
-    known = VerdictTable(rules)
     for _ in range(tries):
         left = left[~_solved_at_random(starts[left], targets[left], rules, oracle, known, generator)]
     unsolved = np.zeros(len(pairs), dtype=bool)
