@@ -15,6 +15,7 @@ neither rests nor has fallen after their last step; LMGC90 does not judge a stat
 from __future__ import annotations
 
 import runpy
+import time
 import warnings
 from collections import Counter
 from collections.abc import Iterator
@@ -29,9 +30,9 @@ from states import REAL, find
 
 from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, complete_state
-from falsework.search import find_plans, task_of
+from falsework.search import PlannerSettings, find_plans, task_of
 from falsework.stability import Stability, Verdict
-from falsework.stability.contact.replay import replay_varied
+from falsework.stability.contact.varied_replay import DRAWS, replay_varied
 from falsework.stability.judges import judge_by_lmgc90, replay_by_discrete_elements, settle
 
 _STANDS = {1: "stands", -1: "falls", 0: "open"}
@@ -48,7 +49,9 @@ class Options:
     """Built-in names, paths, or names of real structures."""
     robots: int = 2
     """Parts held at once."""
-    draws: int = 20
+    robust: bool = False
+    """Plans whose replay succeeds under other numbers too."""
+    draws: int = DRAWS
     """Random states of friction at the start of a replay."""
     lmgc90: int = 0
     """States of a plan for LMGC90, at most; each takes a second to a minute."""
@@ -63,8 +66,11 @@ def plans(options: Options) -> Iterator[dict[str, Any]]:
     for name in options.structures:
         assembly = load_structure(find(name))
         oracle = Stability(assembly)
-        found = find_plans(assembly, task_of(assembly, options.robots), oracle=oracle, forces=False).plans
+        begun = time.perf_counter()
+        settings, task = PlannerSettings(robust=options.robust), task_of(assembly, options.robots)
+        found = find_plans(assembly, task, oracle=oracle, settings=settings, forces=False).plans
         row = {"structure": name, "parts": assembly.part_count, "robots": options.robots, "seeds": (0,)}
+        row |= {"robust": options.robust, "seconds": time.perf_counter() - begun}
         if not found:
             yield {**row, "states": 0}
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import shutil
@@ -71,6 +72,31 @@ def test_a_plan_in_equilibrium_is_not_one_that_stands(falsework: Run, tmp_path: 
     assert "claims equilibrium only" in refused_claim.error
     refused(falsework("check", out, "--criterion", "equilibrium", "--replay"), "--replay")
     refused(falsework("check", out, "--by", "lmgc90"), "--replay")
+
+
+def test_a_robust_plan_stands_under_varied_settings(
+    falsework: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a deadline too; where there is none, the plan that stands under the default settings alone is shown."""
+    from falsework.stability.contact.varied_replay import RobustReplayer
+
+    out, robust = tmp_path / "plan.json", ("plan", "arch:blocks=5", "--robust", "--out", tmp_path / "plan.json")
+    assert "the replay succeeds, under varied settings too" in falsework(*robust, "--deadline", "60").out
+    refused(falsework(*robust, "--criterion", "equilibrium"), "--robust")
+    out.unlink()
+    replay = RobustReplayer.replay
+
+    def fail(self: RobustReplayer, states: Any, history: Any = None) -> Any:
+        found = replay(self, states, history)
+        stands = found.stands.copy()
+        stands[3:4], stands[4:] = -1, 0
+        return dataclasses.replace(found, stands=stands)
+
+    monkeypatch.setattr(RobustReplayer, "replay", fail)
+    result = falsework(*robust)
+    assert result.code == 1
+    assert "its replay succeeds under the default settings only" in result.error
+    assert out.is_file()
 
 
 @pytest.mark.parametrize(

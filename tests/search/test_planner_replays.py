@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Set
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,17 +12,26 @@ import pytest
 from numpy.typing import NDArray
 
 from falsework.search import Direction, Outcome, Planner, PlannerSettings, Task
-from falsework.stability.contact.replay import History, Replay
+from falsework.stability import StabilitySettings
+from falsework.stability.contact.newton import FIRST_STEP
+from falsework.stability.contact.replay import History, Replay, ReplaySettings
+from falsework.stability.contact.varied_replay import RobustReplayer
 
 
 class RuleReplayer:
     """A structure falls in the states that are named, however they are reached."""
 
     problem = SimpleNamespace(parts=1, points=1)
+    settings = StabilitySettings()
 
-    def __init__(self, falls: set[tuple[int, ...]]) -> None:
+    def __init__(self, falls: Set[tuple[int, ...]], varied: Set[tuple[int, ...]] = frozenset()) -> None:
         self.falls = falls
+        self.varied = varied
+        """States in which the structure falls with a thicker medium alone."""
         self.replayed = 0
+
+    def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> RuleReplayer:
+        return RuleReplayer(self.falls | self.varied if replay.first_step < FIRST_STEP else self.falls)
 
     def replay(self, states: NDArray[np.uint8], history: History | None = None) -> Replay:
         self.replayed += 1
@@ -82,3 +93,38 @@ def test_without_a_replayer_nothing_is_replayed(rules: Any) -> None:
     task, oracle = tower(rules, set())
     oracle.replayer = None
     assert Planner(task, oracle).run().found
+
+
+@pytest.mark.parametrize("direction", list(Direction))
+def test_a_robust_route_avoids_what_falls_under_a_variation(rules: Any, direction: Direction) -> None:
+    task, oracle = tower(rules, set())
+    first = Planner(task, oracle, PlannerSettings(directions=(direction,))).run().routes[0]
+    middle = tuple(first.states[len(first.states) // 2].tolist())
+    for robust in (False, True):
+        oracle.replayer = RuleReplayer(set(), {middle})
+        planner = Planner(task, oracle, PlannerSettings(directions=(direction,), robust=robust))
+        route = planner.run().routes[0]
+        assert (middle in set(map(tuple, route.states.tolist()))) != robust
+        assert RobustReplayer(oracle.replayer).replay(route.states[::-1]).good == robust
+
+
+def test_the_variation_that_failed_comes_first(rules: Any) -> None:
+    task, oracle = tower(rules, set())
+    states = Planner(task, oracle).run().routes[0].states[::-1]
+    replayer = RobustReplayer(RuleReplayer(set(), {tuple(states[3].tolist())}))
+    cases = list(replayer._cases)
+    assert replayer.replay(states).falls_at == 3
+    assert replayer._cases[0] is cases[4]
+    assert sorted(map(id, replayer._cases)) == sorted(map(id, cases))
+    before = [case.replayed for case in cases]
+    assert replayer.replay(states).falls_at == 3
+    assert sum(case.replayed for case in cases) - sum(before) <= (os.cpu_count() or 1)
+
+
+def test_a_replay_that_goes_on_is_not_varied(rules: Any) -> None:
+    """A history belongs to one setting."""
+    task, oracle = tower(rules, set())
+    states = Planner(task, oracle).run().routes[0].states[::-1]
+    replayer = RobustReplayer(RuleReplayer(set(), {tuple(states[3].tolist())}))
+    history = replayer.replay(states[:2]).histories[-1]
+    assert replayer.replay(states[1:], history).good

@@ -146,7 +146,8 @@ class CheckPlan(JudgingCommand):
 
     def _replay(self, plan: Plan, assembly: Assembly, settings: StabilitySettings, output: Output) -> bool:
         """Replay under the settings, then under varied ones; return whether the plan succeeds."""
-        from falsework.stability.contact.replay import Replayer, replay_varied
+        from falsework.stability.contact.replay import Replayer
+        from falsework.stability.contact.varied_replay import replay_varied
 
         forward = plan if plan.direction == "assembly" else plan.reverse()
         replayer = Replayer(assembly, settings)

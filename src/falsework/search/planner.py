@@ -14,7 +14,7 @@ from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.beam.beam import BeamSearch
-from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.plans.plan_replay import PlanReplay, replayer_of
 from falsework.search.problem.guide import Guide, NoveltyGuide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import (
@@ -74,7 +74,7 @@ class Planner:
         self.replays: dict[bytes, PlanReplay] = {}
         """Replays that come to rest in every state, by the states of the routes."""
         self._oracle = oracle
-        self._replayer = getattr(oracle, "replayer", None)
+        self._replayer = replayer_of(oracle, settings)
         self._keeps = getattr(oracle, "keeps", None)
         self._forbidden, self._falls = self.states[:0], 0
         self._guide = guide

@@ -31,6 +31,9 @@ class PlannerSettings:
     """Number of requested plans."""
     seed: int = 0
     """Same seed, same machine, same result."""
+    robust: bool = False
+    """Deliver only plans whose replay succeeds under other settings too: stiffness ratios, increments of release, media
+    and random states of friction at the start."""
 
     def __post_init__(self) -> None:
         if self.width < 1:

@@ -17,7 +17,8 @@ from falsework.errors import InputError
 from falsework.search import find_plans
 from falsework.search.find import task_of
 from falsework.stability import Replayer, ReplaySettings, Stability
-from falsework.stability.contact.replay import replay_plans, replay_varied
+from falsework.stability.contact.replay import replay_plans
+from falsework.stability.contact.varied_replay import replay_varied
 from falsework.stability.judges import replay_by_discrete_elements
 
 

@@ -1,4 +1,4 @@
-"""Summary of the replay of a plan, as plans and plan files carry it."""
+"""Replayer of a search, and the summary of a replay that plans and plan files carry."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from falsework.search.problem.oracle import Oracle
+    from falsework.search.settings import PlannerSettings
     from falsework.stability.contact.replay import Replay
+    from falsework.stability.contact.varied_replay import AnyReplayer
 
 
 @dataclass(frozen=True)
@@ -30,3 +33,13 @@ class PlanReplay:
         resting = np.flatnonzero(replay.stands == 1)
         most = int(resting[np.argmax(replay.moved[resting])]) if len(resting) else -1
         return cls(replay.good, replay.largest, int(replay.part[most]) if most >= 0 else -1, replay.falls_at)
+
+
+def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:
+    """Return what decides whether the replay of a route succeeds; None for an oracle that replays nothing."""
+    replayer: AnyReplayer | None = getattr(oracle, "replayer", None)
+    if replayer is None or not settings.robust:
+        return replayer
+    from falsework.stability.contact.varied_replay import RobustReplayer
+
+    return RobustReplayer(replayer)

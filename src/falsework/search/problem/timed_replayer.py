@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from falsework.assembly.state import States
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.stability.contact.newton import RESTS
-from falsework.stability.contact.replay import History, Replay, Replayer
+from falsework.stability.contact.replay import History, Replay, Replayer, ReplaySettings
 from falsework.stability.problem import Problem
+from falsework.stability.settings import StabilitySettings
 
 _PIECE = 8
 """Steps replayed between two looks at the clock."""
@@ -85,6 +86,15 @@ class DeadlineReplayer:
     def problem(self) -> Problem:
         """As of `Replayer`."""
         return self._replayer.problem
+
+    @property
+    def settings(self) -> StabilitySettings:
+        """As of `Replayer`."""
+        return self._replayer.settings
+
+    def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> DeadlineReplayer:
+        """Return a replayer of the same structure under other settings, with the same clock."""
+        return DeadlineReplayer(self._replayer.vary(settings, replay), self._clock, self._between)
 
     def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
         """Replay as `Replayer.replay`, without histories unless a single state is replayed.

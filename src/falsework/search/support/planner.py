@@ -11,7 +11,7 @@ import numpy as np
 from falsework.assembly.state import REMOVED, States, held_count
 from falsework.errors import InputError
 from falsework.search.planner import Planner
-from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.plans.plan_replay import PlanReplay, replayer_of
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchResult, Stop, unstable_end
@@ -64,7 +64,7 @@ class SupportPlanner:
         self.done = False
         """Whether there is nothing left to do."""
         self._oracle, self._guide = oracle, guide
-        self._replayer = getattr(oracle, "replayer", None)
+        self._replayer = replayer_of(oracle, settings)
         self._todo = self._searches()
         self._running: _Search | None = None
         self._forbidden: list[States] = []

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -136,6 +136,7 @@ class Replayer:
             problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
             solver = ContactSolver(assembly, problem, settings)
         self.problem = solver.problem
+        self._solver = solver
         self._structure, self._contact = solver.structure, solver.contact_structure
         first = replay.first_step
         self._options = ContactOptions(
@@ -146,7 +147,9 @@ class Replayer:
 
     def vary(self, settings: StabilitySettings | None = None, replay: ReplaySettings | None = None) -> Replayer:
         """Return a replayer of the same structure under other settings."""
-        return Replayer(self.assembly, settings or self.settings, replay or self.replay_settings)
+        settings = settings or self.settings
+        solver = self._solver if settings == self.settings else None
+        return Replayer(self.assembly, settings, replay or self.replay_settings, solver)
 
     def replay(self, states: ArrayLike, history: History | None = None, *, increments: int | None = None) -> Replay:
         """Replay consecutive states up to the first that does not come to rest.
@@ -229,57 +232,6 @@ class Replayer:
         return noise
 
 
-@dataclass(frozen=True)
-class Variation:
-    """Replay under other settings, and the number of its stable steps."""
-
-    name: str
-    good: bool
-    falls_at: int | None
-
-
-def variations(settings: StabilitySettings, draws: int) -> list[tuple[str, StabilitySettings, ReplaySettings]]:
-    """Return settings of replay on which the answer must not hang, with names.
-
-    Args:
-        settings: of the verdicts.
-        draws: how many random states of friction.
-    """
-    plain = ReplaySettings()
-    varied = [
-        ("stiffness ratio 0.4", replace(settings, stiffness_ratio=0.4), plain),
-        ("stiffness ratio 1", replace(settings, stiffness_ratio=1.0), plain),
-        ("release in 1 increment", settings, replace(plain, increments=1)),
-        ("release in 16 increments", settings, replace(plain, increments=16)),
-        ("thicker medium", settings, replace(plain, first_step=FIRST_STEP / 30)),
-        ("thinner medium", settings, replace(plain, first_step=FIRST_STEP * 30)),
-    ]
-    varied += [
-        (f"friction at the start, draw {seed + 1}", settings, replace(plain, friction_noise=1.0, seed=seed))
-        for seed in range(draws)
-    ]
-    return varied
-
-
-def replay_varied(replayer: Replayer, states: States, *, draws: int = 4, threads: int | None = None) -> list[Variation]:
-    """Replay a plan under other settings: a plan that falls in one of them is marginal.
-
-    Args:
-        replayer: with the settings of the plan.
-        states: in the order of assembly, shape (states, parts).
-        draws: how many random states of friction.
-        threads: all cores by default.
-    """
-
-    def run(case: tuple[str, StabilitySettings, ReplaySettings]) -> Variation:
-        name, settings, replay = case
-        result = replayer.vary(settings, replay).replay(states)
-        return Variation(name, result.good, result.falls_at)
-
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        return list(pool.map(run, variations(replayer.settings, draws)))
-
-
 def replay_plans(replayer: Replayer, plans: Sequence[States]) -> list[Replay]:
     """Replay several sequences of states, one a thread."""
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
@@ -291,7 +243,5 @@ __all__ = [
     "Replay",
     "ReplaySettings",
     "Replayer",
-    "Variation",
     "replay_plans",
-    "replay_varied",
 ]
