@@ -175,8 +175,8 @@ def task_of(
     """
     if props < 0 or (props and not (support and assembly.props)):
         raise InputError(
-            f"{props} props cannot be placed; give a number from 0 on, with support and a structure with places for "
-            "props, as with_props(assembly, prop_places(assembly)) makes it"
+            f"props is {props}, which cannot be placed; give a number from 0 on, with support and a structure with "
+            "places for props, as with_props(assembly, prop_places(assembly)) makes it"
         )
     start, target = (_with_places(state, assembly) for state in (start, target))
     return Task.create(

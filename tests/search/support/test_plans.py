@@ -226,9 +226,9 @@ def test_no_plan_with_props_is_no_proof(propped_arch: Assembly) -> None:
 
 def test_props_that_cannot_be(small_arch: Assembly, propped_arch: Assembly) -> None:
     for structure, support in ((small_arch, True), (propped_arch, False)):
-        with pytest.raises(InputError, match="1 props cannot be placed"):
+        with pytest.raises(InputError, match="props is 1, which cannot be placed"):
             find_plans(structure, support=support, props=1)
-    with pytest.raises(InputError, match="-1 props cannot be placed"):
+    with pytest.raises(InputError, match="props is -1, which cannot be placed"):
         task_of(propped_arch, support=True, props=-1)
 
 

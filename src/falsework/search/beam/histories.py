@@ -11,16 +11,25 @@ from falsework.assembly.state import Mask, States
 from falsework.search.beam.frontier import Level
 
 if TYPE_CHECKING:
-    from falsework.stability.contact.replay import History, Replayer
+    from falsework.stability.contact.replay import History
+    from falsework.stability.contact.varied_replay import AnyReplayer
+    from falsework.stability.problem import Problem
 
 _HISTORY_BYTES = 256 << 20
-"""Memory for histories; those of the earliest levels are computed anew where they are needed again."""
+"""Memory for histories; the earliest are computed anew where they are needed again."""
+
+
+def histories_in_memory(problem: Problem) -> int:
+    """Return how many contact histories of a structure a search keeps."""
+    displacements_and_springs = 8 * (6 * problem.parts + 3 * problem.points)
+    torn_and_age = (1 + 4) * problem.points
+    return _HISTORY_BYTES // (displacements_and_springs + torn_and_age)
 
 
 class Histories:
     """Contact histories of the states of a beam, computed on demand."""
 
-    def __init__(self, replayer: Replayer, levels: list[Level]) -> None:
+    def __init__(self, replayer: AnyReplayer, levels: list[Level]) -> None:
         """Begin with nothing.
 
         Args:
@@ -29,6 +38,7 @@ class Histories:
         """
         self._replayer = replayer
         self._levels = levels
+        self._most = histories_in_memory(replayer.problem)
         self._known: list[dict[int, History | None]] = []
         self._next: dict[int, History] = {}
 
@@ -92,11 +102,9 @@ class Histories:
 
     def _drop_oldest(self) -> None:
         """Forget the histories of the earliest levels where they take too much memory."""
-        assembly = self._replayer.problem
-        each = 8 * (6 * assembly.parts + 3 * assembly.points)
         count = sum(map(len, self._known))
         for known in self._known[1:-1]:
-            if count * each <= _HISTORY_BYTES:
+            if count <= self._most:
                 return
             count -= len(known)
             known.clear()

@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from falsework.assembly.state import States
+from falsework.search.beam.histories import histories_in_memory
 
 if TYPE_CHECKING:
-    from falsework.stability.contact.replay import History, Replayer
-
-_HISTORY_BYTES = 256 << 20
-"""Memory for histories; the earliest are computed anew where they are needed again."""
+    from falsework.stability.contact.replay import History
+    from falsework.stability.contact.varied_replay import AnyReplayer
 
 
 class WayHistories:
     """Contact history of each state, along the way by which it was reached first."""
 
-    def __init__(self, replayer: Replayer, parent: Mapping[bytes, bytes]) -> None:
+    def __init__(self, replayer: AnyReplayer, parent: Mapping[bytes, bytes]) -> None:
         """Begin with nothing.
 
         Args:
@@ -29,8 +28,7 @@ class WayHistories:
         """
         self._replayer, self._parent = replayer, parent
         self._known: OrderedDict[bytes, History] = OrderedDict()
-        problem = replayer.problem
-        self._most = max(_HISTORY_BYTES // (8 * (6 * problem.parts + 3 * problem.points)), 4)
+        self._most = max(histories_in_memory(replayer.problem), 4)
 
     def along(self, origin: bytes, states: Sequence[States]) -> list[History] | None:
         """Return the histories after each of some moves from a state; None where one does not come to rest."""
