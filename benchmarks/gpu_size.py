@@ -1,0 +1,124 @@
+"""Compare GPU and processor on batches of states under `contact`: from which size a GPU pays. One JSON object a line.
+
+    python benchmarks/gpu_size.py
+    python benchmarks/gpu_size.py --structures vault:parts=246 --batches 16 256
+
+States are those that a planner asks about, in random order, repeated where there are fewer. Both times are of a whole
+call without certificates, states and verdicts crossing to the device and back, compilation left out. The processor
+starts from the displacements of the states' parents, as it does in a search, on all cores of the host; the GPU loads
+every state from rest. `ratio` is the processor's time over the GPU's; `pays_from` the smallest batch timed from which
+on it is above 1. Structures of the paper are read from FALSEWORK_DATA, else from the folder `shared` beside the
+repository. `--states` names a folder in which the states are kept.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from record import report, spread, write_to
+from states import Recorder, find
+
+from falsework.assembly import Assembly, load_structure
+from falsework.assembly.state import States
+from falsework.search import Planner, SupportGuide, task_of
+from falsework.stability import Stability, StabilitySettings, build_problem
+from falsework.stability.contact.solver import ContactSolver
+from falsework.stability.gpu.solver import GpuSolver
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to time."""
+
+    structures: tuple[str, ...] = ("arch:blocks=15", "vault-62", "vault", "vault:parts=246")
+    """Built-in names, paths, or names of structures of the paper."""
+    batches: tuple[int, ...] = (1, 16, 64, 256, 1024, 4096)
+    """States a call."""
+    robots: int = 2
+    """Robots of the planner."""
+    repeats: int = 5
+    """Calls that are timed."""
+    states: Path | None = None
+    """Folder that keeps the states from one run to the next."""
+    out: Path | None = None
+    """File to which the records are appended."""
+
+
+def asked(assembly: Assembly, name: str, options: Options) -> tuple[States, States]:
+    """Different states that a planner asks about, in random order, and their parents."""
+    kept = None if options.states is None else options.states / f"planner-{name.replace(':', '-')}.npz"
+    if kept is not None and kept.is_file():
+        file = np.load(kept)
+        return file["states"], file["parents"]
+    recorder = Recorder(Stability(assembly))
+    Planner(task_of(assembly, options.robots), recorder, guide=SupportGuide(assembly)).run()
+    states, parents = np.concatenate(recorder.states), np.concatenate(recorder.parents)
+    _, first = np.unique(states, axis=0, return_index=True)
+    first = np.random.default_rng(0).permutation(first)
+    if kept is not None:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(kept, states=states[first], parents=parents[first])
+    return states[first], parents[first]
+
+
+def times(call: Callable[[], object], repeats: int) -> list[float]:
+    """Milliseconds of some calls after a first one."""
+    found = []
+    for _ in range(1 + repeats):
+        begin = time.perf_counter()
+        call()
+        found.append((time.perf_counter() - begin) * 1e3)
+    return found[1:]
+
+
+def compare(name: str, options: Options) -> dict[str, Any]:
+    """Both solvers on all batches of one structure."""
+    assembly, settings = load_structure(find(name)), StabilitySettings()
+    states, parents = asked(assembly, name, options)
+    problem = build_problem(assembly, cone=settings.friction_cone)
+    gpu, processor = GpuSolver(assembly, problem, settings), ContactSolver(assembly, problem, settings)
+    displacement = processor.check(parents).displacement
+    assert displacement is not None
+    result: dict[str, Any] = {
+        "structure": name,
+        "parts": problem.parts,
+        "points": problem.points,
+        "different_states": len(states),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "gpu_ms": {},
+        "processor_ms": {},
+        "ratio": {},
+    }
+    for batch in options.batches:
+        rows = np.resize(np.arange(len(states)), batch)
+        some, before, guess = states[rows], parents[rows], displacement[rows]
+
+        def warm(some: States = some, before: States = before, guess: np.ndarray = guess) -> object:
+            return processor.check(some, certificates=False, parents=before, guess=guess.copy())
+
+        on_gpu = times(lambda some=some: gpu.check(some, certificates=False), options.repeats)
+        on_processor = times(warm, options.repeats)
+        result["gpu_ms"][batch], result["processor_ms"][batch] = spread(on_gpu), spread(on_processor)
+        result["ratio"][batch] = float(np.median(on_processor) / np.median(on_gpu))
+    slower = [batch for batch in options.batches if result["ratio"][batch] <= 1]
+    faster = [batch for batch in options.batches if batch > max(slower, default=0)]
+    result["pays_from"] = min(faster) if faster else None
+    return result
+
+
+def main(options: Options) -> None:
+    """Run the benchmark."""
+    write_to(options.out)
+    for name in options.structures:
+        report("gpu_size", **compare(name, options), device="cuda", seeds=(0,))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
