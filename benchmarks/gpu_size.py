@@ -3,12 +3,12 @@
     python benchmarks/gpu_size.py
     python benchmarks/gpu_size.py --structures vault:parts=246 --batches 16 256
 
-States are those that a planner asks about, in random order, repeated where there are fewer. Both times are of a whole
+States lack up to two random parts and have one held, where another has just been let go of. Both times are of a whole
 call without certificates, states and verdicts crossing to the device and back, compilation left out. The processor
 starts from the displacements of the states' parents, as it does in a search, on all cores of the host; the GPU loads
 every state from rest. `ratio` is the processor's time over the GPU's; `pays_from` the smallest batch timed from which
 on it is above 1. Structures of the paper are read from FALSEWORK_DATA, else from the folder `shared` beside the
-repository. `--states` names a folder in which the states are kept.
+repository.
 """
 
 from __future__ import annotations
@@ -23,12 +23,11 @@ from typing import Any
 import numpy as np
 import tyro
 from record import report, spread, write_to
-from states import Recorder, find
+from states import find
 
 from falsework.assembly import Assembly, load_structure
-from falsework.assembly.state import States
-from falsework.search import Planner, SupportGuide, task_of
-from falsework.stability import Stability, StabilitySettings, build_problem
+from falsework.assembly.state import HELD, REMOVED, States, complete_state
+from falsework.stability import StabilitySettings, Verdict, build_problem
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.gpu.solver import GpuSolver
 
@@ -37,35 +36,28 @@ from falsework.stability.gpu.solver import GpuSolver
 class Options:
     """What to time."""
 
-    structures: tuple[str, ...] = ("arch:blocks=15", "vault-62", "vault", "vault:parts=246")
+    structures: tuple[str, ...] = ("arch:blocks=15", "vault-62", "vault:parts=120", "vault:parts=246")
     """Built-in names, paths, or names of structures of the paper."""
-    batches: tuple[int, ...] = (1, 16, 64, 256, 1024, 4096)
+    batches: tuple[int, ...] = (1, 4, 16, 64, 256, 1024, 4096)
     """States a call."""
-    robots: int = 2
-    """Robots of the planner."""
     repeats: int = 5
     """Calls that are timed."""
-    states: Path | None = None
-    """Folder that keeps the states from one run to the next."""
     out: Path | None = None
     """File to which the records are appended."""
 
 
-def asked(assembly: Assembly, name: str, options: Options) -> tuple[States, States]:
-    """Different states that a planner asks about, in random order, and their parents."""
-    kept = None if options.states is None else options.states / f"planner-{name.replace(':', '-')}.npz"
-    if kept is not None and kept.is_file():
-        file = np.load(kept)
-        return file["states"], file["parents"]
-    recorder = Recorder(Stability(assembly))
-    Planner(task_of(assembly, options.robots), recorder, guide=SupportGuide(assembly)).run()
-    states, parents = np.concatenate(recorder.states), np.concatenate(recorder.parents)
-    _, first = np.unique(states, axis=0, return_index=True)
-    first = np.random.default_rng(0).permutation(first)
-    if kept is not None:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(kept, states=states[first], parents=parents[first])
-    return states[first], parents[first]
+def nearly_complete(assembly: Assembly, count: int, seed: int = 0) -> tuple[States, States]:
+    """States that lack up to two parts, with one part held, and parents in which another is held too."""
+    random = np.random.default_rng(seed)
+    loose = np.flatnonzero(~assembly.boundary)
+    states = complete_state(assembly.boundary)[None].repeat(count, axis=0)
+    parents = states.copy()
+    for state, parent in zip(states, parents, strict=True):
+        chosen = random.permutation(loose)
+        missing, held = chosen[2 : 2 + random.integers(3)], chosen[:2]
+        state[missing], parent[missing] = REMOVED, REMOVED
+        parent[held], state[held[0]] = HELD, HELD
+    return states, parents
 
 
 def times(call: Callable[[], object], repeats: int) -> list[float]:
@@ -81,7 +73,7 @@ def times(call: Callable[[], object], repeats: int) -> list[float]:
 def compare(name: str, options: Options) -> dict[str, Any]:
     """Both solvers on all batches of one structure."""
     assembly, settings = load_structure(find(name)), StabilitySettings()
-    states, parents = asked(assembly, name, options)
+    states, parents = nearly_complete(assembly, max(options.batches))
     problem = build_problem(assembly, cone=settings.friction_cone)
     gpu, processor = GpuSolver(assembly, problem, settings), ContactSolver(assembly, problem, settings)
     displacement = processor.check(parents).displacement
@@ -90,15 +82,16 @@ def compare(name: str, options: Options) -> dict[str, Any]:
         "structure": name,
         "parts": problem.parts,
         "points": problem.points,
-        "different_states": len(states),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "verdicts": {},
         "gpu_ms": {},
         "processor_ms": {},
         "ratio": {},
     }
+    found = gpu.check(states, certificates=False).verdict
+    result["verdicts"] = {kind.name.lower(): int((found == kind).sum()) for kind in Verdict}
     for batch in options.batches:
-        rows = np.resize(np.arange(len(states)), batch)
-        some, before, guess = states[rows], parents[rows], displacement[rows]
+        some, before, guess = states[:batch], parents[:batch], displacement[:batch]
 
         def warm(some: States = some, before: States = before, guess: np.ndarray = guess) -> object:
             return processor.check(some, certificates=False, parents=before, guess=guess.copy())
