@@ -82,6 +82,7 @@ def compare(name: str, options: Options) -> dict[str, Any]:
         "structure": name,
         "parts": problem.parts,
         "points": problem.points,
+        "drawn_from": "lacking up to two parts, one held",
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "verdicts": {},
         "gpu_ms": {},
