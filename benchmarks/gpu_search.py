@@ -8,7 +8,8 @@ A case is a structure, by the name of a real one (FALSEWORK_DATA, else the folde
 built-in one, or by its path, and a width. `seconds` is the whole search from the origin to plan and levels on the
 host: median and range of `repeats`, after a narrow search that compiles the kernels (`warm_up_seconds`) and a first
 search of the same width that takes memory from the device (`first_seconds`); `phases` is from another run of the same
-search that waits after each phase, so its sum may exceed `seconds`. `levels` is a hash over all states kept: equal
+search that waits after each phase, so its sum may exceed `seconds`; the seconds of `cluster`, which runs beside the
+verdicts, are part of `verdicts`. `levels` is a hash over all states kept: equal
 hashes, equal searches, on any number of processes. `disagree` counts states kept, out of `checked` drawn at random,
 that the solver on the processor does not call stable. With `--host`, the beam of the processor runs as well, at widths
 up to the one given.
@@ -21,6 +22,7 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +55,8 @@ class Options:
     """Widest case for which the beam of the processor is timed too; 0 for none."""
     checked: int = 256
     """Kept states whose verdicts are compared with those of the processor."""
+    seeds: tuple[int, ...] = (0,)
+    """Seeds of the searches, each with a record of its own."""
     repeats: int = 5
     """Searches that are timed."""
     phases: bool = True
@@ -71,7 +75,7 @@ def wait(device: torch.device) -> None:
 
 def time_phases(search: DeviceBeam) -> dict[str, float]:
     """Run a search that waits after each phase, and return the seconds in each."""
-    seconds = {"expand": 0.0, "verdicts": 0.0, "choose": 0.0}
+    seconds = {"expand": 0.0, "verdicts": 0.0, "cluster": 0.0}
 
     def timed(phase: str, work: Callable[..., Any]) -> Callable[..., Any]:
         def run(*arguments: Any) -> Any:
@@ -85,7 +89,7 @@ def time_phases(search: DeviceBeam) -> dict[str, float]:
         return run
 
     search._expand = timed("expand", search._expand)
-    search._choose = timed("choose", search._choose)
+    search._cluster = timed("cluster", search._cluster)
     search._judge.verdicts = timed("verdicts", search._judge.verdicts)
     search.run()
     return {phase: round(spent, 3) for phase, spent in seconds.items()}
@@ -97,7 +101,7 @@ def disagreements(states: np.ndarray, count: int, oracle: Stability) -> int:
     return int((~oracle.stable(states[rows])).sum())
 
 
-def measure(case: str, options: Options, shards: ProcessGroup, device: torch.device) -> dict[str, Any]:
+def measure(case: str, seed: int, options: Options, shards: ProcessGroup, device: torch.device) -> dict[str, Any]:
     """One case on the device."""
     name, _, width = case.rpartition(":")
     assembly: Assembly = load_structure(find(name))
@@ -106,7 +110,7 @@ def measure(case: str, options: Options, shards: ProcessGroup, device: torch.dev
     on_device = tensor_oracle(oracle, device)
 
     def search(width: int) -> DeviceBeam:
-        return DeviceBeam(task, on_device, BeamSettings(width=width), device=device, shards=shards)
+        return DeviceBeam(task, on_device, BeamSettings(width=width, seed=seed), device=device, shards=shards)
 
     begin = time.perf_counter()
     search(min(8, int(width))).run()
@@ -168,10 +172,10 @@ def main(options: Options) -> None:
     """Run the benchmark."""
     write_to(options.out)
     with init_distributed(options.device) as (shards, device):
-        for case in options.cases:
-            row = measure(case, options, shards, device)
+        for case, seed in product(options.cases, options.seeds):
+            row = measure(case, seed, options, shards, device)
             if shards.is_main_process:
-                report("gpu_search", **row, device=device, seeds=(0,))
+                report("gpu_search", **row, device=device, seeds=(seed,))
 
 
 if __name__ == "__main__":

@@ -49,6 +49,8 @@ class Options:
     """What stable means."""
     batches: tuple[int, ...] = (1024, 4096, 16384)
     """States a call."""
+    repeats: int = 5
+    """Medians of nine calls for each size of batch."""
     width: int = 64
     """Width of the search that asks for the states."""
     robots: int = 2
@@ -194,6 +196,7 @@ def time_structure(assembly: Assembly, states: np.ndarray, criterion: Criterion,
     result: dict[str, Any] = {
         "structure": assembly.name,
         "criterion": criterion,
+        "cone": settings.friction_cone,
         "parts": problem.parts,
         "points": problem.points,
         "states": len(states),
@@ -209,9 +212,8 @@ def time_structure(assembly: Assembly, states: np.ndarray, criterion: Criterion,
     for batch in options.batches:
         chosen = np.resize(states, (batch, states.shape[1]))
         tensor = torch.from_numpy(chosen).cuda()
-        once = median_ms(lambda tensor=tensor: solver.check_tensor(tensor)) / batch
-        again = median_ms(lambda tensor=tensor: solver.check_tensor(tensor)) / batch
-        result["ms_a_state"][batch] = [round(once, 6), round(again, 6)]
+        medians = [median_ms(lambda tensor=tensor: solver.check_tensor(tensor)) for _ in range(options.repeats)]
+        result["ms_a_state"][batch] = [round(median / batch, 6) for median in medians]
         begin = time.perf_counter()
         solver.check(chosen)
         result["check_ms"][batch] = round((time.perf_counter() - begin) / batch * 1e3, 5)

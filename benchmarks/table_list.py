@@ -316,6 +316,16 @@ TABLES = {
         ),
         where=lambda record: record.get("cone") == "quadratic",
     ),
+    "gpu-size": Table(
+        "gpu_size",
+        (*STRUCTURE, ("parts", "{parts}"), ("states", "{drawn_from}")),
+        (
+            ("1 state", "{ratio.1}"),
+            *((f"{batch:,} states", f"{{ratio.{batch}}}") for batch in (4, 16, 64, 256, 1024, 4096)),
+            ("ms for 256 on the GPU", "{gpu_ms.256}"),
+            ("processor cores", "{cores}"),
+        ),
+    ),
     "gpu-counters": Table(
         "gpu_stability",
         (*STRUCTURE, ("method", "{method}")),

@@ -17,7 +17,7 @@ from falsework.search.backend import beam_search
 from falsework.search.beam.k_means import k_means
 from falsework.search.device.beam import DeviceBeam
 from falsework.search.device.k_means import find_centers
-from falsework.search.device.oracle import HostOracle
+from falsework.search.device.oracle import BatchedTensorOracle, HostOracle
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.hashing import StateHash
 from falsework.stability import Stability
@@ -217,6 +217,14 @@ def test_memory_that_runs_out_halves_the_batch(rules: Any) -> None:
     assert np.array_equal(search.states(), expected.states())
     assert any("memory ran out" in note for note in result.notes)
     assert max(sizes[-5:]) <= 5 < max(sizes)
+
+
+@pytest.mark.parametrize("count", [0, 5])
+def test_what_is_to_be_done_meanwhile_is_done_once(rules: Any, count: int) -> None:
+    oracle = BatchedTensorOracle(HostOracle(rules.random(1, 6)[0]), ProcessGroup(), batch=2)
+    states, done = torch.ones((count, 6), dtype=torch.uint8), []
+    assert len(oracle.verdicts(states, states, count, lambda: done.append(1))) == count
+    assert done == [1]
 
 
 def test_settings_and_devices_that_do_not_exist_are_refused(rules: Any) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
@@ -26,7 +26,11 @@ from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import import_torch, mix, place_in_group
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import torch
+
+T = TypeVar("T")
 
 _REPORTED_STATES = 64
 """States handed back as deepest and as rejected, at most."""
@@ -64,12 +68,38 @@ class _Candidates:
         return _Candidates(*(getattr(self, name)[rows] for name in ("parent", "action", "hashes", "free")))
 
 
+class _Beside(Generic[T]):
+    """Work on a stream of its own, on the multiprocessors that verdicts leave idle."""
+
+    def __init__(self, stream: torch.cuda.Stream | None, work: Callable[[], T]) -> None:
+        """Take note of what is queued so far, on which the work may build; without a stream, it is done in turn."""
+        self._stream, self._work = stream, work
+        self._before = None if stream is None else import_torch().cuda.current_stream(stream.device).record_event()
+        self._found: list[T] = []
+
+    def begin(self) -> None:
+        """Queue the work."""
+        if self._stream is None or self._before is None:
+            self._found = [self._work()]
+            return
+        with import_torch().cuda.stream(self._stream):
+            self._stream.wait_event(self._before)
+            self._found = [self._work()]
+
+    def result(self) -> T:
+        """Return what was found, for what is queued from now on."""
+        if self._stream is not None:
+            import_torch().cuda.current_stream(self._stream.device).wait_stream(self._stream)
+        return self._found[0]
+
+
 class DeviceBeam(LevelSearch):
     """Beam search as `BeamSearch`, with the states of all levels on one device.
 
     Rules, direction, width, diversity and verdicts mean the same; which of equally good states survive differs, since
-    random numbers come from the hashes of states. A level reads five sizes of lists back to the host, one more with
-    a clearance table; nothing else leaves the device before the end. Several processes share verdicts and
+    random numbers come from the hashes of states, and all candidates of a level are put in clusters while verdicts are
+    awaited, so that a cluster may be left without a stable state. A level reads five sizes of lists back to the host,
+    one more with a clearance table; nothing else leaves the device before the end. Several processes share verdicts and
     clustering and repeat the rest, which is cheap, each for itself (docs/decisions/0012): for one seed the levels are
     the same whatever the number of processes.
     """
@@ -108,6 +138,7 @@ class DeviceBeam(LevelSearch):
         """No state was left out so far: if the search dies now, there is no plan."""
         self._rules = TensorRules(task, self.device, settings.direction)
         self._judge = BatchedTensorOracle(oracle, shards)
+        self._side = torch.cuda.Stream(self.device) if self.device.type == "cuda" else None
         self._candidates = self._verdicts = 0
         self._refused = torch.zeros(3, dtype=torch.int64, device=self.device)
         """Not stable, and of these undecided, and sliding."""
@@ -143,22 +174,23 @@ class DeviceBeam(LevelSearch):
         candidates = self._expand(level)
         stable = candidates.free.clone()
         asked = (~stable).nonzero()[:, 0]
-        if len(asked):
-            mine = candidates.take(asked[self.shards.interleaved()])
-            verdicts = self._judge.verdicts(self._written(level, mine), level.states[mine.parent], len(asked))
-            stable[asked] = verdicts == Verdict.STABLE
-            answers = (verdicts != Verdict.STABLE, verdicts == Verdict.UNDECIDED, verdicts == Verdict.SLIDES)
-            self._refused += torch.stack([answer.sum() for answer in answers])
-        rows = stable.nonzero()[:, 0]
+        clusters = _Beside(self._side, lambda: self._cluster(level, candidates))
+        mine = candidates.take(asked[self.shards.interleaved()])
+        after, before = self._written(level, mine), level.states[mine.parent]
+        verdicts = self._judge.verdicts(after, before, len(asked), clusters.begin)
+        stable[asked] = verdicts == Verdict.STABLE
+        answers = (verdicts != Verdict.STABLE, verdicts == Verdict.UNDECIDED, verdicts == Verdict.SLIDES)
+        self._refused += torch.stack([answer.sum() for answer in answers])
+        chosen, found = _choose(stable, *clusters.result(), width)
         self._candidates += len(candidates)
         self._verdicts += len(asked)
-        self.exhaustive &= len(rows) <= width
-        self._dead = len(rows) == 0
+        self.exhaustive &= found <= width
+        self._dead = found == 0
         if self._dead:
             some = candidates.take(asked[:_REPORTED_STATES])
             self._rejected = self._written(level, some).cpu().numpy()
             return False
-        kept = candidates.take(self._choose(level, candidates.take(rows), rows))
+        kept = candidates.take(chosen)
         self._levels.append(_TensorLevel(self._written(level, kept), kept.parent, kept.action, kept.hashes))
         return True
 
@@ -247,23 +279,27 @@ class DeviceBeam(LevelSearch):
         first.scatter_(0, torch.where(repeats, distinct, place), order)
         return first[:distinct], torch.empty_like(place).scatter_(0, order, place)
 
-    def _choose(self, level: _TensorLevel, stable: _Candidates, rows: torch.Tensor) -> torch.Tensor:
-        """Choose `width` of the stable candidates `rows`."""
+    def _cluster(
+        self, level: _TensorLevel, candidates: _Candidates
+    ) -> tuple[torch.Tensor, torch.Tensor | None, torch.Tensor | None]:
+        """Put candidates, stable or not, in random order, and as many of the first as there is room for in clusters.
+
+        Returns:
+            The order, and for those in clusters label and distance from the centre; None where all may be kept.
+        """
         torch = import_torch()
         width = self.settings.width
-        words = mix(stable.hashes, (self.settings.seed << 20) + len(self._levels))
+        words = mix(candidates.hashes, (self.settings.seed << 20) + len(self._levels))
         order = torch.argsort(words, stable=True)
-        if len(order) > width and self.settings.diversity == "k-means":
-            room = max(self.settings.pool // self.task.part_count, 2 * width)
-            # Candidates are in random order now, so the first ones are a fair sample.
-            order = order[:room]
-            sample = order[: _SAMPLES_PER_CLUSTER * width]
-            centers = find_centers(self._written(level, stable.take(sample)), words[sample], width)
-            mine, _ = self.shards.block(len(order))
-            joined = torch.stack(centers.assign(self._written(level, stable.take(order[mine]))), dim=1).int()
-            labels, distance = self.shards.gather_blocks(joined, len(order)).unbind(dim=1)
-            order = _deal(order, labels, distance)
-        return rows[order[:width]]
+        if len(order) <= width or self.settings.diversity != "k-means":
+            return order, None, None
+        some = order[: max(self.settings.pool // self.task.part_count, 2 * width)]
+        sample = some[: _SAMPLES_PER_CLUSTER * width]  # a fair one, since the order is random
+        centers = find_centers(self._written(level, candidates.take(sample)), words[sample], width)
+        mine, _ = self.shards.block(len(some))
+        joined = torch.stack(centers.assign(self._written(level, candidates.take(some[mine]))), dim=1).int()
+        labels, distance = self.shards.gather_blocks(joined, len(some)).unbind(dim=1)
+        return order, labels, distance
 
     def _written(self, level: _TensorLevel, candidates: _Candidates) -> torch.Tensor:
         """Return candidates written down as states, shape (candidates, parts)."""
@@ -273,6 +309,20 @@ class DeviceBeam(LevelSearch):
         """Return rows whose states fit into a bounded piece of memory."""
         rows = max(_CHUNK_BYTES // max(self.task.part_count, 1), 1)
         return [slice(begin, begin + rows) for begin in range(0, count, rows)]
+
+
+def _choose(
+    stable: torch.Tensor, order: torch.Tensor, labels: torch.Tensor | None, distance: torch.Tensor | None, width: int
+) -> tuple[torch.Tensor, int]:
+    """Choose up to `width` of the stable candidates, as `DeviceBeam._cluster` orders them; and count these."""
+    torch = import_torch()
+    rows = stable[order].nonzero()[:, 0]
+    found, order = len(rows), order[rows]
+    if labels is not None and distance is not None and found > width:
+        inside = rows if len(labels) == len(stable) else rows[rows < len(labels)]
+        dealt = _deal(order[: len(inside)], labels[inside], distance[inside])
+        order = torch.cat([dealt, order[len(inside) :]])
+    return order[:width], found
 
 
 def _deal(order: torch.Tensor, labels: torch.Tensor, distance: torch.Tensor) -> torch.Tensor:

@@ -75,14 +75,22 @@ class DeviceOracle:
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
         """As `TensorOracle`."""
+        return self.begin(states)()
+
+    def begin(self, states: torch.Tensor) -> Callable[[], torch.Tensor]:
+        """Queue the kernels for some states; what comes back waits for them and gives the verdicts."""
         verdict, residual = self._solver.check_tensor(states)
-        if self._settle is None:
+
+        def finish() -> torch.Tensor:
+            if self._settle is None:
+                return verdict
+            rest = (verdict == 0).nonzero()[:, 0]
+            if len(rest):
+                decided = self._settle(states[rest].cpu().numpy(), residual[rest].cpu().numpy()).verdict
+                verdict[rest] = put(decided, states.device)
             return verdict
-        rest = (verdict == 0).nonzero()[:, 0]
-        if len(rest):
-            decided = self._settle(states[rest].cpu().numpy(), residual[rest].cpu().numpy()).verdict
-            verdict[rest] = put(decided, states.device)
-        return verdict
+
+        return finish
 
     def without_fallback(self) -> DeviceOracle:
         """Return the same solver alone: nothing waits, and the few states that it leaves open stay so."""
@@ -115,13 +123,16 @@ class BatchedTensorOracle:
         self._shards = shards
         self._batch = batch
 
-    def verdicts(self, states: torch.Tensor, parents: torch.Tensor, count: int) -> torch.Tensor:
+    def verdicts(
+        self, states: torch.Tensor, parents: torch.Tensor, count: int, meanwhile: Callable[[], object] | None = None
+    ) -> torch.Tensor:
         """Return verdicts of all states from the share of each process.
 
         Args:
             states: this process's share, `ProcessGroup.interleaved`, shape (share, parts).
             parents: stable states one move away, shape (share, parts).
             count: number of states of all shares.
+            meanwhile: called once, between launch and end of the kernels where a GPU gives the verdicts.
 
         Returns:
             `int8`, in every process, shape (count,).
@@ -133,7 +144,13 @@ class BatchedTensorOracle:
         while begin < len(states):
             rows = slice(begin, begin + self._batch)
             try:
-                own[rows] = self._oracle(states[rows], parents[rows])
+                if meanwhile is not None and isinstance(self._oracle, DeviceOracle):
+                    finish = self._oracle.begin(states[rows])
+                    meanwhile()
+                    meanwhile = None
+                    own[rows] = finish()
+                else:
+                    own[rows] = self._oracle(states[rows], parents[rows])
             except torch.OutOfMemoryError:
                 if len(states[rows]) < 2:
                     raise
@@ -142,4 +159,6 @@ class BatchedTensorOracle:
                 self.notes.append(f"memory ran out; went on with {self._batch} states at a time")
                 continue
             begin += self._batch
-        return self._shards.add(verdicts)
+        if meanwhile is not None:
+            meanwhile()
+        return self._shards.add(verdicts) if count else verdicts

@@ -17,7 +17,7 @@ _INDEX_LIMIT = 0x7FFF
 _GROUP_SIZES = (3, 4, 5, 6)
 _GROUP_COST = 3
 """Work of a group of contact points for itself, in contact points."""
-_INT_FIELDS = ("parts", "positions", "groups", "blocks", "levels", "points")
+_INT_FIELDS = ("parts", "positions", "groups", "blocks", "levels", "points", "products")
 _SCALAR_FIELDS = ("weight", "friction", "length", "tangential", "unit", "limit")
 _ARRAY_FIELDS = (
     "position",
@@ -154,19 +154,21 @@ class Layout:
     def contact_bytes(self) -> int:
         """Return the memory for the Newton iterations under `contact` on the largest state."""
         n, blocks = self.sizes["positions"], self.sizes["blocks"]
-        return self._stored_bytes() + 4 * (36 * (n + 2 * blocks) + 66 * n)
+        return self._stored_bytes() + 4 * (36 * (n + 2 * blocks) + 66 * n) + self._product_index_bytes()
 
-    def contact_group_bytes(self) -> int:
-        """Return the memory beside it for wrenches and tangent stiffness of all groups."""
-        return 240 * self.groups + 64
+    def contact_list_bytes(self) -> int:
+        """Return the memory beside it for products of the factor, and wrenches and stiffness of all groups."""
+        return 240 * self.groups + 4 * self.sizes["products"] + 80
 
     def contact_near_bytes(self) -> int:
         """Return the memory for the same without the matrices, on the largest state."""
         return self._stored_bytes() + 4 * 66 * self.sizes["positions"]
 
     def group_bytes(self) -> int:
-        """Return the memory for what the interior point method keeps of all groups; the Newton iterations keep less."""
-        return self.groups * (self.group_size * 16 + 21 + 12) * 8
+        """Return the memory for what the later methods keep of all groups, and the products where these are beside."""
+        interior = self.groups * (self.group_size * 16 + 21 + 12) * 8
+        contact = self.groups * (self.group_size * 48 + 240) + 4 * self.sizes["products"] + 16
+        return max(interior, -(-contact // 16) * 16)
 
     def index_bytes(self) -> int:
         """Return the memory for the indices of the largest state, which every launch needs to reject a state."""
@@ -175,6 +177,11 @@ class Layout:
     def _stored_bytes(self) -> int:
         """Return the memory for the indices of the largest state whose factor is stored without its zeros."""
         return self._index_bytes(1.0) + 2 * (self.ancestors + self.sizes["blocks"] + self.sizes["positions"]) + 64
+
+    def _product_index_bytes(self) -> int:
+        """Return the memory for row and column of each block of the factor, and where its products begin."""
+        n, blocks = self.sizes["positions"], self.sizes["blocks"]
+        return 8 * blocks + 4 * (n + 1) + 48
 
     def _counts(self, share: float) -> tuple[int, int, int]:
         """Return nodes, groups and blocks of the inverse factor: parts have fewer ancestors in a smaller state."""
@@ -250,6 +257,7 @@ def build_layout(problem: Problem) -> Layout:
         "blocks": len(pattern["block_row"]),
         "levels": len(pattern["level_start"]) - 1,
         "points": problem.points,
+        "products": len(arrays["fill_left"]) + len(pattern["block_row"]),
     }
     return Layout(sizes, arrays, problem.weight, problem.friction, length, group_size, _ancestors(pattern))
 

@@ -325,7 +325,7 @@ class GpuSolver:
         """
         driver, layout, threads = self.driver, self.layout, self.driver.most_threads
         largest = _aligned(layout.contact_bytes())
-        shared = min(_aligned(max(layout.interior_bytes(), largest + layout.contact_group_bytes())), self._shared_limit)
+        shared = min(_aligned(max(layout.interior_bytes(), largest + layout.contact_list_bytes())), self._shared_limit)
         stages: list[_Stage] = []
         if shared >= layout.index_bytes():
             blocks = driver.blocks("contact_shared", threads, shared)

@@ -20,6 +20,7 @@ typedef unsigned int uint32_t;
 #define THREADS int(blockDim.x)
 #define BLOCK int(blockIdx.x)
 #define SYNC __syncthreads()
+#define ALL(x) bool(__syncthreads_and(x))  // also waits
 #define DEVICE static __device__ __forceinline__
 #define PHASE static __device__ PHASE_INLINE
 #define METHOD __device__ __forceinline__
@@ -41,12 +42,14 @@ extern __shared__ double2 dynamic_pool[];
 #define THREADS 1
 #define BLOCK 0
 #define SYNC
+#define ALL(x) (x)
 #define DEVICE static inline
 #define PHASE static
 #define METHOD inline
 #define KERNEL(bounds) extern "C" void
 #define POPCOUNT __builtin_popcount
 #define RECIPROCAL_ROOT(x) (1 / sqrt(x))
+#define RECIPROCAL(x) (1 / (x))
 #define __shared__ static thread_local
 using std::copysign;
 using std::fabs;
@@ -109,6 +112,7 @@ constexpr uint16_t kNone = 0xffff;
 // Lengths are in units of `length` metres, accelerations in units of gravity; force scales and `weight` in N.
 struct Structure {
   int parts, positions, groups, blocks, levels, points;
+  int products;              // of two blocks, in the factor of the complete structure at most
   const int* position;       // (parts,) -1 for boundary
   const int* level_start;    // (levels + 1,) first position of each level
   const int* column;         // (positions + 1,) first block of each column

@@ -50,9 +50,19 @@ DEVICE bool settle_state(const Structure& s, const Options& o, const Batch& b, i
   q.m.diagonal = take<float>(top, a.nodes * 36);
   q.m.lower = take<float>(top, a.storage * 36);
   q.m.upper = take<float>(top, a.storage * 36);
+  q.m.place_row = take<uint16_t>(top, a.storage);
+  q.m.place_column = take<uint16_t>(top, a.storage);
+  q.m.product_first = take<int>(top, a.nodes + a.storage + 1);
   if (InShared && top - POOL > b.pool_bytes) return false;
-  // What is kept of groups is on chip too where there is room.
+  // Products, and what is kept of groups, are on chip too where there is room.
   long long room = InShared ? b.pool_bytes - (top - POOL) - 64 : 0;
+  if (room >= s.products * 4) {
+    room -= (s.products * 4 + 15) / 16 * 16;
+    q.m.product = take<uint32_t>(top, s.products);
+  } else {
+    q.m.product = take<uint32_t>(far, s.products);
+  }
+  list_products(a, q.m);
   bool wrenches = room >= a.groups * 96, both = room >= a.groups * 240;
   q.trial = take<double>(far, a.groups * GROUP * 3);
   q.ahead_trial = take<double>(far, a.groups * GROUP * 3);

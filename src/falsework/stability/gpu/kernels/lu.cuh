@@ -4,10 +4,47 @@
 // places of their mirror images: both then fill by rows alike.
 
 struct General {
-  float* diagonal;  // (nodes, 36): the matrix, then the inverse pivots
-  float* lower;     // (storage, 36): L with unit diagonal
-  float* upper;     // (storage, 36): transposed blocks of U, at the end with unit diagonal too
+  float* diagonal;         // (nodes, 36): the matrix, then the inverse pivots
+  float* lower;            // (storage, 36): L with unit diagonal
+  float* upper;            // (storage, 36): transposed blocks of U, at the end with unit diagonal too
+  uint16_t* place_row;     // (storage,) node of each place's row
+  uint16_t* place_column;  // (storage,) node of its column
+  int* product_first;      // (nodes + storage + 1,) first product of each diagonal block, then of each place
+  uint32_t* product;       // places left and right of the blocks whose product is taken from a block
 };
+
+// Lists the products of a factor, once for all factors of a state: a thread that looks its operands up in the indices
+// of the state waits for one memory access after another.
+PHASE void list_products(const State& a, General m) {
+  int* count = reinterpret_cast<int*>(m.diagonal);  // not in use yet
+  for (int pass = 0; pass < 2; pass++) {
+    for (int t = TID; t < a.nodes + a.storage; t += THREADS) {
+      int j = t, up = 0;
+      if (t >= a.nodes) {
+        int place = t - a.nodes, b = a.place_block[place];
+        j = a.block_column[b], up = b - a.column[j] + 1;
+        m.place_row[place] = a.block_row[b], m.place_column[place] = uint16_t(j);
+      }
+      int out = pass ? m.product_first[t] : 0;
+      for (int n = a.row[j]; n < a.row[j + 1]; n++) {
+        int right = a.row_block[n], left = a.stored[right + up];
+        if (left < 0) continue;
+        if (pass) m.product[out] = uint32_t(left) << 16 | uint32_t(a.stored[right]);
+        out++;
+      }
+      if (!pass) count[t] = out;
+    }
+    SYNC;
+    if (pass) break;
+    for (int t = TID; t <= a.nodes + a.storage; t += THREADS) {
+      int out = 0;
+#pragma unroll 8
+      for (int k = 0; k < t; k++) out += count[k];
+      m.product_first[t] = out;
+    }
+    SYNC;
+  }
+}
 
 // Six numbers of a row, which are 24 bytes.
 DEVICE void load_row(const float* row, float (&out)[6]) {
@@ -67,13 +104,11 @@ DEVICE void add_general_row(
 
 // Sum of the groups' local matrices, (groups that act, 36), plus `shift` times the masses.
 PHASE void assemble_general(const Structure& s, const State& a, double shift, const float* local, General m) {
-  for (int t = TID; t < (a.nodes + 2 * a.storage) * 6; t += THREADS) {
+  for (int t = TID; t < (a.nodes + a.storage) * 6; t += THREADS) {
     int item = t / 6, r = t % 6;
     float out[6] = {};
-    float* row;
     if (item < a.nodes) {
       int j = a.node[item];
-      row = m.diagonal + t * 6;
       if (r < 3) {
 #pragma unroll
         for (int k = 0; k < 3; k++) out[k] = r == k ? float(shift * load(s.mass + j)) : 0.0f;
@@ -85,21 +120,19 @@ PHASE void assemble_general(const Structure& s, const State& a, double shift, co
         int code = a.incident[k], slot = code >> 1;
         add_general_row<false>(s, local + slot * 36, a.group[slot], r, code & 1, code & 1, 1.0f, out);
       }
+      store_row(m.diagonal + t * 6, out);
     } else {
-      bool above = item >= a.nodes + a.storage;
-      int place = item - a.nodes - (above ? a.storage : 0);
-      row = (above ? m.upper : m.lower) + place * 36 + r * 6;
-      int e = a.block_pattern[a.place_block[place]], last = load(s.block_start + e + 1);
+      float above[6] = {};
+      int place = item - a.nodes, e = a.block_pattern[a.place_block[place]], last = load(s.block_start + e + 1);
       for (int k = load(s.block_start + e); k < last; k++) {
         int g = load(s.block_group + k), slot = a.group_slot[g];
         int side = load(s.position + load(s.group_part + s.groups + g)) == load(s.block_row + e);
-        if (above)
-          add_general_row<true>(s, local + slot * 36, g, r, side, 1 - side, -1.0f, out);
-        else
-          add_general_row<false>(s, local + slot * 36, g, r, side, 1 - side, -1.0f, out);
+        add_general_row<false>(s, local + slot * 36, g, r, side, 1 - side, -1.0f, out);
+        add_general_row<true>(s, local + slot * 36, g, r, side, 1 - side, -1.0f, above);
       }
+      store_row(m.lower + place * 36 + r * 6, out);
+      store_row(m.upper + place * 36 + r * 6, above);
     }
-    store_row(row, out);
   }
   SYNC;
 }
@@ -154,97 +187,96 @@ DEVICE bool eliminate_block(float* block) {
   return true;
 }
 
-// Inverts some 6 x 6 blocks in place; `bad` becomes 1 where one is singular. Nearly all need no exchange of rows, and
-// then six threads, one a row, invert a block.
-DEVICE void invert_blocks(float* blocks, int count, double& bad) {
-#ifdef __CUDACC__
-  int lane = TID & 31, i = lane % 8, warps = THREADS >> 5;
-  for (int first = (TID >> 5) * 4; first < count; first += warps * 4) {
-    float* block = blocks + (first + lane / 8) * 36;
-    bool in = first + lane / 8 < count && i < 6, good = true;
-    float row[6];
+// Inverts some 6 x 6 blocks in place; false where one is singular. Nearly all need no exchange of rows. A thread takes a
+// whole block, since six that share one wait longer for each other's pivots than for their own arithmetic.
+DEVICE bool invert_blocks(float* blocks, int count) {
+  bool fine = true;
+  for (int b = TID; b < count; b += THREADS) {
+    float* block = blocks + b * 36;
+    float m[6][6];
 #pragma unroll
-    for (int k = 0; k < 6; k++) row[k] = i == k ? 1.0f : 0.0f;
-    if (in) load_row(block + i * 6, row);
+    for (int i = 0; i < 6; i++) load_row(block + i * 6, m[i]);
+    bool good = true;
 #pragma unroll
     for (int k = 0; k < 6; k++) {
-      float pivot = __shfl_sync(0xffffffffu, row[k], k, 8);
-      good = good && fabs(pivot) > 1e-30f && (i <= k || fabs(pivot) >= 0.1f * fabs(row[k]));
-      float inverse = RECIPROCAL(pivot), share = i == k ? 0.0f : row[k];
-      row[k] = i == k ? 1.0f : 0.0f;
+      float pivot = m[k][k], inverse = RECIPROCAL(pivot);
+      good = good && fabs(pivot) > 1e-30f;
+      m[k][k] = 1.0f;
 #pragma unroll
-      for (int j = 0; j < 6; j++) {
-        float above = __shfl_sync(0xffffffffu, row[j], k, 8) * inverse;
-        row[j] = i == k ? above : row[j] - share * above;
+      for (int j = 0; j < 6; j++) m[k][j] *= inverse;
+#pragma unroll
+      for (int i = 0; i < 6; i++) {
+        if (i == k) continue;
+        float share = m[i][k];
+        good = good && (i < k || fabs(pivot) >= 0.1f * fabs(share));
+        m[i][k] = 0.0f;
+#pragma unroll
+        for (int j = 0; j < 6; j++) m[i][j] -= share * m[k][j];
       }
     }
-    bool all = (__ballot_sync(0xffffffffu, good || !in) >> (lane & 24) & 0xff) == 0xff;
-    if (in && all)
-      store_row(block + i * 6, row);
-    else if (in && i == 0 && !eliminate_block(block))
-      bad = 1;
+    if (good)
+#pragma unroll
+      for (int i = 0; i < 6; i++) store_row(block + i * 6, m[i]);
+    else
+      fine = eliminate_block(block) && fine;
   }
-#else
-  for (int i = 0; i < count; i++)
-    if (!eliminate_block(blocks + i * 36)) bad = 1;
-#endif
+  return fine;
 }
 
-// Replaces the matrix, level by level, by its factor; false where a pivot block is singular.
-PHASE bool factor_general(const State& a, General m) {
-  double bad[1] = {0};
+// Replaces the matrix, level by level, by its factor, and x by what the lower factor leaves of it; false where a pivot
+// block is singular.
+PHASE bool factor_general(const State& a, General m, float* x) {
+  bool fine = true;
   for (int level = 0; level < a.levels; level++) {
     int node0 = a.level_node[level], nodes = a.level_node[level + 1] - node0;
     int place0 = a.place_first[node0], blocks = a.place_first[node0 + nodes] - place0;
-    int rows = level ? (nodes + 2 * blocks) * 6 : 0, bits = lane_bits(rows);
+    int of_matrix = (nodes + 2 * blocks) * 6, rows = level ? of_matrix + nodes : 0, bits = lane_bits(rows);
     for (int t0 = 0; t0 < rows << bits; t0 += THREADS) {
       int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), item = t / 6, r = t - item * 6;
-      bool above = item >= nodes + blocks;
-      int place = place0 + item - nodes - (above ? blocks : 0);
+      bool right_side = t >= of_matrix, above = item >= nodes + blocks && !right_side;
       float* row = nullptr;
       float sum[6] = {};
       if (t < rows) {
-        int j = node0 + item, up = 0;
-        if (item >= nodes) {
-          int b = a.place_block[place];
-          j = a.block_column[b];
-          up = b - a.column[j] + 1;
-        }
+        int place = place0 + item - nodes - (above ? blocks : 0), target = a.nodes + place;
         const float* mine = (above ? m.upper : m.lower) + r * 6;
-        const float* other = above ? m.lower : m.upper;
-        row = (item < nodes ? m.diagonal + j * 36 : (above ? m.upper : m.lower) + place * 36) + r * 6;
-        for (int n = a.row[j] + lane, last = a.row[j + 1]; n < last; n += 1 << bits) {
-          int right = a.row_block[n], left = a.stored[right + up];
-          if (left < 0) continue;
-          float x[6];
-          load_row(mine + left * 36, x);
-          add_products(x, other + a.stored[right] * 36, sum);
+        const float* other = above || right_side ? m.lower : m.upper;
+        if (right_side)
+          target = node0 + t - of_matrix, row = x + target * 6;
+        else if (item < nodes)
+          target = node0 + item, row = m.diagonal + target * 36 + r * 6;
+        else
+          row = (above ? m.upper : m.lower) + place * 36 + r * 6;
+        for (int n = m.product_first[target] + lane, last = m.product_first[target + 1]; n < last; n += 1 << bits) {
+          int pair = int(m.product[n]), left = pair >> 16, right = pair & 0xffff;
+          float v[6];
+          load_row(right_side ? x + m.place_column[right] * 6 : mine + left * 36, v);
+          add_products(v, other + right * 36, sum);
         }
       }
       sum_lanes(sum, bits);
       if (t < rows && lane == 0) {
-        float x[6];
-        load_row(row, x);
+        float v[6];
+        load_row(row, v);
 #pragma unroll
-        for (int k = 0; k < 6; k++) x[k] -= sum[k];
-        store_row(row, x);
+        for (int k = 0; k < 6; k++) v[k] -= sum[k];
+        store_row(row, v);
       }
     }
     SYNC;
-    invert_blocks(m.diagonal + node0 * 36, nodes, bad[0]);
+    fine = invert_blocks(m.diagonal + node0 * 36, nodes) && fine;
     SYNC;
     for (int t = TID; t < blocks * 6; t += THREADS) {
       int place = place0 + t / 6;
       float* row = m.lower + place * 36 + t % 6 * 6;
-      const float* d = m.diagonal + a.block_column[a.place_block[place]] * 36;
-      float x[6], out[6] = {};
-      load_row(row, x);
+      const float* d = m.diagonal + m.place_column[place] * 36;
+      float v[6], out[6] = {};
+      load_row(row, v);
 #pragma unroll
       for (int k = 0; k < 6; k++) {
         float y[6];
         load_row(d + k * 6, y);
 #pragma unroll
-        for (int c = 0; c < 6; c++) out[c] += x[k] * y[c];
+        for (int c = 0; c < 6; c++) out[c] += v[k] * y[c];
       }
       store_row(row, out);
     }
@@ -252,34 +284,16 @@ PHASE bool factor_general(const State& a, General m) {
   }
   for (int t = TID; t < a.storage * 6; t += THREADS) {
     float* row = m.upper + t * 6;
-    float x[6], out[6] = {};
-    load_row(row, x);
-    add_products(x, m.diagonal + a.block_column[a.place_block[t / 6]] * 36, out);
+    float v[6], out[6] = {};
+    load_row(row, v);
+    add_products(v, m.diagonal + m.place_column[t / 6] * 36, out);
     store_row(row, out);
   }
-  SYNC;
-  reduce<1, 0>(bad);
-  SYNC;
-  return bad[0] == 0;
+  return ALL(fine);
 }
 
-// Solves with the factor, level by level; overwrites x.
-PHASE void solve_general(const State& a, General m, float* x, float* between, float* out) {
-  for (int level = 1; level < a.levels; level++) {
-    int first = a.level_node[level] * 6, items = a.level_node[level + 1] * 6 - first, bits = lane_bits(items);
-    for (int t0 = 0; t0 < items << bits; t0 += THREADS) {
-      int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), i = (first + t) / 6, r = first + t - i * 6;
-      float sum[1] = {0};
-      if (t < items)
-        for (int k = a.row[i] + lane, last = a.row[i + 1]; k < last; k += 1 << bits) {
-          int b = a.row_block[k];
-          sum[0] += dot6(m.lower + a.stored[b] * 36 + r * 6, x + a.block_column[b] * 6);
-        }
-      sum_lanes(sum, bits);
-      if (t < items && lane == 0) x[first + t] -= sum[0];
-    }
-    SYNC;
-  }
+// Solves with the upper factor, level by level, for the x that `factor_general` leaves.
+PHASE void solve_general(const State& a, General m, const float* x, float* between, float* out) {
   for (int t = TID; t < a.nodes * 6; t += THREADS) between[t] = dot6(m.diagonal + t * 6, x + t / 6 * 6);
   SYNC;
   for (int level = a.levels - 1; level >= 0; level--) {
@@ -290,7 +304,7 @@ PHASE void solve_general(const State& a, General m, float* x, float* between, fl
       if (t < items)
         for (int place = a.place_first[j] + lane, last = a.place_first[j + 1]; place < last; place += 1 << bits) {
           const float* u = m.upper + place * 36 + c;
-          const float* y = out + a.block_row[a.place_block[place]] * 6;
+          const float* y = out + m.place_row[place] * 6;
           sum[0] += (u[0] * y[0] + u[6] * y[1]) + (u[12] * y[2] + u[18] * y[3]) + (u[24] * y[4] + u[30] * y[5]);
         }
       sum_lanes(sum, bits);

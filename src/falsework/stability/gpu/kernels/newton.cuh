@@ -70,13 +70,16 @@ PHASE void evaluate(
     Progress& progress) {
   int bits = lane_bits(a.groups);
   for (int t0 = 0; t0 < a.groups << bits; t0 += THREADS) {
-    int slot = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), g = 0;
-    double sum[6] = {};
+    int slot = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), g = 0, node[2];
+    double sum[6] = {}, arm[6];
     if (slot < a.groups) {
       g = a.group[slot];
       int count = load(s.group_count + g);
       double strain[6];
-      group_strain(s, a, slot, g, displacement, strain);
+      node[0] = a.group_node[slot], node[1] = a.group_node[a.groups + slot];
+#pragma unroll
+      for (int k = 0; k < 6; k++) arm[k] = arm_of(s, k, g, 0.0);
+      strain_of(node, arm, displacement, strain);
       for (int i = lane; i < count; i += 1 << bits) {
         Point<double> p = point_of(s, i, g, 0.0);
         double n, x, y;
@@ -88,27 +91,32 @@ PHASE void evaluate(
       }
     }
     sum_lanes(sum, bits);
-    if (slot < a.groups && lane == 0) write_group_wrench(s, a, slot, g, sum, q.wrench);
+    if (slot < a.groups && lane == 0) write_wrench(a, slot, node, arm, sum, q.wrench);
   }
   SYNC;
 #pragma unroll
   for (int i = 0; i < 5; i++) progress.v[i] = 0;
   bits = lane_bits(a.nodes * 2);
   for (int t0 = 0; t0 < (a.nodes * 2) << bits; t0 += THREADS) {
-    int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), node = t >> 1, half = t & 1;
-    double f[3] = {};
-    if (t < a.nodes * 2)
+    int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), half = t & 1;
+    bool in = t < a.nodes * 2;
+    int node = in ? t >> 1 : 0, j = a.node[node];
+    double f[3] = {}, mass = load(s.mass + j), measure = half ? load(s.gyration + j) : 1.0, flexibility[9], inertia[9];
+    if (half)  // asked for before they are needed, since all memory answers late
+#pragma unroll
+      for (int k = 0; k < 9; k++)
+        flexibility[k] = load(s.flexibility + k * s.positions + j), inertia[k] = load(s.inertia + k * s.positions + j);
+    if (in)
       for (int k = a.incident_first[node] + lane, last = a.incident_last[node]; k < last; k += 1 << bits) {
         int code = a.incident[k];
         const double* from = q.wrench + ((code & 1) * 6 + half * 3) * a.groups + (code >> 1);
         f[0] += from[0], f[1] += from[a.groups], f[2] += from[2 * a.groups];
       }
     sum_lanes(f, bits);
-    if (t >= a.nodes * 2 || lane) continue;
-    int j = a.node[node];
+    if (!in || lane) continue;
     const double* u = displacement + t * 3;
     const float* step = q.step + t * 3;
-    double mass = load(s.mass + j), light = 1 / mass, measure = half ? load(s.gyration + j) : 1.0;
+    double light = 1 / mass;
 #pragma unroll
     for (int r = 0; r < 3; r++) out[t * 3 + r] = f[r] += load(s.gravity + (half * 3 + r) * s.positions + j);
 #pragma unroll
@@ -118,8 +126,8 @@ PHASE void evaluate(
         acceleration = momentum = 0;
 #pragma unroll
         for (int c = 0; c < 3; c++) {
-          acceleration += load(s.flexibility + (r * 3 + c) * s.positions + j) * f[c];
-          momentum += load(s.inertia + (r * 3 + c) * s.positions + j) * step[c];
+          acceleration += flexibility[r * 3 + c] * f[c];
+          momentum += inertia[r * 3 + c] * step[c];
         }
       }
       progress.v[0] = fmax(progress.v[0], finite_or_huge(fabs(acceleration) * measure));
@@ -204,14 +212,13 @@ DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newto
     double length = 1, ahead_size;
     Progress progress;
     if (steps >= 0) {  // the first pass evaluates rest itself, so that the code for that is there once
+      for (int t = TID; t < a.nodes * 6; t += THREADS) q.right[t] = float(q.residual[t]);
       write_tangent(s, a, q);
       assemble_general(s, a, 1 / time, q.local, q.m);
-      if (!factor_general(a, q.m)) {
+      if (!factor_general(a, q.m, q.right)) {
         time *= kCut;
         continue;
       }
-      for (int t = TID; t < a.nodes * 6; t += THREADS) q.right[t] = float(q.residual[t]);
-      SYNC;
       solve_general(a, q.m, q.right, q.between, q.step);
     }
     while (true) {
