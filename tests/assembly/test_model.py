@@ -160,7 +160,7 @@ def test_real_structure_stands_on_its_boundary(shared_assembly: Callable):
 
 
 def test_a_line_is_a_contact_with_a_warning(beam_on_ridge: Assembly, tmp_path: Path):
-    assert beam_on_ridge.warnings == ("parts roof and beam touch along a line only: verdicts may hang on it",)
+    assert beam_on_ridge.warnings == ("parts roof and beam touch along a line only: verdicts may depend on it",)
     assert beam_on_ridge.contacts.dimension.tolist() == [2, 1]
     save_assembly(beam_on_ridge, tmp_path / "beam")
     with pytest.warns(ContactWarning, match="parts roof and beam touch along a line only"):

@@ -144,7 +144,7 @@ class Assembly:
             where = ("at a point", "along a line")[widest[number]]
             if count > 1:
                 where = ("at points", "along lines")[widest[number]]
-            lines.append(f"parts {a} and {b} touch {where} only: verdicts may hang on it")
+            lines.append(f"parts {a} and {b} touch {where} only: verdicts may depend on it")
         return tuple(lines)
 
     @property
