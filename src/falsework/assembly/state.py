@@ -21,12 +21,12 @@ Mask = NDArray[np.bool_]
 
 
 def complete_state(boundary: Mask) -> States:
-    """State with every part installed and none held. Shape (parts,)."""
+    """Return the state with every part installed and none held. Shape (parts,)."""
     return np.where(boundary, HELD, INSTALLED).astype(np.uint8)
 
 
 def empty_state(boundary: Mask) -> States:
-    """State with only the boundary present. Shape (parts,)."""
+    """Return the state with only the boundary present. Shape (parts,)."""
     return np.where(boundary, HELD, REMOVED).astype(np.uint8)
 
 
@@ -133,12 +133,12 @@ STEP_WORDS = {
 
 
 def describe_step(before: States, after: States, names: Sequence[str]) -> str:
-    """Plain words for the step between two states one move apart, such as `hold 7` or `insert keystone`."""
+    """Describe the step between two states one move apart, such as `hold 7` or `insert keystone`."""
     part = int((before != after).argmax())
     return f"{STEP_WORDS[int(before[part]), int(after[part])]} {names[part]}"
 
 
 def describe_action(action: int, names: tuple[str, ...] | list[str]) -> str:
-    """Plain words for one action, such as `hold 7` or `remove keystone`."""
+    """Describe one action, such as `hold 7` or `remove keystone`."""
     parts = len(names)
     return f"{'hold' if action < parts else 'remove'} {names[action % parts]}"

@@ -84,7 +84,7 @@ class PolicyGuide:
         return self._seconds[nearest] * max(rows / 2 ** (nearest - 1), 1.0) ** 0.5
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float64]:
-        """As `falsework.search.problem.guide.Guide`.
+        """See `falsework.search.problem.guide.Guide`.
 
         Raises:
             InputError: from the target, without a task.

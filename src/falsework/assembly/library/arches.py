@@ -85,11 +85,11 @@ def catenary(
 
 
 def _voussoirs(inner: Array, outer: Array, depth: float) -> list[Solid]:
-    """Blocks between consecutive joints, from the lowest x; `inner` and `outer` are (x, z), shape (joints, 2)."""
+    """Return the blocks between consecutive joints by x; `inner` and `outer` are (x, z), shape (joints, 2)."""
     return [_across("voussoir", [inner[k], inner[k + 1], outer[k + 1], outer[k]], depth) for k in range(len(inner) - 1)]
 
 
 def _across(kind: str, profile: list, depth: float, *, fixed: bool = False) -> Solid:
-    """Prism over a polygon of (x, z) that reaches `depth` across the span."""
+    """Return the prism over a polygon of (x, z) that reaches `depth` across the span."""
     flat = np.array([(x, -depth / 2, z) for x, z in profile])
     return prism(kind, flat, (0.0, depth, 0.0), fixed=fixed)

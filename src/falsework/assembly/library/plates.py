@@ -27,7 +27,7 @@ def house(
     thickness: Annotated[float, Range(0.001, 1, "thickness of a plate", "m")] = 0.04,
     pitch: Annotated[float, Range(1, 25, "slope of the roof; friction alone keeps it", "degrees")] = 20.0,
 ) -> Blocks:
-    """House of plates that cross each other in slots and come apart along clear ways.
+    """House of plates that cross each other in slots and can be disassembled along free directions.
 
     Front and back have slots that are open above, the side walls slots that are open below: a side wall leaves
     upwards only, and front and back are free only when both side walls have left. A floor, and at the top two

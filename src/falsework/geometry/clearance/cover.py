@@ -57,7 +57,7 @@ class Triangles:
         return Triangles(corners, np.tile(self.cut + 1, 4))
 
     def joined(self, other: Triangles) -> Triangles:
-        """These and the others."""
+        """Return these triangles and the others."""
         return Triangles(np.concatenate([self.corners, other.corners]), np.concatenate([self.cut, other.cut]))
 
 
@@ -92,7 +92,7 @@ def uncovered(
 
 @njit(cache=True)
 def _place(corners: Array, facets: Array, offset: Array) -> int:  # pragma: no cover - compiled
-    """1 if a triangle lies in a cone, -1 if outside of it, else 0."""
+    """Return 1 if a triangle lies in a cone, -1 if outside of it, else 0."""
     inside = True
     for k in range(len(facets)):
         beyond = True
@@ -126,7 +126,7 @@ def _uncovered(
     ways: NDArray[np.uint64],
     limit: int,
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_], bool]:  # pragma: no cover - compiled
-    """Corners and cuts of what is left, whether its centre is not settled, and whether the work came to its end."""
+    """Return corners and cuts of the rest, whether its centres are not settled, and whether the work was completed."""
     left, left_cut, doubtful = [np.zeros((3, 3))], [0], [False]
     count = len(bits)
     live = np.empty((DEEPEST + 2, count), dtype=np.int64)

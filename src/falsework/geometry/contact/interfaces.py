@@ -72,7 +72,7 @@ class Contacts:
         return self._pushes(part_count, self.areas)
 
     def narrow_pushes(self, part_count: int) -> NDArray[np.float64]:
-        """Normals into part `i` of all its lines and points with part `j`, shape (parts, parts, 3); as `pushes`."""
+        """Return the normals into part `i` of its lines and points with part `j`, shape (parts, parts, 3)."""
         return self._pushes(part_count, (self.dimension < 2).astype(np.float64))
 
     def _pushes(self, part_count: int, weights: NDArray[np.float64]) -> NDArray[np.float64]:

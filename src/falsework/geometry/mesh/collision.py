@@ -113,7 +113,7 @@ def interpenetrate(a: TriangleMesh, b: TriangleMesh, allowed: float) -> bool:
 
 
 def nested(a: TriangleMesh, a_points: Array, b: TriangleMesh, b_points: Array) -> bool:
-    """Whether one of two surfaces that do not cross lies inside the other."""
+    """Return whether one of two surfaces that do not cross lies inside the other."""
     a_low, a_high, b_low, b_high = a_points.min(0), a_points.max(0), b_points.min(0), b_points.max(0)
     if (a_low >= b_low).all() and (a_high <= b_high).all() and inside(a_points[:1], b_points[b.faces])[0]:
         return True

@@ -1,11 +1,11 @@
-"""Attention between the parts of a structure: the network of policies above 20 parts and of transfer.
+"""Transformer over the parts of a structure: the default network above 20 parts, and for transfer.
 
-Each part is a token: what it is in the state (removed, installed, held, boundary; by its value in the target), how much
-of its contacts is with neighbours in each of these, and its own geometry. Parts attend to each other with a bias for
-each pair that a small network makes from the geometry of the pair (offset, contact, normal, area, hops in the contact
-graph). Nothing knows a part by its number, so the network is equivariant to renumbering
-parts, invariant to translation and to the unit of length, and its weights fit any structure. Removed parts stay in as
-tokens: a gap is worth knowing of.
+Each part is a token: its condition in the state (removed, installed, held, boundary; by its value in the target), the
+share of its contacts with neighbours in each condition, and its own geometry. Parts attend to each other with a bias
+for each pair that a small network makes from the geometry of the pair (offset, contact, normal, area, hops in the
+contact graph). No input identifies a part by number, so the network is equivariant to renumbering parts, invariant to
+translation and to the unit of length, and its weights fit any structure. Removed parts remain as tokens, since gaps are
+informative.
 
 The bias depends on the structure and the weights alone, so one array of shape (heads, parts, parts) serves the whole
 batch, and there are no masks by state: every layer is four products of matrices and one fused attention.
@@ -33,7 +33,7 @@ from falsework.learn.networks.policy import Policy
 
 
 class PartTransformerPolicy(Policy):
-    """Transformer over parts with a bias of attention from the geometry of pairs."""
+    """Transformer over parts with an attention bias from the geometry of pairs."""
 
     part_features: Tensor
     pair_features: Tensor
@@ -67,7 +67,7 @@ class PartTransformerPolicy(Policy):
             nn.init.zeros_(head.bias)
 
     def forward(self, states: Tensor, targets: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """As `Policy`."""
+        """See `Policy`."""
         sizes = self.settings
         batch, parts = states.shape
         kinds = self.classes(states, targets).to(self.ports.dtype)
@@ -88,10 +88,10 @@ class PartTransformerPolicy(Policy):
 
 
 def _attention_for_any_batch(x: Tensor) -> AbstractContextManager[object]:
-    """Kernels of attention for batches of all sizes, as rollouts have them that end one by one.
+    """Select attention kernels for batches of any size, as in rollouts that end one by one.
 
     On a GPU the first choice of torch is cuDNN, which makes a plan for every new size of batch: 40 ms, of which a
-    rollout would wait at each of its steps. Batches that are learned from have one size, so there it may choose.
+    rollout would wait at each of its steps. Training batches have one size, so cuDNN may be chosen there.
     """
     if not x.is_cuda or torch.is_grad_enabled():
         return nullcontext()
@@ -99,7 +99,7 @@ def _attention_for_any_batch(x: Tensor) -> AbstractContextManager[object]:
 
 
 class _Block(nn.Module):
-    """Attention and a feed-forward layer, each normed before and added to what came in."""
+    """Attention and a feed-forward layer, each with pre-normalisation and a residual connection."""
 
     def __init__(self, channels: int, sizes: PolicySettings) -> None:
         super().__init__()

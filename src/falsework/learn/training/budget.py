@@ -40,7 +40,7 @@ class TrainingBudget:
             device: for what they exchange.
         """
         self.before = 0.0
-        """Seconds spent in earlier pieces of this run."""
+        """Seconds spent in earlier sessions of this run."""
         self.stopped = False
         """A signal has asked this process to stop."""
         self._budget, self._steps = 60.0 * minutes, steps
@@ -50,7 +50,7 @@ class TrainingBudget:
 
     @property
     def seconds(self) -> float:
-        """Seconds spent on this run so far, of earlier pieces too; by the clock of this process."""
+        """Seconds spent on this run so far, earlier sessions included; by the clock of this process."""
         return self.before + time.perf_counter() - self._begun
 
     def progress(self, steps: int) -> float:
@@ -88,14 +88,14 @@ class TrainingBudget:
         return {"seconds": self.seconds, "slope": self._slope}
 
     def load_state_dict(self, state: dict[str, float]) -> None:
-        """Go on after an interruption."""
+        """Restore the state after an interruption."""
         self.before = float(state["seconds"])
         self._begun = time.perf_counter()
         self._last, self._slope, self._took = 0.0, float(state["slope"]), 0
 
     @contextlib.contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Let the first SIGINT or SIGTERM ask for a stop in good order; a second one acts as ever."""
+        """Let the first SIGINT or SIGTERM ask for a stop in good order; a second one has its default effect."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return

@@ -45,20 +45,20 @@ class Success:
 class GoalBlindPolicy:
     """Policy without goals as a baseline for goals.
 
-    What the target keeps, it keeps only because the rules forbid to touch it (`Rules.mask` with targets).
+    It keeps the parts of the target only because the rules protect them (`Rules.mask` with targets).
     """
 
     def __init__(self, policy: PolicyFunction) -> None:
-        """Wrap a policy of one state."""
+        """Wrap a policy without goals."""
         self._policy = policy
 
     def __call__(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """As `PolicyFunction`; ignores the targets."""
+        """See `PolicyFunction`; ignores the targets."""
         return self._policy(states)
 
 
 def sample(states: NDArray[Any], count: int, seed: int = 0) -> NDArray[Any]:
-    """At most `count` rows, always the same ones, in the order in which they are given; all if it is 0."""
+    """Return a fixed sample of at most `count` rows, in the given order; all if it is 0."""
     if count <= 0 or len(states) <= count:
         return states
     return states[np.sort(np.random.default_rng(seed).permutation(len(states))[:count])]
@@ -92,7 +92,7 @@ def greedy_success(
 
 
 def throughput(environment: Environment, seconds: float, shards: ProcessGroup = ProcessGroup()) -> dict[str, Any]:
-    """Steps of the environment a second over all processes, and what share of the time went into what."""
+    """Return the steps of the environment per second over all processes, and the share of the time by kind of work."""
     counters = environment.counters.to_dict()
     steps, asked = summed([float(counters["steps"]), float(counters["states_asked"])], shards, environment.device)
     shares = {name: round(float(value), 4) for name, value in counters.items() if name.startswith("share_")}

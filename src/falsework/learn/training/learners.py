@@ -68,7 +68,7 @@ def make_learner(
 
 
 def share_solved(solved: SolvableStates, known: int, shards: ProcessGroup) -> None:
-    """Tell all processes what each has found solvable since it knew `known` states."""
+    """Exchange the states that each process has found solvable since it had `known` states."""
     if shards.size > 1:
         solved.add(gather_rows(solved.states[known:], shards))
         solved.learn_held_out_hashes(gather_rows(solved.held_out_hashes(), shards))

@@ -36,7 +36,7 @@ def train(
     report: Report | None = None,
     dataset: Dataset | None = None,
 ) -> TrainResult:
-    """Train a policy for one structure, and leave a run behind that `load_run` reads.
+    """Train a policy for one structure, and write a run that `load_run` reads.
 
     Under `torchrun` all processes call this alike; the first one writes.
 
@@ -70,7 +70,7 @@ def train(
 def _begin(
     folder: Path | None, assembly: Assembly, settings: TrainSettings, device: torch.device, resume: bool
 ) -> TrainSettings:
-    """Settings filled in, those of the run that is resumed if so."""
+    """Return the resolved settings, those of the run if it is resumed."""
     if folder is None:
         if resume:
             raise InputError("there is nothing to resume without the folder of a run; name it")
@@ -103,7 +103,7 @@ def _threads(settings: TrainSettings, device: torch.device) -> Iterator[None]:
 
 @contextmanager
 def _repeatable(settings: TrainSettings) -> Iterator[None]:
-    """Where a run is to depend on the seed alone, use only kernels that always add up in the same order."""
+    """Use deterministic kernels only, if the run is to depend on the seed alone."""
     if not settings.steps:
         yield
         return

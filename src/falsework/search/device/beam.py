@@ -170,7 +170,7 @@ class DeviceBeam(LevelSearch):
         return self._verdicts
 
     def result(self, *, interrupted: bool = False) -> SearchResult:
-        """As `LevelSearch.result`."""
+        """See `LevelSearch.result`."""
         (_, undecided, sliding), limit = self._refused.tolist(), ""
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:

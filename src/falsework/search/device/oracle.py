@@ -48,7 +48,7 @@ class HostOracle:
         self._oracle = oracle
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
-        """As `TensorOracle`."""
+        """See `TensorOracle`."""
         verdicts = self._oracle.judge(states.cpu().numpy(), parents=parents.cpu().numpy())
         return put(verdicts.verdict, states.device)
 
@@ -74,7 +74,7 @@ class DeviceOracle:
         self._settle: Callable[[States, NDArray[np.float64]], Verdicts] | None = oracle.settle
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
-        """As `TensorOracle`."""
+        """See `TensorOracle`."""
         verdict, residual = self._solver.check_tensor(states)
         if self._settle is None:
             return verdict

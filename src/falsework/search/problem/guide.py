@@ -51,7 +51,7 @@ class SupportGuide:
         self._share = np.divide(area, whole, out=np.zeros_like(area), where=whole > 0).astype(np.float32)
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float32]:
-        """As `Guide`."""
+        """See `Guide`."""
         support = (states != REMOVED).astype(np.float32) @ self._share
         if direction is Direction.DISASSEMBLY:
             support = -support
@@ -74,7 +74,7 @@ class NoveltyGuide:
         self._weight = weight / max(len(routes), 1)
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float64]:
-        """As `Guide`."""
+        """See `Guide`."""
         parts = states.shape[1]
         score = np.zeros(actions.shape)
         if self._base is not None:
@@ -104,7 +104,7 @@ class MemoizedGuide:
         self._answers: dict[bytes, NDArray[np.floating]] = {}
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.floating]:
-        """As `Guide`."""
+        """See `Guide`."""
         questions = np.concatenate([states, np.packbits(actions, axis=1)], axis=1)
         keys = [direction.value.encode() + question.tobytes() for question in questions]
         new = {key: row for row, key in enumerate(keys) if key not in self._answers}

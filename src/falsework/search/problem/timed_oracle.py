@@ -40,7 +40,7 @@ class TimedOracle:
         self._between = between or (lambda: None)
 
     def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """As `falsework.search.problem.oracle.Oracle`.
+        """See `falsework.search.problem.oracle.Oracle`.
 
         Raises:
             TimeUp: the clock has run out.
