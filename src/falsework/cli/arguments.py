@@ -75,7 +75,7 @@ def parse_load(text: str) -> dict[str, Any]:
 
 
 def read_states(path: Path) -> Any:
-    """Read states from a JSON list or a `.npy` file, without judging their length or values.
+    """Read states from a JSON list or a `.npy` file, without checking their length or values.
 
     Raises:
         StateError: no such file, or neither JSON nor NumPy.

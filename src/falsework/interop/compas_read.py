@@ -1,8 +1,7 @@
 """Reader of COMPAS data: lists of meshes, assemblies of compas_assembly, models of compas_dem.
 
 COMPAS writes every object as JSON with the name of its class, `{"dtype": "compas.datastructures/Mesh", "data": ...}`.
-The classes that hold blocks are few and plain, so they are read here without COMPAS; `model.json` from an architect
-needs nothing but this package.
+The classes that hold blocks are few and plain, so they are read here without COMPAS.
 """
 
 from __future__ import annotations

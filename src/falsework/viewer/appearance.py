@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 FADE = 2.0
 """Steps that a part takes to leave the picture."""
 TRAVEL = 0.45
-"""How far it comes meanwhile, in diagonals of the structure."""
+"""Distance travelled meanwhile, in diagonals of the structure."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ def appearance_at(
     """Return the appearance of all parts at a timeline position.
 
     Args:
-        timeline: states and who holds what.
+        timeline: states and holders.
         place: step in the order shown; between whole numbers parts are on their way.
         state: shown instead of the state there, such as one with parts missing; shape (parts,).
         chances: probability of the action that concerns each part, NaN where none does; coloured on a scale, shape

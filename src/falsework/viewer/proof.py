@@ -54,7 +54,7 @@ class StateProof:
 
 
 def proof_of_state(oracle: Stability, state: States) -> StateProof:
-    """Ask for the verdict on a state and turn its proof into arrows.
+    """Request the verdict on a state and convert its proof into arrows.
 
     Args:
         oracle: decides stability.

@@ -76,7 +76,7 @@ def view(
         robots: number of robots, where no plan says it.
         criterion: what stable means.
         deadline: seconds that a new plan may take; None for as long as it takes.
-        host: address to serve at. Beyond this machine, everybody who can reach it can see and steer the page.
+        host: address to serve at. Beyond this machine, every client that can reach it can view and control the page.
         port: port to serve at; the next free one is taken if it is not free.
         allowed_hosts: names other than `host` under which browsers may open the page.
         browser: open the page in the browser.
@@ -219,7 +219,7 @@ def picture(
 
 
 def _nearness(shown: Viewable, place: int, criterion: Criterion) -> NDArray[np.float64]:
-    """Return how near the free parts of a state that stands are to their limits, NaN elsewhere, shape (parts,)."""
+    """Return how near the free parts of a stable state are to their limits, NaN elsewhere, shape (parts,)."""
     state = shown.timeline.states[shown.timeline.row(place)]
     verdicts = Stability(shown.assembly, StabilitySettings(criterion=criterion)).check(state)
     if not verdicts.stable[0]:

@@ -114,7 +114,7 @@ class TrainSettings:
 
 
 def _policy(policy: PolicySettings, gpu: bool) -> PolicySettings:
-    """Return the network for the number of parts, sized for the speed of the device."""
+    """Return the settings of the network, sized for the speed of the device."""
     if policy.kind == "resmlp":
         return replace(policy, channels=policy.channels or (1024 if gpu else 256))
     if policy.kind == "transformer" and not gpu:

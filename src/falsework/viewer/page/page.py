@@ -116,11 +116,11 @@ class Page:
             pass
 
     def refresh(self) -> None:
-        """Bring scene and words up to date with the model."""
+        """Update scene and texts from the model."""
         with self._lock, self.server.atomic():
             self._show_proof()
             self._say()
-            self._draw()  # marks what slides, if either of the others asked
+            self._draw()  # marks sliding parts, if either of the others requested the proof
 
     def _draw(self) -> None:
         model = self.model
@@ -207,7 +207,7 @@ class Page:
     # What happens when something is touched.
 
     def _guard(self, event: Any, act: Callable[[], object]) -> None:
-        """Act, and say in one line what is wrong if something is; the page goes on."""
+        """Run an action, and report an error in one line; the page continues."""
         if self._quiet:
             return
         try:
@@ -328,7 +328,7 @@ class Page:
                 self._play_button.label = "Play"
             time.sleep(max(1 / FRAMES - (time.perf_counter() - begun), 0.005))
 
-    # What is written.
+    # Texts.
 
     def _shown(self) -> list[str]:
         return [kind for kind, toggle in self._toggles.items() if toggle.value]

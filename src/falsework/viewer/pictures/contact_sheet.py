@@ -26,9 +26,9 @@ Pixels = NDArray[np.uint8]
 """Shape (height, width, 3)."""
 
 CELL = Camera(width=480, height=300, zoom=0.97)
-"""How each state of a contact sheet is seen."""
+"""Camera for each state of a contact sheet."""
 WHOLE = Camera(width=1200, height=800, zoom=0.94)
-"""How one state is seen."""
+"""Camera for a single state."""
 _LINE = 26
 """Pixels for a line of text."""
 _ARROW = 0.006
@@ -224,12 +224,12 @@ def check_places(timeline: Timeline, places: Sequence[int]) -> None:
 
 
 def bounds_with_ways(timeline: Timeline) -> NDArray[np.float64]:
-    """Lowest and highest coordinates of the structure and of its parts at the end of their ways, shape (2, 3)."""
+    """Return the bounds of the structure and of its parts at the end of their paths, shape (2, 3)."""
     box = bounds_of(timeline.assembly)
     if len(timeline) == 0:
         return box
     floor = box[0, 2]
-    # Half of the way shows all that matters: farther out a part is nearly invisible.
+    # Half of the path suffices: farther out a part is nearly invisible.
     shift = 0.5 * TRAVEL * diagonal(timeline.assembly) * timeline.ways
     boxes = np.array([mesh.bounds + shift[part] for part, mesh in enumerate(timeline.assembly.meshes)])
     wide = np.stack([np.minimum(box[0], boxes[:, 0].min(axis=0)), np.maximum(box[1], boxes[:, 1].max(axis=0))])

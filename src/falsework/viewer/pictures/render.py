@@ -192,7 +192,7 @@ def _lay_over(image, veil):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True)
 def _average(image, samples):  # pragma: no cover - compiled
-    """Mean over squares of pixels, without opacity."""
+    """Return the mean over squares of pixels, without opacity."""
     height, width = image.shape[0] // samples, image.shape[1] // samples
     mean = np.zeros((height, width, 3))
     for row in range(height * samples):

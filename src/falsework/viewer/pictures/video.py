@@ -93,7 +93,7 @@ def frame_times(makespan: float, rate: float, speed: float) -> list[float]:
     """Return times of a schedule that are shown, in seconds.
 
     Raises:
-        InputError: no pictures a second, or a film that does not go on.
+        InputError: no pictures a second, or a speed of zero.
     """
     _check_rate(rate)
     if not (np.isfinite(speed) and 0 < speed <= 1000):
