@@ -238,7 +238,7 @@ def test_what_a_policy_thinks_and_covers(
         (("picture", "PLAN", "--svg", "--out", "x.png"), "do not fit"),
         (("picture", "nowhere.json"), "nowhere"),
         (("picture", "BROKEN"), "JSON"),
-        (("picture", "OTHER"), "nothing to look at"),
+        (("picture", "OTHER"), "cannot be shown"),
         (("picture", "PLAN", "--structure", "arch:blocks=6"), "parts"),
         (("picture", "arch:blocks=5", "--structure", "arch"), "leave --structure out"),
         (("picture", "PLAN", "--out", "no/such/folder/x.png"), "folder"),

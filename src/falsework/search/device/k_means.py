@@ -59,7 +59,7 @@ class Centers:
 
 
 def find_centers(points: torch.Tensor, words: torch.Tensor, clusters: int) -> Centers:
-    """Lloyd's algorithm from seeds drawn in rounds.
+    """Find cluster centres by Lloyd's algorithm from seeds drawn in rounds.
 
     The seeds are those of k-means++ with a round of draws in place of each single one: points are drawn with
     probability about proportional to the squared distance from the seeds of earlier rounds (priority sampling:

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 class TensorOracle(Protocol):
     """Stability oracle for batches of states on a device.
 
-    One whose attribute `holds_keep_stable` is true, as of `Stability`, is not asked about parts that become held.
+    If its attribute `holds_keep_stable` is true, as of `Stability`, holds are not checked.
     """
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
-        """Verdicts, each with a proof found in float64.
+        """Return verdicts, each with a proof found in float64.
 
         Args:
             states: `uint8`, contiguous, shape (batch, parts).
@@ -54,7 +54,7 @@ class HostOracle:
 
 
 class DeviceOracle:
-    """GPU solver; states that it leaves open go to the CPU solvers."""
+    """GPU solver; states that it leaves undecided go to the CPU solvers."""
 
     def __init__(self, oracle: Stability, device: torch.device) -> None:
         """Copy the problem to the device.
@@ -85,16 +85,16 @@ class DeviceOracle:
         return verdict
 
     def without_fallback(self) -> DeviceOracle:
-        """Return the same solver alone: nothing waits, and the few states that it leaves open stay so."""
+        """Return the same solver alone: no waiting, and the few undecided states remain undecided."""
         alone = copy(self)
         alone._settle = None
         return alone
 
 
 def without_fallback(oracle: TensorOracle) -> TensorOracle:
-    """Return an oracle for states that may be given up, such as those of rollouts that are learned from.
+    """Return an oracle for states that may stay undecided, such as those of training rollouts.
 
-    On a GPU, states that stand by a hair are left open. They are some in ten thousand of dome-72, and the exact solver
+    On a GPU, marginally stable states stay undecided. They are a few in ten thousand of dome-72, and the exact solver
     needs a sixth of a second for each, while thousands of others wait.
     """
     return oracle.without_fallback() if isinstance(oracle, DeviceOracle) else oracle

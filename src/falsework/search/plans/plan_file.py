@@ -37,7 +37,7 @@ MOVES = {
     "release": (Direction.ASSEMBLY, False, HELD, INSTALLED),
 }
 """Word of a step: direction, whether the action index is above `parts`, value of the part before, and after. With
-holding again, parts are held and released in both directions."""
+repeated holds, parts are held and released in both directions."""
 
 
 _SHARE = 0.1
@@ -148,7 +148,7 @@ def plan_from_dict(data: Any, source: str = "the plan") -> Plan:
 
 
 def _from_version_1(data: dict[str, Any]) -> dict[str, Any]:
-    """A plan of version 1 as one of version 2; what is malformed stays so, for the reader to say."""
+    """Convert a plan of version 1 to version 2; malformed entries are left for the reader to report."""
     # Version 1 gave residuals and tolerance in m/s2, of which a tenth is about a share of gravity.
     stability, start, steps = data.get("stability"), data.get("start"), data.get("steps")
     if isinstance(stability, dict):
@@ -167,7 +167,7 @@ def _scaled(record: Any) -> Any:
 
 
 class _Reader(Reader):
-    """Checks all of a plan that can be checked without the structure."""
+    """Reader of plans that checks everything that can be checked without the structure."""
 
     kind, form, command = "plan", FORMAT, "falsework plan"
 
@@ -266,7 +266,7 @@ class _Reader(Reader):
         return fields
 
     def _props(self, value: Any, parts: int) -> tuple[Prop, ...]:
-        """Read where props stand; whether that is possible is for the structure to say."""
+        """Read the places of props, without checking them against the structure."""
         found = []
         for number, entry in enumerate(self._list(value, "structure.props"), 1):
             place = f"structure.props, prop {number}"
@@ -281,7 +281,7 @@ class _Reader(Reader):
         return tuple(found)
 
     def _source_of(self, value: Any) -> dict[str, Any]:
-        """Where the structure came from; whether it is there is for others to find out."""
+        """Read the source of the structure, without checking that it exists."""
         kinds = {
             "built_in": str, "path": str, "unit": str, "density": (int, float), "friction": (int, float),
             "boundary": list, "ground": bool, "interfaces": str, "loads": list, "earthquake": list,
@@ -375,13 +375,13 @@ class _Reader(Reader):
         return PlanReplay(stands, self._number(value["moved"], "replay.moved"), part, falls_at)
 
     def _packed(self, value: Any, name: str, counted: str, states: int) -> NDArray[np.float64]:
-        """Proofs of all states: forces of points, or displacements of parts."""
+        """Return the proofs of all states: forces of points, or displacements of parts."""
         self._keys(value, {counted, "zlib_base64"}, name)
         count, width = self._count(value[counted], f"{name}.{counted}"), 6 if name == "displacements" else 3
         try:
             packed = base64.b64decode(value["zlib_base64"], validate=True)
             wanted = states * count * width * 8
-            # One byte more than wanted shows that there is too much, without unpacking a bomb.
+            # One extra byte reveals oversized data without unpacking all of it.
             data = zlib.decompressobj().decompress(packed, wanted + 1)
         except (TypeError, ValueError, OverflowError, zlib.error):
             self._fail(f"{name}.zlib_base64 cannot be unpacked")

@@ -32,7 +32,7 @@ def criterion_of(task: Task) -> Criterion:
 
 
 def read_criterion(path: Path | str, header: dict[str, Any], remedy: str) -> Criterion:
-    """Take the criterion out of the header of a file of states; files from before there was a choice have none.
+    """Take the criterion out of the header of a file of states; files of older versions have none.
 
     Args:
         path: of the file.
@@ -107,7 +107,7 @@ class StateGraph:
 
     @property
     def criterion(self) -> Criterion:
-        """What stable means for its states."""
+        """Stability criterion of its states."""
         return criterion_of(self.task)
 
     @cached_property
@@ -117,7 +117,7 @@ class StateGraph:
 
     @cached_property
     def index(self) -> StateIndex:
-        """Finds states in this graph."""
+        """Index of the states of this graph."""
         return StateIndex(self.states)
 
     @cached_property

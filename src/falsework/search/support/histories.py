@@ -1,4 +1,4 @@
-"""Contact histories of the states of a beam with holding again, in the order of assembly."""
+"""Contact histories of the states of a beam with repeated holds, in the order of assembly."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from falsework.stability.contact.replay import History, Replayer
 
 _HISTORY_BYTES = 256 << 20
-"""Memory for histories; the earliest are computed anew where they are needed again."""
+"""Memory for histories; the earliest are recomputed on demand."""
 
 
 class WayHistories:
-    """Contact history of each state, along the way by which it was reached first."""
+    """Contact history of each state, along the path by which it was reached first."""
 
     def __init__(self, replayer: Replayer, parent: Mapping[bytes, bytes]) -> None:
         """Begin with nothing.
@@ -45,14 +45,14 @@ class WayHistories:
         return found
 
     def keep(self, states: Sequence[States], histories: Sequence[History]) -> None:
-        """Remember the histories of states that were reached for the first time."""
+        """Store the histories of states that were reached for the first time."""
         for state, history in zip(states, histories, strict=True):
             self._known.setdefault(state.tobytes(), history)
         while len(self._known) > self._most:
             self._known.popitem(last=False)
 
     def _of(self, state: bytes) -> History | None:
-        """Return the history of a state, along its way from the last state whose history is known."""
+        """Return the history of a state, along its path from the last state whose history is known."""
         way = [state]
         while way[-1] not in self._known and self._parent[way[-1]]:
             way.append(self._parent[way[-1]])
