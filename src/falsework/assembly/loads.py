@@ -1,4 +1,4 @@
-"""Loads on a structure beside its weight: forces on parts, and a pseudo-static earthquake."""
+"""Loads on a structure in addition to its weight: forces on parts, and a pseudo-static earthquake."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Loads:
     wrench: Array
     """Force and moment about the centre of mass of each part, N and Nm, shape (parts, 6), read-only."""
     acceleration: Array
-    """Acceleration that acts on every part beside gravity, in shares of gravity, shape (3,), read-only."""
+    """Acceleration of every part in addition to gravity, in shares of gravity, shape (3,), read-only."""
 
     @staticmethod
     def of(parts: int, *, wrench: ArrayLike | None = None, acceleration: ArrayLike = (0.0, 0.0, 0.0)) -> Loads:
@@ -58,10 +58,10 @@ class Loads:
             center: centres of mass, shape (parts, 3), m.
 
         Returns:
-            Loads, or None where nothing acts.
+            Loads, or None if there are none.
 
         Raises:
-            AssemblyError: a load on a part that does not exist, or numbers that cannot be used.
+            AssemblyError: a load on a part that does not exist, or invalid numbers.
         """
         wrench = np.zeros((len(names), 6))
         if not isinstance(entries or [], list):
@@ -88,7 +88,7 @@ class Loads:
         """Return the entries of `assembly.json` that `read` makes these loads of.
 
         Raises:
-            AssemblyError: a vertical acceleration, which `assembly.json` cannot say.
+            AssemblyError: a vertical acceleration, which `assembly.json` cannot express.
         """
         if self.acceleration[2]:
             raise AssemblyError("a vertical acceleration cannot be written to assembly.json; use horizontal ones")
@@ -111,7 +111,7 @@ class Loads:
 
 
 def part_id(given: Any, names: Sequence[str], what: str) -> int:
-    """Return the id of a part that is given by id or by name; `what` begins the message where it is not there."""
+    """Return the id of a part that is given by id or by name; `what` begins the message if there is none."""
     if isinstance(given, str) and given in names:
         return list(names).index(given)
     if isinstance(given, str) and given.isdecimal():

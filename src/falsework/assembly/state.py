@@ -31,7 +31,7 @@ def empty_state(boundary: Mask) -> States:
 
 
 def as_states(states: ArrayLike, boundary: Mask) -> States:
-    """Check states that come from outside and return them as a batch.
+    """Validate states and return them as a batch.
 
     Args:
         states: one state `(parts,)` or a batch `(batch, parts)` of 0 removed, 1 installed, 2 held.
@@ -102,7 +102,7 @@ def apply_actions(states: States, actions: NDArray[np.integer]) -> States:
 
 
 def undo_mask(states: States, boundary: Mask, robots: int) -> Mask:
-    """Return actions that can have led into each state, stability aside: the moves of assembly.
+    """Return actions that can have led to each state, stability aside: the moves of assembly.
 
     Undoing a hold releases a held part; undoing a removal installs a part that a robot then holds.
 

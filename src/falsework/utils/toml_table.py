@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Table:
-    """One table of a TOML file; keys that are read are ticked off, and what is left over is an error."""
+    """One table of a TOML file; keys that are read are recorded, and any remaining key is an error."""
 
     def __init__(self, source: str, where: str, values: Any) -> None:
         self.source, self.where = source, where
@@ -122,7 +122,7 @@ class Table:
 
 
 def _is_number(value: Any) -> bool:
-    """Whether a value is a finite number that a float holds."""
+    """Return whether a value is a finite number that a float holds."""
     known = isinstance(value, (int, float)) and not isinstance(value, bool)
     return known and abs(value) <= sys.float_info.max
 

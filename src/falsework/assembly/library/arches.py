@@ -23,9 +23,9 @@ def arch(
 ) -> Blocks:
     """Semicircular arch of equal voussoirs on two abutments.
 
-    With fine voussoirs it stands as long as the thickness is above 0.1075 of the radius (Milankovitch 1907,
-    the mechanism with five hinges), if friction holds the blocks; few voussoirs leave fewer places for
-    hinges and may stand thinner. The joints are radial, the faces between them flat.
+    With fine voussoirs it is stable as long as the thickness is above 0.1075 of the radius (Milankovitch 1907, the
+    mechanism with five hinges), if friction holds the blocks; few voussoirs leave fewer places for hinges and may allow
+    a smaller thickness. The joints are radial, the faces between them flat.
     """
     if thickness > radius:
         raise InputError(f"thickness {thickness:g} m is more than radius {radius:g} m; make the arch thinner")
@@ -56,8 +56,8 @@ def catenary(
 ) -> Blocks:
     """Catenary arch of voussoirs of equal length, the inverted hanging chain.
 
-    Its middle line is the line of thrust of its own weight, so it stands far thinner than a semicircle. The
-    joints are perpendicular to the middle line, those on the abutments too.
+    Its middle line is the line of thrust of its own weight, so it is stable at a far smaller thickness than a
+    semicircle. The joints are perpendicular to the middle line, those on the abutments too.
     """
     half = span / 2
     if not 0.02 <= rise / half <= 20:

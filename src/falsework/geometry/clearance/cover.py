@@ -64,16 +64,16 @@ class Triangles:
 def uncovered(
     triangles: Triangles, cones: Cones, ways: NDArray[np.bool_], limit: int
 ) -> tuple[Triangles, NDArray[np.bool_]] | None:
-    """Return triangles in which a direction may be better than the known ways.
+    """Return triangles in which a direction may be better than the known exit directions.
 
-    A triangle is settled if for some way each of its blockers has a cone that holds the whole triangle: then
-    whatever set of parts leaves a direction in it open leaves that way open too. Others are cut until they are
-    settled, or reach the limit, or until the cones do not settle even their centre.
+    A triangle is settled if for some exit direction each of its blockers has a cone that contains the whole triangle:
+    then every set of parts that leaves a direction in the triangle free leaves that exit free too. Others are
+    subdivided until they are settled, or reach the limit, or until the cones do not settle even their centre.
 
     Args:
-        triangles: what is to be covered.
+        triangles: triangles to be covered.
         cones: directions that parts block.
-        ways: blockers of each known way, shape (ways, parts), with at most 64 blockers in all.
+        ways: blockers of each known exit direction, shape (ways, parts), with at most 64 blockers in all.
         limit: how often the sphere may be cut.
 
     Returns:
@@ -136,7 +136,7 @@ def _uncovered(
     depths = np.empty(4 * (DEEPEST + 2), dtype=np.int64)
     tests, whole = 0, True
     for root in range(len(roots)):
-        # Row `depth` holds what is known of the triangle that is being cut at this depth: cones that hold it whole,
+        # Row `depth` is about the triangle that is being cut at this depth: cones that contain it wholly,
         # and those whose boundary may cross it.
         live[0] = np.arange(count)
         lives[0] = count

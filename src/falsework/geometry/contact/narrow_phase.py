@@ -23,7 +23,7 @@ Index = NDArray[np.int64]
 _CHUNK = 200_000
 """Pairs of faces, or pieces and edges, that are compared at once; bounds the memory of very fine meshes."""
 _BESIDE = 1.5
-"""Distance from an edge of a face, in tolerances, up to which what lies on the face lies on its edge."""
+"""Distance from an edge of a face, in tolerances, up to which a point on the face counts as on its edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class Reach:
 
     @property
     def tolerance(self) -> float:
-        """The larger of gap and overlap: what is narrower than this has no width."""
+        """The larger of gap and overlap: narrower contacts have no width."""
         return max(self.gap, self.overlap)
 
     @property

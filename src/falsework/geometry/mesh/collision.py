@@ -21,10 +21,10 @@ MORE, LESS = 0.56, 0.45
 def shrink(mesh: TriangleMesh, distance: float) -> Array:
     """Return vertices of the mesh with every face moved inwards by `distance`, shape (vertices, 3), metres.
 
-    Parts that touch, or overlap by less than twice `distance`, come apart when both are shrunk, so that a
-    collision of what is left is one of the parts and not of rounding. Each vertex moves by the least vector
-    that moves all planes of its faces by the distance; where more than three planes meet, in the sense of
-    least squares. The distance must be small beside the thickness of the part.
+    Parts that touch, or overlap by less than twice `distance`, come apart when both are shrunk, so that a remaining
+    collision is one of the parts and not of rounding. Each vertex moves by the least vector that moves all planes of
+    its faces by the distance; where more than three planes meet, in the sense of least squares. The distance must be
+    small beside the thickness of the part.
     """
     return mesh.vertices - distance * outwards(mesh)
 
@@ -103,7 +103,7 @@ def inside(points: Array, corners: Array) -> NDArray[np.bool_]:
 
 
 def interpenetrate(a: TriangleMesh, b: TriangleMesh, allowed: float) -> bool:
-    """Return whether two solids that are shrunk by half of what is allowed still share space.
+    """Return whether two solids, shrunk by half of the allowed overlap, still share space.
 
     They are not shrunk by the same amount: solids that coincide would leave surfaces that coincide, and
     none that cross.

@@ -24,10 +24,10 @@ class TriangleMesh:
 
     @staticmethod
     def from_arrays(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
-        """Copy arrays into a mesh after checking shapes and indices, and nothing else.
+        """Copy arrays into a mesh after checking shapes and indices only.
 
         Args:
-            name: how messages call the part.
+            name: name of the part in messages.
             vertices: shape (vertices, 3), metres.
             faces: indices into `vertices`, shape (faces, 3).
 

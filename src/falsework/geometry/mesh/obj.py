@@ -15,8 +15,8 @@ from falsework.geometry.mesh.polygon import triangulate
 def read_obj(file: Path) -> list[tuple[str, NDArray[np.float64], NDArray[np.int64]]]:
     """Read the objects of an OBJ file: name, vertices of the whole file, and faces of each.
 
-    Objects are what `o` lines name, or `g` lines in a file without `o`. Polygons are cut into triangles,
-    concave ones too. Textures, normals, lines and materials are passed over.
+    Objects begin at `o` lines, or at `g` lines in a file without `o`. Polygons are cut into triangles,
+    concave ones too. Textures, normals, lines and materials are ignored.
 
     Raises:
         MeshError: a line that cannot be understood, or a face with a vertex that is not there.

@@ -41,11 +41,11 @@ def unit_length(unit: str) -> float:
 
 
 def load_meshes(path: str | Path, unit: str = "m", *, supports: Collection[int | str] = ()) -> tuple[TriangleMesh, ...]:
-    """Read, check and where it is safe repair the meshes of all parts.
+    """Read and check the meshes of all parts, and repair them where that is safe.
 
     A folder holds one file a part (OBJ, STL, PLY, GLB). Names that are all numbers are the ids of the
     parts and must be `0` to `m - 1`; other names are put in natural order. A single file holds one object a
-    part; a file without objects is split where its surfaces do not hang together. GLB is read as its
+    part; a file without objects is split into connected surfaces. GLB is read as its
     standard has it, y up, and turned to z up.
 
     Args:
@@ -166,7 +166,7 @@ def _read_solids(file: Path) -> list[_Solid]:
 
 
 def _split(solid: _Solid, file: Path) -> list[_Solid]:
-    """Return parts of a file without objects: surfaces that hang together by their edges."""
+    """Return parts of a file without objects: surfaces connected by edges."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 

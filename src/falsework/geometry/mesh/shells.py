@@ -1,4 +1,4 @@
-"""Closed surfaces that one part is made of: which bound hollows, which overlap, and their union."""
+"""Closed surfaces of one part: hollows, overlaps and union."""
 
 from __future__ import annotations
 
