@@ -12,7 +12,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
 
 _MILLIMETRE = 1e-3
-"""Unit to which Open CASCADE converts what it reads, in metres."""
+"""Unit to which Open CASCADE converts coordinates, in metres."""
 _DEFLECTION = 1e-3
 """Largest distance of triangles from a curved face, as a share of the face's edges."""
 _ANGLE = np.radians(5)

@@ -58,7 +58,7 @@ class Prover:
 
         Args:
             route: states and actions.
-            task: what the route was found for.
+            task: task of the route.
             forces: keep the contact forces that prove the states in the plan.
             seconds: time that is left. Where it is too short to solve the states again for the checker, the plan rests
                 on the proofs that the solver itself found and checked during the search.

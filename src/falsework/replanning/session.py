@@ -160,7 +160,7 @@ class ReplanSession:
         """Choose the requested number of diverse routes through some states whose replays succeed.
 
         Args:
-            task: what they are routes of.
+            task: task of the routes.
             states: stable, shape (count, parts).
             given: routes to begin with.
         """

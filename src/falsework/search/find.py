@@ -220,7 +220,7 @@ def plan_of(
     Args:
         route: states and actions.
         assembly: the structure.
-        task: what the route was found for.
+        task: task of the route.
         oracle: proves the states.
         forces: keep the forces in the plan, under `contact` the displacements too.
         replay: of the route by the oracle's replayer, where it is known already.
@@ -260,7 +260,7 @@ def _prove(states: States, oracle: Stability, verdicts: Verdicts) -> None:
     Args:
         states: shape (states, parts).
         oracle: checks them.
-        verdicts: out: verdicts on them, with what there is room for.
+        verdicts: out: verdicts on them, with certificates where there is room.
     """
     rest = np.arange(len(states))
     if oracle.settings.criterion == "contact":
@@ -280,7 +280,7 @@ def _prove_in_order(states: States, oracle: Stability, verdicts: Verdicts) -> No
     Args:
         states: shape (states, parts).
         oracle: checks them.
-        verdicts: out: verdicts on them, with what there is room for.
+        verdicts: out: verdicts on them, with certificates where there is room.
     """
     count, parts = states.shape
     length = -(-count // _PIECES)

@@ -54,7 +54,7 @@ class WorkerConfig:
     run: Path | None = None
     """Folder of a trained policy."""
     criterion: Criterion = "contact"
-    """What stable means, see `falsework.stability.StabilitySettings`."""
+    """Stability criterion, see `falsework.stability.StabilitySettings`."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Ready:
     """Message: the worker accepts requests."""
 
     policy: str
-    """What proposes actions, in words; empty for none."""
+    """Description of the policy that proposes actions; empty for none."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ class Appearance:
     color: NDArray[np.uint8]
     """Red, green, blue, shape (parts, 3)."""
     opacity: Array
-    """0 for what is not seen, shape (parts,)."""
+    """0 for invisible parts, shape (parts,)."""
     shift: Array
     """From the place of each part, metres, shape (parts, 3)."""
     holder: NDArray[np.int64]
@@ -117,7 +117,7 @@ def pick(assembly: Assembly, appearance: Appearance, origin: Array, direction: A
 
     Args:
         assembly: the structure.
-        look: where the parts are; what is not seen is not hit.
+        look: where the parts are; invisible parts are not hit.
         origin: of the ray, metres, shape (3,).
         direction: of the ray, any length, shape (3,).
     """

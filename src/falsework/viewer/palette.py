@@ -58,7 +58,7 @@ def ramp(values: ArrayLike) -> NDArray[np.uint8]:
     """Return colours on the scale of probabilities.
 
     Args:
-        values: from 0 to 1, any shape; what lies outside counts as the end.
+        values: from 0 to 1, any shape; values outside count as the nearest end.
 
     Returns:
         Red, green, blue from 0 to 255, shape (..., 3).

@@ -31,7 +31,7 @@ class StateProof:
     words: str
     """Summary in one line."""
     arrows: dict[str, Arrows]
-    """By what they show: contact forces, friction, gravity; or motion; or sliding."""
+    """By kind: contact forces, friction, gravity; or motion; or sliding."""
     moved: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     """For a state that is not stable: displaced vertices of the moving parts; by part, shape (vertices, 3)."""
     slides: bool = False

@@ -29,7 +29,7 @@ class NanGuard:
 
         Args:
             value: loss or norm of the gradient of this step, any shape.
-            batch: what it was computed from; must not change until the next call.
+            batch: its input; must not change until the next call.
             step: where this is, such as `step 12`; part of the file name.
 
         Raises:

@@ -63,7 +63,7 @@ class PolicyOptimizer:
 
         Args:
             loss: of this process, differentiable.
-            batch: what it was computed from, saved if the step is not finite; must not change until the next step.
+            batch: its input, saved if the step is not finite; must not change until the next step.
             learning_rate: of this step.
             average: decay of the moving average of the weights.
 

@@ -128,7 +128,7 @@ class PPO(Learner):
 
         Returns:
             Means over all processes: `rollout_success`, `loss`, `surrogate_loss`, `value_loss`, `entropy`,
-            `divergence`, `clipped`, `learning_rate`, number of `transitions`, and what the sampler reports.
+            `divergence`, `clipped`, `learning_rate`, number of `transitions`, and the report of the sampler.
 
         Raises:
             TrainingError: a step was not finite.

@@ -146,7 +146,7 @@ def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: in
         path: of the file.
         arrays: by name.
         parts: number of parts.
-        remedy: what to do about it.
+        remedy: remedy, for the message.
 
     Raises:
         InputError: one of them holds anything else.
@@ -272,7 +272,7 @@ def build_dataset(
 
     Args:
         assembly: the structure.
-        task: what is to be learned, as of `task_for`.
+        task: task to learn, as of `task_for`.
         settings: widths and seed.
         oracle: verdicts, whose criterion the data set then names; made if not given.
         device: `auto`, `cpu` or `cuda`.

@@ -159,7 +159,7 @@ class _Reach:
     def over(
         cls, levels: list[slice], near: NDArray[np.int32], far: NDArray[np.int32], allowed: NDArray[np.bool_]
     ) -> _Reach:
-        """Follow edges from `near` to `far`, given as slices in an order in which what lies further comes first."""
+        """Follow edges from `near` to `far`, given as slices farthest first."""
         degree = np.bincount(near, minlength=len(allowed))
         meets = np.zeros(len(allowed), dtype=bool)
         mean, longest = np.zeros(len(allowed)), np.zeros(len(allowed), dtype=np.int64)

@@ -16,8 +16,8 @@ from falsework.utils.tensors import in_sorted, put
 def symmetric_images(states: States, images: NDArray[np.intp]) -> States:
     """Return states and their images under all symmetries of the structure, each once.
 
-    A policy that has learned from an image of a state has learned from the state, so what is held out for tests is
-    held out with its images.
+    A policy that has learned from an image of a state has learned from the state, so test states are held out with
+    their images.
 
     Args:
         states: shape (count, parts).

@@ -133,7 +133,7 @@ class Environment:
             fixed: parts that are never touched.
 
         Raises:
-            DependencyError: what the device needs is not installed.
+            DependencyError: a package that the device needs is not installed.
             InputError: no such device, fewer than one robot, or a fixed part that does not exist.
         """
         self.assembly = assembly

@@ -58,7 +58,7 @@ def choose_actions(
         logits: shape (batch, 2 parts).
         mask: legal actions, at least one a row, shape (batch, 2 parts).
         greedy: take the most probable.
-        temperature: what logits are divided by before drawing.
+        temperature: divisor of the logits before sampling.
         generator: source of randomness, on the device of the logits.
 
     Returns:
@@ -154,7 +154,7 @@ def roll_out(
         starts: stable, `uint8` on the device, shape (batch, parts).
         targets: shape (batch, parts), or None.
         greedy: take the most probable action; otherwise draw one.
-        temperature: what logits are divided by before drawing.
+        temperature: divisor of the logits before sampling.
         generator: source of randomness for drawing; same state of it, same rollouts.
         keep: `all` states and actions, or only the `ends`, which takes little memory.
 

@@ -30,8 +30,8 @@ class PartFeatures:
     pair: NDArray[np.float32]
     """Shape (parts, parts, PAIR_FEATURES): part `j` relative to part `i` (first index)."""
     ports: NDArray[np.float32]
-    """Shape (PORTS, parts, parts): share of part `i`'s contact area that it has with part `j`; all of it, and
-    what presses on it towards +x, -x, +y, -y, +z (carries it), -z (rests on it)."""
+    """Shape (PORTS, parts, parts): share of part `i`'s contact area that it has with part `j`; all of it, and the share
+    of contacts that press on it towards +x, -x, +y, -y, +z (carries it), -z (rests on it)."""
     boundary: NDArray[np.bool_]
     """Shape (parts,)."""
 

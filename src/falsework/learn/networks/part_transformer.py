@@ -11,10 +11,10 @@ The bias depends on the structure and the weights alone, so one array of shape (
 batch, and there are no masks by state: every layer is four products of matrices and one fused attention.
 
 Cost, for `L` layers, `m` parts, `c` channels and `e c` hidden ones: `L (2 m c^2 (4 + 2 e) + 4 m^2 c)` operations a
-state forward, three times that with the backward pass. For 62 parts, 4 layers, 128 channels, `e = 2`: 73 and 219
-MFLOP. 200,000 states a second are then 44 TFLOP/s, a twentieth of what an H200 does in bfloat16. What limits it is
-memory: some 75 passes over the activations of a token in each layer, forward and backward together, are
-62 x 128 x 2 byte x 75 x 4 = 4.8 MB a state, of which 4.8 TB/s carry a million a second at the very best.
+state forward, three times that with the backward pass. For 62 parts, 4 layers, 128 channels, `e = 2`: 73 and 219 MFLOP.
+200,000 states a second are then 44 TFLOP/s, a twentieth of what an H200 does in bfloat16. The bottleneck is memory
+bandwidth: some 75 passes over the activations of a token in each layer, forward and backward together, are 62 x 128 x 2
+byte x 75 x 4 = 4.8 MB a state, of which 4.8 TB/s carry a million a second at the very best.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ class TrainingBudget:
             minutes: time for everything, unless `steps` says how many.
             steps: steps of the optimizer in place of a time.
             shards: processes, of which the first has the clock.
-            device: for what they exchange.
+            device: for exchanged tensors.
         """
         self.before = 0.0
         """Seconds spent in earlier sessions of this run."""
@@ -84,7 +84,7 @@ class TrainingBudget:
         return summed([float(self.stopped)], self._shards, self._device)[0] > 0
 
     def state_dict(self) -> dict[str, float]:
-        """Return what a checkpoint needs."""
+        """Return the state for a checkpoint."""
         return {"seconds": self.seconds, "slope": self._slope}
 
     def load_state_dict(self, state: dict[str, float]) -> None:

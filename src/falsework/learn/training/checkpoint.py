@@ -164,7 +164,7 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
     """Read a trained policy and the structure that it is for.
 
     Args:
-        folder: what `falsework train --out` named.
+        folder: folder of the run.
         device: where the policy is to live.
         assembly: the structure if it is at hand; it must be the one of the run.
 

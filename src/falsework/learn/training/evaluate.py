@@ -76,7 +76,7 @@ def greedy_success(
 
     Args:
         environment: rules and verdicts.
-        policy: what is evaluated.
+        policy: policy to evaluate.
         states: stable, shape (count, parts).
         targets: shape (count, parts), or None.
         shards: processes that share the states.
@@ -119,7 +119,7 @@ def evaluate(
 
     Args:
         environment: rules and verdicts.
-        policy: what is evaluated.
+        policy: policy to evaluate.
         sets: states, and targets if there are any, of shape (count, parts).
         most: states of each set, a fixed sample; 0: all.
         search: search where the most probable actions fail, so that every state gets a proven plan if one is found.
@@ -129,7 +129,7 @@ def evaluate(
 
     Returns:
         For each set `states` and `success`; with search for `test` also `search`: the `share` of states with a proven
-        plan, who decided how many, and seconds.
+        plan, counts by deciding stage, and seconds.
     """
     from falsework.learn.algorithms.policy_search import solve_all
 

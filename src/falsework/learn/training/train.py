@@ -42,7 +42,7 @@ def train(
 
     Args:
         assembly: the structure.
-        settings: what to do; with `resume`, only `minutes` and `steps` of it count, where they are given.
+        settings: of the run; with `resume`, only `minutes` and `steps` of it count, where they are given.
         folder: of the run; None keeps nothing but what is returned.
         source: where the structure can be loaded from again; a built-in of the name of the assembly if not given.
         device: `auto`, `cpu` or `cuda`.

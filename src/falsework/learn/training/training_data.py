@@ -59,7 +59,7 @@ def collect_training_data(
     """Search for states, or read those that an earlier session found.
 
     Args:
-        run: what is trained; states are kept in its folder.
+        run: training run; states are kept in its folder.
         kept: read them if they are there.
         dataset: states to use instead.
         enough: called between searches for goals; true if no time is left for more, alike in all processes.

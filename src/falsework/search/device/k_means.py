@@ -35,7 +35,7 @@ class Centers:
     scaled: torch.Tensor
     """Whole numbers as float32, shape (clusters, dimensions)."""
     scale: int
-    """What a unit is."""
+    """Length of a unit."""
 
     def nearest(self, points: torch.Tensor) -> torch.Tensor:
         """Return the nearest centre of each point, the first of several.

@@ -64,7 +64,7 @@ class DeviceOracle:
             device: a CUDA device.
 
         Raises:
-            DependencyError: what the solver needs is not installed.
+            DependencyError: a package that the solver needs is not installed.
             InputError: no such device.
         """
         from falsework.stability.gpu.solver import GpuSolver

@@ -81,7 +81,7 @@ def next_level(
     """Check the first candidates of each search and keep the first that are stable.
 
     Args:
-        rules: what an action does.
+        rules: effects of actions.
         level: states that the candidates come from.
         candidates: parent, action and value of each, in the order in which each search prefers them, those of one
             search together, and no state twice in one search; shape (candidates,).

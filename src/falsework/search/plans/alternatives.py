@@ -182,7 +182,7 @@ class _Farthest:
         return None
 
     def _gain(self, route: Route) -> NDArray[np.float32]:
-        """Return what each edge adds to the distance from `route`, shape (edges,)."""
+        """Return the contribution of each edge to the distance from `route`, shape (edges,)."""
         key = route.states.tobytes()
         if key in self._gains:
             return self._gains[key]

@@ -124,7 +124,7 @@ class Plan:
         Args:
             route: states and actions.
             assembly: the structure.
-            task: what the route was found for.
+            task: task of the route.
             verdicts: of the states of the route, with forces if the plan is to carry its proofs.
             claim: stability criterion of the verdicts.
 

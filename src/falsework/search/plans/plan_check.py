@@ -37,7 +37,7 @@ class PlanReport:
     checked: int
     """States found good, from the first on."""
     reason: str = ""
-    """What is wrong with the first bad state; empty if all are good."""
+    """Error of the first bad state; empty if all are good."""
     residual: float = 0.0
     """Largest residual of a good state, a share of gravity."""
     claim: StabilityCriterion = field(default_factory=StabilityCriterion)
@@ -79,7 +79,7 @@ def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str]
     """Return the first state that the rules do not allow, and why; None if all are allowed.
 
     Args:
-        plan: what to check.
+        plan: plan to check.
         assembly: needed to check that removed parts have a way out; that is left out without it.
     """
     states, parts, boundary = plan.states, len(plan.boundary), plan.boundary
@@ -146,9 +146,9 @@ def validate_plan(
     a parent, and verified by the certificate checker, which shares no code with the solvers.
 
     Args:
-        plan: what to check.
+        plan: plan to check.
         assembly: the structure.
-        settings: what stable means.
+        settings: stability criterion.
         demands: margins that every state must keep; those that the plan was made to keep if not given.
         progress: called with the number of states checked and of all states.
 
@@ -205,9 +205,9 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
     """Check the rules and, by the displacements or forces in the plan, the stability; needs no solver.
 
     Args:
-        plan: what to check.
+        plan: plan to check.
         assembly: the structure.
-        settings: what stable means.
+        settings: stability criterion.
 
     Raises:
         PlanError: the plan is for another structure, carries no proofs, or not one for each part or contact point.

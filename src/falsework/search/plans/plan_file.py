@@ -44,7 +44,7 @@ _SHARE = 0.1
 """Shares of gravity in 1 m/s2, rounded down."""
 _PROOF_WORDS = {"contact": "displacement", "equilibrium": "forces"}
 _PROOF_ARRAYS = {"contact": ("displacements", "parts"), "equilibrium": ("forces", "points")}
-"""Entry of the file that holds the proofs, and what its first axis counts."""
+"""Entry of the file that holds the proofs, and the items along its first axis."""
 _KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
 
 

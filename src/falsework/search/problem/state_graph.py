@@ -37,7 +37,7 @@ def read_criterion(path: Path | str, header: dict[str, Any], remedy: str) -> Cri
     Args:
         path: of the file.
         header: as read; `criterion` is removed.
-        remedy: what to do if the file is damaged.
+        remedy: remedy for a damaged file.
 
     Raises:
         InputError: an unknown criterion.
@@ -185,7 +185,7 @@ class StateGraph:
         return int(self.index.find(state[None])[0])
 
     def _spread(self, origin: States, near: NDArray[np.int32], far: NDArray[np.int32], *, downwards: bool) -> Mask:
-        """Mark what is connected to `origin`, level by level, along edges from `near` to `far`."""
+        """Mark the nodes connected to `origin`, level by level, along edges from `near` to `far`."""
         marked = np.zeros(len(self.states), dtype=bool)
         if self._has(origin):
             marked[self._position(origin)] = True

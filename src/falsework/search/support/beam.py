@@ -229,7 +229,7 @@ class SupportBeam:
             yield self._way(key, action, after)
 
     def _after(self, state: States, *, presence: bool) -> Iterator[tuple[int, States]]:
-        """Yield the actions of robots on a state and what they lead to: those on presence, or those on holds."""
+        """Yield the actions of robots on a state and their results: those on presence, or those on holds."""
         parts, last = self._moves.parts, self._moves.parts - len(self.task.props)
         legal = self._moves.legal(state[None], self.direction)[0]
         actions = np.flatnonzero(legal[parts : parts + last]) + parts if presence else np.flatnonzero(legal[:parts])

@@ -58,7 +58,7 @@ class Disruption:
         }[tool]
         marked: frozenset[int] = getattr(self, field)
         changed = replace(self, **{field: marked ^ {part}})
-        if tool is ClickMode.MISSING:  # what is missing is not there, and the other way round
+        if tool is ClickMode.MISSING:  # a missing part is not already there, and vice versa
             return replace(changed, there=changed.there - changed.missing)
         if tool is ClickMode.THERE:
             return replace(changed, missing=changed.missing - changed.there)

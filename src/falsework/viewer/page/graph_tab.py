@@ -13,7 +13,7 @@ def add_graph_tab(gui: Any, model: ViewerState, guard: Callable[[Any, Callable[[
 
     Args:
         gui: `viser.GuiApi`, within the tab.
-        model: what is shown; it has a graph.
+        model: state of the viewer; it has a graph.
         guard: runs an action for an event, and reports errors.
     """
     graph = model.graph

@@ -12,10 +12,10 @@ from falsework.viewer.timeline import NO_ROBOT
 
 
 def where_text(model: ViewerState, *, ask: bool) -> str:
-    """Return the step and what it does, in Markdown.
+    """Return the step and its action, in Markdown.
 
     Args:
-        model: what is shown.
+        model: state of the viewer.
         ask: state also whether the state is stable; stated in any case where no plan has proven it.
     """
     steps = len(model.timeline)
@@ -52,7 +52,7 @@ def legend_text(model: ViewerState, shown: Collection[str]) -> str:
     """Return the legend of the colours in use, in HTML.
 
     Args:
-        model: what is shown.
+        model: state of the viewer.
         shown: kinds of arrows that are.
     """
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]

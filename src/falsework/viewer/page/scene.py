@@ -43,7 +43,7 @@ class ViserScene:
 
         Args:
             scene: `viser.SceneApi`.
-            timeline: what is shown.
+            timeline: timeline to show.
         """
         assembly = timeline.assembly
         self._scene = scene
@@ -131,7 +131,7 @@ class ViserScene:
         """Update the arrows.
 
         Args:
-            arrows: by what they show; kinds that are left out are hidden.
+            arrows: by kind; kinds that are left out are hidden.
             moved: vertices of parts a little later in their motion, metres.
             color: of these.
         """

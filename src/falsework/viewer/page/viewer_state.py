@@ -71,7 +71,7 @@ class ViewerState:
             graph: state graph to show beside it.
             arms: robots that carry the plan out, in the same order as the timeline.
             oracle: decides stability.
-            criterion: what stable means, where no oracle is handed in.
+            criterion: stability criterion, where no oracle is given.
             deadline: seconds that a new plan may take; None for as long as it takes.
         """
         self.timeline = timeline
@@ -198,7 +198,7 @@ class ViewerState:
         return [int(part) for part in np.flatnonzero(self.site == REMOVED) if part not in self.disruption.missing]
 
     def labels(self, appearance: Appearance) -> dict[int, str]:
-        """Return short words at parts: who holds them, which one is selected, and what is marked."""
+        """Return short words at parts: holder, selection and marks."""
         labels = {
             int(part): f"R{appearance.holder[part] + 1}" for part in np.flatnonzero(appearance.holder != NO_ROBOT)
         }
@@ -249,7 +249,7 @@ class ViewerState:
             self.disruption = self.disruption.toggled(self.tool, part, self.assembly)
 
     def clear_marks(self) -> None:
-        """Forget what is marked; the number of robots stays."""
+        """Clear the marks; the number of robots stays."""
         with self.lock:
             self.disruption = Disruption(robots=self.disruption.robots)
 
@@ -365,7 +365,7 @@ class ViewerState:
             self.timeline = Timeline.of(answer.plan, self.assembly)
             self.plan = answer.plan
             self.go_to(0)
-            # What has been planned around is no longer marked: the states of the new plan show it.
+            # Disruptions in the new plan are no longer marked: the states of the new plan show it.
             self.disruption = Disruption(fixed=self.disruption.fixed, robots=self.disruption.robots)
         return NewPlan(True, words, seconds, decided, answer.plan)
 

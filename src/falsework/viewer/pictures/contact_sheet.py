@@ -62,8 +62,8 @@ def draw(
     Args:
         assembly: the structure.
         look: how its parts are seen.
-        camera: how to look at them.
-        bounds: what the picture shows, shape (2, 3); the structure if not given.
+        camera: view of them.
+        bounds: box that the picture shows, shape (2, 3); the structure if not given.
         arrows: drawn as well; the parts become pale and see-through so that they are seen.
         extra: other meshes, such as arms.
         samples: pixels are averaged over `samples` squared.
@@ -94,13 +94,14 @@ def contact_sheet(
     """Return some states of a timeline with their steps, and the legend.
 
     Args:
-        timeline: what is shown, in its order.
+        timeline: timeline to show, in its order.
         places: states to show; chosen evenly if not given.
         frames: how many to choose.
         columns: pictures in a row.
-        camera: how to look at each.
+        camera: view of each.
         title: a line above.
-        proofs: verdicts on states, by place; what slides is marked, and what does not stand is written above.
+        proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
+            above.
 
     Raises:
         InputError: no frames, no columns, or a state that is not there.
@@ -145,18 +146,18 @@ def one_state(
     marks: Mapping[int, str] | None = None,
     samples: int = 3,
 ) -> Pixels:
-    """Return the picture of one place of a timeline, with what is done there and the legend.
+    """Return the picture of one place of a timeline, with its action and the legend.
 
     Args:
-        timeline: what is shown.
+        timeline: timeline to show.
         place: where; between whole numbers parts are on their way.
-        camera: how to look at it.
+        camera: view of it.
         arrows: drawn as well.
         key: the legend, colour and words; of the timeline if not given.
         arms: robots that carry the plan out.
         time: of their schedule, seconds; None shows them one after the other.
         chances: probability of the action that concerns each part, NaN where none does, shape (parts,).
-        bounds: what the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
+        bounds: box that the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
         words: the line above; the step if not given.
         marks: colours of parts that stand out, such as those that slide.
         samples: pixels are averaged over `samples` squared.

@@ -82,13 +82,14 @@ def drawing(
     """Return the line drawings of some states, with the legend, as SVG.
 
     Args:
-        timeline: what is shown.
+        timeline: timeline to show.
         places: states to show.
         columns: drawings in a row.
         width: of each, pixels.
         arrows: drawn into each.
         key: the legend, colour and words; of the timeline if not given.
-        proofs: verdicts on states, by place; what slides is marked, and what does not stand is written above.
+        proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
+            above.
 
     Raises:
         InputError: the structure is not two-dimensional, or a state is not there.

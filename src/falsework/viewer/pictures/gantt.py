@@ -36,7 +36,7 @@ _ALPHA = {"moves": 1.0, "carries": 1.0, "holds": 0.35}
 
 @dataclass(frozen=True)
 class Bar:
-    """What one arm does for a while."""
+    """Activity of one arm during an interval."""
 
     robot: int
     begin: float

@@ -81,7 +81,7 @@ def graph_figure(
     """Return a Matplotlib figure of a state graph.
 
     Args:
-        graph: what is drawn.
+        graph: graph to draw.
         assembly: its structure; a graph of few states of a two-dimensional one gets small pictures of them.
         route: states of a plan, drawn as a thick line, shape (steps + 1, parts).
         visited: states that a policy visits, drawn in blue, shape (count, parts).
