@@ -50,8 +50,8 @@ def test_what_is_given_is_kept():
     [
         ({"meshes": []}, "at least one part"),
         ({"boundary": []}, "--ground"),
-        ({"boundary": [3]}, r"boundary part 3 is not there; ids of parts are 0 to 2"),
-        ({"boundary": [-1]}, "boundary part -1 is not there"),
+        ({"boundary": [3]}, r"boundary part 3 does not exist; ids of parts are 0 to 2"),
+        ({"boundary": [-1]}, "boundary part -1 does not exist"),
         ({"boundary": [0, 0]}, "part 0 twice"),
         ({"boundary": [0.5]}, "ids of parts"),
         ({"boundary": ["b0"]}, "ids of parts"),

@@ -52,7 +52,7 @@ class Block:
         faces: list[list[int]] = []
         for face in self.faces:
             if len(face) < 3 or min(face) < 0 or max(face) >= len(self.vertices):
-                raise MeshError(f"part {self.name}: a face uses a vertex that is not there; write the model again")
+                raise MeshError(f"part {self.name}: a face uses a vertex that does not exist; write the model again")
             corners = [[0, 1, 2]] if len(face) == 3 else triangulate(self.vertices[list(face)])
             faces.extend([face[corner] for corner in triangle] for triangle in corners)
         if not faces:

@@ -45,7 +45,7 @@ def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly
     for entry in entries:
         if not isinstance(entry, Mapping) or not {"parts", "at", "tension"} <= set(entry) <= _ENTRIES:
             raise AssemblyError(
-                f"fastener {entry!r} is no object with parts, at, tension and perhaps shear, axis and ductile"
+                f"fastener {entry!r} is not an object with parts, at, tension and perhaps shear, axis and ductile"
             )
         pair = entry["parts"]
         if not isinstance(pair, list) or len(pair) != 2:

@@ -171,7 +171,7 @@ def _check_fit(meshes: Sequence[TriangleMesh], interfaces: Sequence[StoredInterf
     points_of: dict[int, list[tuple[int, Array]]] = {}
     for number, interface in enumerate(interfaces):
         if min(interface.parts) < 0:
-            raise AssemblyError("a stored interface is of a part that is not there; find them (--interfaces found)")
+            raise AssemblyError("a stored interface is of a part that does not exist; find them (--interfaces found)")
         if interface.parts[0] == interface.parts[1]:
             raise AssemblyError(
                 f"a stored interface joins part {meshes[interface.parts[0]].name} with itself; "

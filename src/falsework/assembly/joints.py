@@ -150,7 +150,7 @@ class Joints:
         for entry in entries:
             if not isinstance(entry, Mapping) or not set(entry) <= _ENTRIES or not set(entry) & set(_VALUES):
                 raise AssemblyError(
-                    f"joint {entry!r} is no object with friction, cohesion or tension, and between or parts"
+                    f"joint {entry!r} is not an object with friction, cohesion or tension, and between or parts"
                 )
             named = {name: _number(entry[name], name) for name in _VALUES if name in entry}
             rows = _rows(entry, made_of, names, contacts)

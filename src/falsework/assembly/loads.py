@@ -68,7 +68,7 @@ class Loads:
             raise AssemblyError(f"loads are {entries!r}; give a list of objects with part and force")
         for entry in entries or []:
             if not isinstance(entry, Mapping) or "part" not in entry or not set(entry) <= _ENTRIES:
-                raise AssemblyError(f"load {entry!r} is no object with part, force and perhaps at and moment")
+                raise AssemblyError(f"load {entry!r} is not an object with part, force and perhaps at and moment")
             part = part_id(entry["part"], names, "a load acts on part")
             force = _numbers(entry.get("force", [0, 0, 0]), f"the force on part {names[part]}", (3,), "N")
             moment = _numbers(entry.get("moment", [0, 0, 0]), f"the moment on part {names[part]}", (3,), "Nm")
@@ -118,7 +118,7 @@ def part_id(given: Any, names: Sequence[str], what: str) -> int:
         given = int(given)
     if isinstance(given, int) and not isinstance(given, bool) and 0 <= given < len(names):
         return given
-    raise AssemblyError(f"{what} {given!r}, which is not there; give an id from 0 to {len(names) - 1} or a name")
+    raise AssemblyError(f"{what} {given!r}, which does not exist; give an id from 0 to {len(names) - 1} or a name")
 
 
 def _numbers(value: Any, what: str, counts: Sequence[int], unit: str) -> Array:

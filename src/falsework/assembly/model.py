@@ -336,7 +336,7 @@ def _boundary(value: ArrayLike, meshes: Sequence[TriangleMesh]) -> NDArray[np.bo
         raise AssemblyError(f"boundary is {value!r}; give ids of parts, 0 to {parts - 1}")
     for part in given.tolist():
         if not 0 <= part < parts:
-            raise AssemblyError(f"boundary part {part} is not there; ids of parts are 0 to {parts - 1}")
+            raise AssemblyError(f"boundary part {part} does not exist; ids of parts are 0 to {parts - 1}")
         if mask[part]:
             raise AssemblyError(f"boundary names part {part} twice; give every id once")
         mask[part] = True

@@ -112,7 +112,7 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
     if assembly.contacts_given:
         raise InputError(f"{assembly.name} has given contacts, which a folder of meshes cannot keep; find them instead")
     if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / FILE).is_file())):
-        raise InputError(f"{target} is there and is not an assembly; choose another folder")
+        raise InputError(f"{target} exists and is not an assembly; choose another folder")
     if assembly.joints is not None:
         raise InputError(f"{assembly.name} has joints, which belong to its contacts; write them into {FILE} by hand")
     density = assembly.density
@@ -221,7 +221,7 @@ def part_ids(boundary: list[Any], names: list[str]) -> list[int]:
     for item in boundary:
         if isinstance(item, str):
             if item not in names:
-                raise AssemblyError(f"boundary part {item!r} is not there; parts are {', '.join(names[:8])}")
+                raise AssemblyError(f"boundary part {item!r} does not exist; parts are {', '.join(names[:8])}")
             item = names.index(item)
         if not isinstance(item, int) or isinstance(item, bool):
             raise AssemblyError(f"boundary names {item!r}; give ids or names of parts")

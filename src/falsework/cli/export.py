@@ -51,7 +51,7 @@ class Export(Command):
         chosen = self.format or format_of(self.out)
         if chosen == "folder":
             if self.out.exists() and not (self.out.is_dir() and not any(self.out.iterdir())):
-                raise InputError(f"{self.out} is there and not empty; choose a new folder")
+                raise InputError(f"{self.out} exists and is not empty; choose a new folder")
         else:
             writable(self.out)
         subject, assembly = read_exportable(self.structure.spec, **self.structure.given())

@@ -89,7 +89,7 @@ class SupportOptions(RuleOptions):
         from falsework.assembly.props import prop_places, with_props
 
         if self.props < 0:
-            raise InputError(f"--props {self.props} is no number of props; give 0 or more")
+            raise InputError(f"--props {self.props} is not a number of props; give 0 or more")
         return with_props(assembly, prop_places(assembly)) if self.props else assembly
 
 

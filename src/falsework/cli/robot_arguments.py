@@ -50,7 +50,7 @@ def _by_robot(text: str) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, ValueError):
         raise InputError(f"--joints {text}: no JSON file; give one, or values such as left=0,0,0,0,0,0") from None
     if not isinstance(content, dict):
-        raise InputError(f"--joints {text} holds no object; give lists of joint values by robot")
+        raise InputError(f"--joints {text} contains no object; give lists of joint values by robot")
     return content
 
 

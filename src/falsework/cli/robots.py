@@ -147,7 +147,7 @@ class PlanRobots(Command):
             start = (complete_state(assembly.boundary) if start is None else start).copy()
             for part in holding:
                 if not start[part]:
-                    raise InputError(f"--holding: part {assembly.names[part]} is not there at the start; leave it out")
+                    raise InputError(f"--holding: part {assembly.names[part]} is absent at the start; leave it out")
                 start[part] = HELD
         return Task.create(
             assembly.boundary,

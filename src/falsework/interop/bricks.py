@@ -254,7 +254,7 @@ def _read_text(path: Path) -> list[Brick]:
             continue
         found = _LINE.fullmatch(line)
         if found is None or "0" in found.groups()[:2]:
-            raise InputError(f"{path}, line {number}: {line.strip()[:40]!r} is no brick such as 2x4 (3,0,1)")
+            raise InputError(f"{path}, line {number}: {line.strip()[:40]!r} is not a brick such as 2x4 (3,0,1)")
         along, across, x, y, z = (int(value) for value in found.groups())
         bricks.append(Brick((PITCH * x, PITCH * y, HEIGHT * z), (along, across)))
     return bricks
@@ -298,7 +298,7 @@ def _bricks_of(
         studs = _PARTS.get(part.removesuffix(".dat"))
         if studs is None:
             known = ", ".join(_PARTS)
-            raise InputError(f"{path}, line {number}: part {part or '(none)'} is no brick that is known: {known}")
+            raise InputError(f"{path}, line {number}: part {part or '(none)'} is not a known brick: {known}")
         # LDraw's y points down; a brick hangs from the middle of its top.
         half = np.abs(here[:3, :3] @ [PITCH / 2 * studs[0], 0.0, PITCH / 2 * studs[1]])
         upright = np.allclose(here[:3, 1], [0.0, 1.0, 0.0], atol=1e-4)

@@ -54,7 +54,7 @@ def gltf_of(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb",
         InputError: an unknown kind, or a step of no length.
     """
     if kind not in ("glb", "gltf"):
-        raise InputError(f"{kind!r} is no kind of glTF; choose glb or gltf")
+        raise InputError(f"{kind!r} is not a kind of glTF; choose glb or gltf")
     document = _Document(assembly)
     if plan is None:
         for part in range(assembly.part_count):

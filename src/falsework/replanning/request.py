@@ -81,7 +81,7 @@ class Request:
         """
         if not 1 <= self.alternatives <= MOST_PLANS:
             limits = f"at least 1 and at most {MOST_PLANS}"
-            raise InputError(f"{self.alternatives} alternatives is no number of plans; ask for {limits}")
+            raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for {limits}")
         check_deadline(self.deadline)
         state = _state(self.state, assembly, "state")
         target = None if self.target is None else _state(self.target, assembly, "target")

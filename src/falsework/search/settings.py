@@ -40,7 +40,7 @@ class PlannerSettings:
         if not self.directions:
             raise InputError("no direction to search in; give assembly, disassembly or both")
         if self.alternatives < 1:
-            raise InputError(f"{self.alternatives} alternatives is no number of plans; ask for at least 1")
+            raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for at least 1")
 
     def attempts(self, stage: str = "plan") -> tuple[tuple[Direction, int], ...]:
         """Return the ends to search from and the maximum beam widths, in the order of the attempts.

@@ -103,7 +103,7 @@ class ServiceMiddleware:
             kind, _, token = headers.get(b"authorization", b"").partition(b" ")
             if kind.lower() != b"bearer" or not hmac.compare_digest(_digest(token.strip()), self._digest):
                 challenge = (b"www-authenticate", b"Bearer")
-                raise _Refused(401, "this service wants its token: send Authorization: Bearer TOKEN", (challenge,))
+                raise _Refused(401, "this service requires its token: send Authorization: Bearer TOKEN", (challenge,))
 
     async def _read(self, scope: Scope, receive: Receive) -> bytes:
         """Read a whole request within the limits on size and time."""
@@ -128,7 +128,7 @@ class ServiceMiddleware:
                         raise too_large
         except TimeoutError:
             close = ((b"connection", b"close"),)
-            raise _Refused(408, f"the request was not there within {self._settings.body_seconds:g} s", close) from None
+            raise _Refused(408, f"the request did not arrive within {self._settings.body_seconds:g} s", close) from None
         return bytes(body)
 
 

@@ -182,7 +182,7 @@ def complaint(error: ValidationError, parts: int) -> str:
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
     place = [str(piece) for piece in first["loc"]]
     if not place:
-        return f"the request is no JSON object as it must be: {first['msg'][:_SHOWN]}; /docs says what it may hold"
+        return f"the request is not a valid JSON object: {first['msg'][:_SHOWN]}; /docs says what it may hold"
     if place[0] in ("state", "target", "states"):
         where = f"states {place[1]}" if place[0] == "states" and len(place) > 1 else place[0]
         return f"{where}: give {parts} values 0 (removed), 1 (installed) or 2 (held), one a part, or complete or empty"

@@ -76,7 +76,7 @@ class Reader:
 
     def _keys(self, value: Any, keys: set[str], place: str, optional: frozenset[str] = frozenset()) -> None:
         if not isinstance(value, dict):
-            self._fail(f"{place} is no object")
+            self._fail(f"{place} is not an object")
         absent = sorted(keys - set(value))
         if absent:
             self._fail(f"{place} lacks {absent[0]!r}")
@@ -86,7 +86,7 @@ class Reader:
 
     def _list(self, value: Any, place: str) -> list[Any]:
         if not isinstance(value, list):
-            self._fail(f"{place} is no list")
+            self._fail(f"{place} is not a list")
         return value
 
     def _fail(self, what: str, remedy: str = "the file is damaged; plan again") -> NoReturn:

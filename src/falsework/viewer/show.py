@@ -223,7 +223,7 @@ def _nearness(shown: Viewable, place: int, criterion: Criterion) -> NDArray[np.f
     state = shown.timeline.states[shown.timeline.row(place)]
     verdicts = Stability(shown.assembly, StabilitySettings(criterion=criterion)).check(state)
     if not verdicts.stable[0]:
-        raise InputError("the state does not stand, so its parts are beyond their limits; draw it with --verdicts")
+        raise InputError("the state is not stable, so its parts are beyond their limits; draw it with --verdicts")
     assert verdicts.forces is not None
     return nearness_to_limit(shown.assembly, state, verdicts.forces[0])
 

@@ -58,7 +58,7 @@ def read_obj(file: Path) -> list[tuple[str, NDArray[np.float64], NDArray[np.int6
 def _triangles(file: Path, points: NDArray[np.float64], polygons: list[list[int]]) -> NDArray[np.int64]:
     """Return triangles of polygons, in their order."""
     if max(map(max, polygons)) >= len(points) or min(map(min, polygons)) < 0:
-        raise MeshError(f"a face in {file} uses a vertex that is not there; there are {len(points)}; export it again")
+        raise MeshError(f"a face in {file} uses a vertex that does not exist; there are {len(points)}; export it again")
     if all(len(polygon) == 3 for polygon in polygons):
         return np.array(polygons, dtype=np.int64)
     faces: list[list[int]] = []

@@ -98,7 +98,7 @@ def _order(names: list[str], where: Path) -> list[int]:
     if all(number is not None for number in ids):
         for number in range(len(ids)):
             if ids.count(number) > 1:
-                raise InputError(f"part {number} is there {ids.count(number)} times in {where}; give every id once")
+                raise InputError(f"part {number} occurs {ids.count(number)} times in {where}; give every id once")
         missing = sorted(set(range(len(ids))) - set(ids))
         if missing:
             raise InputError(
@@ -107,7 +107,7 @@ def _order(names: list[str], where: Path) -> list[int]:
         return sorted(range(len(ids)), key=lambda index: ids[index] or 0)
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"part {name!r} is there {names.count(name)} times in {where}; give every name once")
+            raise InputError(f"part {name!r} occurs {names.count(name)} times in {where}; give every name once")
     return sorted(range(len(names)), key=lambda index: natural_key(names[index]))
 
 
@@ -154,7 +154,7 @@ def _read_solids(file: Path) -> list[_Solid]:
             vertices = mesh.vertices @ transform[:3, :3].T + transform[:3, 3]
             faces = np.asarray(mesh.faces, dtype=np.int64)
             if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
-                raise MeshError(f"a face in {file} uses a vertex that is not there; export it again")
+                raise MeshError(f"a face in {file} uses a vertex that does not exist; export it again")
             if np.linalg.det(transform[:3, :3]) < 0:
                 faces = faces[:, ::-1]
             if file.suffix.lower() == ".glb":

@@ -169,7 +169,7 @@ def from_dict(kind: type[T], values: Mapping[str, Any]) -> T:
     known = {one.name for one in fields(kind)}  # type: ignore[arg-type]
     odd = sorted(set(values) - known)
     if odd:
-        raise InputError(f"{odd[0]!r} is no setting of {kind.__name__}")
+        raise InputError(f"{odd[0]!r} is not a setting of {kind.__name__}")
     return kind(**{name: _read(hints[name], value, f"{kind.__name__}.{name}") for name, value in values.items()})
 
 

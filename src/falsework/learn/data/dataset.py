@@ -153,7 +153,7 @@ def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: in
     """
     for name, states in arrays.items():
         if states.ndim != 2 or states.shape[1] != parts or states.dtype != np.uint8 or (states > HELD).any():
-            raise InputError(f"{path} is damaged ({name} holds no states of {parts} parts); {remedy}")
+            raise InputError(f"{path} is damaged ({name} contains no states of {parts} parts); {remedy}")
 
 
 def task_for(assembly: Assembly, robots: int = 2, clearance: bool = False, fixed: Any = ()) -> Task:

@@ -102,7 +102,7 @@ def read_run(folder: Path) -> dict[str, Any]:
     try:
         content = parse_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise InputError(f"{folder} is no run: it has no {FILE}; falsework train makes one") from None
+        raise InputError(f"{folder} is not a run: it has no {FILE}; falsework train makes one") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path} is damaged ({error}); train again") from None
     found = content.get("format") if isinstance(content, dict) else None

@@ -79,7 +79,7 @@ def _begin(
         if (folder / FILE).exists():
             raise InputError(f"{folder} holds a run already; continue it with --resume, or choose another folder")
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InputError(f"{folder} is there and is no run; choose another folder")
+            raise InputError(f"{folder} exists and is not a run; choose another folder")
         return settings.resolved(assembly.part_count, device.type)
     metadata = read_run(folder)
     check_structure(folder, metadata, assembly)

@@ -72,7 +72,7 @@ class Demands:
         if given.get("friction", 1.0) < 1.0:
             raise InputError(f"{option} friction={given['friction']:g}: a factor of safety is at least 1")
         if given.get("tilt", 0.0) >= np.radians(80):
-            raise InputError(f"{option} tilt: {np.degrees(given['tilt']):g} degrees is no tilt of a ground; give less")
+            raise InputError(f"{option} tilt: {np.degrees(given['tilt']):g} degrees is too steep; give less")
         return cls(**given)
 
     @classmethod

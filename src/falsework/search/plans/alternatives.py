@@ -109,7 +109,7 @@ def choose_alternatives(
         InputError: `count` below one.
     """
     if count < 1:
-        raise InputError(f"{count} alternatives is no number of plans; ask for at least 1")
+        raise InputError(f"{count} alternatives is not a number of plans; ask for at least 1")
     rng = np.random.default_rng(seed)
     routes = list({route.states.tobytes(): route for route in given}.values())[:count]
     if not routes:

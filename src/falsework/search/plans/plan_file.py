@@ -188,7 +188,7 @@ class _Reader(Reader):
         )
         names = structure["parts"]
         if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-            self._fail("structure.parts is no list of names")
+            self._fail("structure.parts is not a list of names")
         if not all(isinstance(structure[key], str) for key in ("name", "identity")):
             self._fail("structure.name and structure.identity must be texts")
         parts, props = len(names), self._props(structure.get("props", []), len(names))
@@ -324,7 +324,7 @@ class _Reader(Reader):
             way, above, old, new = MOVES[word] if isinstance(word, str) and word in MOVES else (None, False, 0, 0)
             turned = way is not direction and not (support and (is_prop[part] or not above))
             if way is None or turned or (is_prop[part] and not above):
-                self._fail(f"{place} does {word!r}", f"that is no action of {direction.value}")
+                self._fail(f"{place} does {word!r}", f"that is not an action of {direction.value}")
             if boundary[part] or state[part] != old:
                 found = "boundary" if boundary[part] else ("removed", "installed", "held")[int(state[part])]
                 self._fail(f"{place} cannot {word} part {part}, which is {found}")
@@ -348,7 +348,7 @@ class _Reader(Reader):
 
     def _state(self, value: Any, boundary: NDArray[np.bool_], place: str) -> States:
         if not isinstance(value, list) or not all(type(entry) is int for entry in value):
-            self._fail(f"{place} is no list of 0, 1, 2")
+            self._fail(f"{place} is not a list of 0, 1, 2")
         if len(value) != len(boundary):
             self._fail(f"{place} has {len(value)} values for {len(boundary)} parts")
         try:
@@ -358,7 +358,7 @@ class _Reader(Reader):
 
     def _parts(self, value: Any, parts: int, place: str) -> list[int]:
         if not isinstance(value, list) or not all(type(part) is int and 0 <= part < parts for part in value):
-            self._fail(f"{place} is no list of part numbers from 0 to {parts - 1}")
+            self._fail(f"{place} is not a list of part numbers from 0 to {parts - 1}")
         if len(set(value)) != len(value):
             self._fail(f"{place} names a part twice")
         return value

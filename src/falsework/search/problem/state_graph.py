@@ -265,7 +265,7 @@ def _check(graph: StateGraph, path: Path | str) -> None:
     elif not graph.task.contains(states).all() or (np.diff(graph.level) < 0).any():
         damage = "states break the rules or are out of order"
     elif graph.source.shape != (edges,) or graph.source.dtype != np.int32:
-        damage = "edges are no list of numbers"
+        damage = "edges are not a list of numbers"
     elif any(array.shape != (edges,) or array.dtype != np.int32 for array in (graph.action, graph.target)):
         damage = "edges have different lengths"
     elif edges and (
@@ -276,7 +276,7 @@ def _check(graph: StateGraph, path: Path | str) -> None:
     ):
         damage = "edges point outside the states"
     elif (graph.level[graph.target] != graph.level[graph.source] + 1).any():
-        damage = "an edge is no legal action"
+        damage = "an edge is not a legal action"
     else:
         for begin in range(0, edges, 64 * _CHUNK_STATES):
             rows = slice(begin, begin + 64 * _CHUNK_STATES)

@@ -221,7 +221,7 @@ def check_places(timeline: Timeline, places: Sequence[int]) -> None:
     """
     for position in places:
         if not 0 <= position <= len(timeline):
-            raise InputError(f"step {position} is not there; the plan has steps 0 (the beginning) to {len(timeline)}")
+            raise InputError(f"step {position} does not exist; the plan has steps 0 (the beginning) to {len(timeline)}")
 
 
 def bounds_with_ways(timeline: Timeline) -> NDArray[np.float64]:
