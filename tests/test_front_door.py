@@ -241,7 +241,7 @@ def test_files_and_objects_are_opened_alike(arch: Assembly, plan: fw.Plan, tmp_p
     assert kinds[0].plan is not None
     assert plan_to_dict(kinds[0].plan) == plan_to_dict(opened)
     (tmp_path / "no.json").write_text('{"format": "falsework.census/1"}')
-    with pytest.raises(InputError, match="nothing to look at"):
+    with pytest.raises(InputError, match="cannot be shown"):
         fw.open_file(tmp_path / "no.json")
 
 

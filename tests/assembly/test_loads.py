@@ -48,11 +48,11 @@ def test_a_ground_keeps_the_loads() -> None:
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"loads": [{"part": 99, "force": [0, 0, -1]}]}, "part 99, which is not there"),
-        ({"loads": [{"part": "keystone", "force": [0, 0, -1]}]}, "'keystone', which is not there"),
+        ({"loads": [{"part": 99, "force": [0, 0, -1]}]}, "part 99, which does not exist"),
+        ({"loads": [{"part": "keystone", "force": [0, 0, -1]}]}, "'keystone', which does not exist"),
         ({"loads": [{"part": 0, "force": [0, -1]}]}, "3 finite numbers in N"),
         ({"loads": [{"part": 0, "force": ["a", 0, 0]}]}, "3 finite numbers in N"),
-        ({"loads": [{"part": 0, "weight": 3}]}, "no object with part, force"),
+        ({"loads": [{"part": 0, "weight": 3}]}, "not an object with part, force"),
         ({"loads": {"part": 0}}, "list of objects"),
         ({"earthquake": [0.1, 0.2, 0.3]}, "1 or 2 finite numbers"),
         ({"earthquake": "strong"}, "1 or 2 finite numbers"),

@@ -50,8 +50,8 @@ def test_what_is_given_is_kept():
     [
         ({"meshes": []}, "at least one part"),
         ({"boundary": []}, "--ground"),
-        ({"boundary": [3]}, r"boundary part 3 is not there; ids of parts are 0 to 2"),
-        ({"boundary": [-1]}, "boundary part -1 is not there"),
+        ({"boundary": [3]}, r"boundary part 3 does not exist; ids of parts are 0 to 2"),
+        ({"boundary": [-1]}, "boundary part -1 does not exist"),
         ({"boundary": [0, 0]}, "part 0 twice"),
         ({"boundary": [0.5]}, "ids of parts"),
         ({"boundary": ["b0"]}, "ids of parts"),
@@ -160,7 +160,7 @@ def test_real_structure_stands_on_its_boundary(shared_assembly: Callable):
 
 
 def test_a_line_is_a_contact_with_a_warning(beam_on_ridge: Assembly, tmp_path: Path):
-    assert beam_on_ridge.warnings == ("parts roof and beam touch along a line only: verdicts may hang on it",)
+    assert beam_on_ridge.warnings == ("parts roof and beam touch along a line only: verdicts may depend on it",)
     assert beam_on_ridge.contacts.dimension.tolist() == [2, 1]
     save_assembly(beam_on_ridge, tmp_path / "beam")
     with pytest.warns(ContactWarning, match="parts roof and beam touch along a line only"):

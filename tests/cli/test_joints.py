@@ -41,7 +41,7 @@ def test_screws_hold_a_bracket(falsework: Run, write_structure: Any, tmp_path: P
     assert held.code == 0, held.error
     refused = falsework("stability", write_structure(tmp_path / "bad", BRACKET, fasteners=[{"parts": [0, 1]}]))
     assert refused.code == 2
-    assert "is no object with parts, at, tension" in refused.error
+    assert "is not an object with parts, at, tension" in refused.error
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_screws_hold_a_bracket(falsework: Run, write_structure: Any, tmp_path: P
         ({"joints": [{"cohesion": -5}]}, "cohesion of a joint is -5; give a number from 0 up in Pa"),
         ({"joints": {"tension": 1}}, "joints in"),
         ({"joints": [{"between": ["stone", "glass"], "tension": 1}], "materials": "stone"}, "of material 'glass'"),
-        ({"joints": [{"tension": 1, "parts": [0, 7]}]}, "a joint is of part 7, which is not there"),
+        ({"joints": [{"tension": 1, "parts": [0, 7]}]}, "a joint is of part 7, which does not exist"),
         ({"materials": 3}, "materials in"),
     ],
 )

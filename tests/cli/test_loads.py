@@ -37,7 +37,7 @@ def test_a_plan_says_its_loads_and_its_check_finds_them(falsework: Run, stack: P
 @pytest.mark.parametrize(
     ("option", "value", "words"),
     [
-        ("--load", "9=0,0,-1", "part 9, which is not there"),
+        ("--load", "9=0,0,-1", "part 9, which does not exist"),
         ("--load", "2=0,0", "give 3 numbers"),
         ("--load", "2=0,0,-1kg", "without units"),
         ("--load", "0,0,-1", "give a part and its force"),

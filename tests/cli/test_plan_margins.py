@@ -88,7 +88,7 @@ def test_margins_that_no_state_can_have(falsework: Run, tmp_path: Path) -> None:
         (("--margin", "push"), "give friction=..."),
         (("--margin", "wind=3N"), "give friction=..."),
         (("--margin", "tilt=1deg,tilt=2deg"), "given twice"),
-        (("--margin", "tilt=89deg"), "no tilt of a ground"),
+        (("--margin", "tilt=89deg"), "too steep"),
         (("--margin", "placement=0.4m"), "demand a smaller error"),
         (("--maximise", "friction", "--alternatives", "2"), "leave out --alternatives"),
     ],

@@ -144,7 +144,7 @@ def test_deadline_that_is_too_short(falsework: Run, tmp_path: Path) -> None:
         (("--state", "1111022", "--target", "0111122"), "the target is not reachable"),
         (("--state", "2200022", "--robots", 1), "2 parts held"),
         (("--state", "1121122", "--target", "0020022", "--robots", 1), "no action is legal in this state"),
-        (("--missing", "nobody"), "is no part"),
+        (("--missing", "nobody"), "is not a part"),
         (("--missing", "2", "--direction", "assembly"), "said to be missing, yet the state has it"),
         (("--deadline", -1), "leaves no time"),
         (("--alternatives", 0), "ask for at least 1"),

@@ -52,7 +52,7 @@ def test_a_beam_on_a_ridge_is_judged_with_a_warning(falsework: Run, beam_on_ridg
     folder = save_assembly(beam_on_ridge, tmp_path / "beam")
     finished = falsework("stability", folder)
     assert finished.code == 0
-    line = "falsework: warning: parts roof and beam touch along a line only: verdicts may hang on it\n"
+    line = "falsework: warning: parts roof and beam touch along a line only: verdicts may depend on it\n"
     assert finished.error == line
 
 

@@ -43,7 +43,7 @@ def test_support(falsework: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--props", "-1"), "--props -1 is no number of props"),
+        (("--props", "-1"), "--props -1 is not a number of props"),
         (("--props", "1"), "no part has a place for a prop"),
         (("--support", "--missing", "2"), "take no missing parts"),
         (("--support", "--alternatives", "2"), "take neither"),

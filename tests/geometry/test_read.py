@@ -149,14 +149,14 @@ def test_bad_folders(tmp_path, boxes):
         load_meshes(tmp_path)
     write(tmp_path / "1.obj", boxes[1])
     write(tmp_path / "02.obj", boxes[1])
-    with pytest.raises(InputError, match="part 2 is there 2 times"):
+    with pytest.raises(InputError, match="part 2 occurs 2 times"):
         load_meshes(tmp_path)
 
 
 def test_one_name_in_two_formats(tmp_path, boxes):
     write(tmp_path / "sill.obj", boxes[0])
     as_trimesh(boxes[0]).export(tmp_path / "sill.stl")
-    with pytest.raises(InputError, match="'sill' is there 2 times"):
+    with pytest.raises(InputError, match="'sill' occurs 2 times"):
         load_meshes(tmp_path)
 
 
@@ -167,8 +167,8 @@ def test_one_name_in_two_formats(tmp_path, boxes):
         ("v 0 0\n", "line 1"),
         ("v 0 0 0\nf 1 x 2\n", "line 2"),
         ("v 0 0 0\nv 1 0 0\nf 1 2\n", "line 3"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "not there"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 -4\n", "not there"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "does not exist"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 -4\n", "does not exist"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4"),
         ("v 0 0 0\n", "no mesh in"),
         ("", "no mesh in"),
@@ -192,7 +192,7 @@ def test_a_face_of_a_ply_file_that_uses_a_vertex_that_is_not_there(tmp_path):
     header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
     header += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
     (tmp_path / "0.ply").write_text(header + "0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n")
-    with pytest.raises(MeshError, match="not there"):
+    with pytest.raises(MeshError, match="does not exist"):
         load_meshes(tmp_path)
 
 

@@ -109,11 +109,11 @@ def test_ldraw_with_a_model_in_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("a.txt", "2x4 (0,0,0)\n2x4 0,0,1\n", "line 2: '2x4 0,0,1' is no brick such as 2x4 (3,0,1)"),
-        ("a.txt", "0x4 (0,0,0)\n", "line 1: '0x4 (0,0,0)' is no brick"),
+        ("a.txt", "2x4 (0,0,0)\n2x4 0,0,1\n", "line 2: '2x4 0,0,1' is not a brick such as 2x4 (3,0,1)"),
+        ("a.txt", "0x4 (0,0,0)\n", "line 1: '0x4 (0,0,0)' is not a brick"),
         ("a.txt", "2x4 (0,0,0)\n2x4 (0,0,2)\n", "touches no other part"),
         ("a.ldr", "0 nothing\n", "has no parts"),
-        ("a.ldr", "1 4 0 0 0 1 0 0 0 1 0 0 0 1 3020.dat\n", "part 3020.dat is no brick that is known: 3005, 3004"),
+        ("a.ldr", "1 4 0 0 0 1 0 0 0 1 0 0 0 1 3020.dat\n", "part 3020.dat is not a known brick: 3005, 3004"),
         ("a.ldr", "1 4 0 0 0 1 0 0 0 1 0 0 3001.dat\n", "line 1: no place and turn of a part"),
         ("a.ldr", "1 4 0 0 0 1 0 0 0 -1 0 0 0 1 3001.dat\n", "brick 3001.dat is not upright along the axes"),
         ("a.ldr", "1 4 0 0 0 .8 0 .6 0 1 0 -.6 0 .8 3001.dat\n", "brick 3001.dat is not upright along the axes"),

@@ -199,5 +199,5 @@ def test_no_such_file_and_no_such_kind(arch: Assembly, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="meshes, assembly, dem"):
         compas_of(arch, "brep")  # type: ignore[arg-type]
     (tmp_path / "bytes.json").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="no text"):
+    with pytest.raises(InputError, match="not text"):
         load_compas(tmp_path / "bytes.json")

@@ -166,7 +166,7 @@ def test_a_missing_package_is_named(suffix: str, package: str, tmp_path: Path, m
 @pytest.mark.usefixtures("rhino")
 def test_files_that_are_none(tmp_path: Path) -> None:
     (tmp_path / "model.3dm").write_text("?")
-    with pytest.raises(InputError, match="no Rhino file"):
+    with pytest.raises(InputError, match="not a Rhino file"):
         load_structure(tmp_path / "model.3dm")
 
 
@@ -206,5 +206,5 @@ def test_a_step_file_without_solids(step_file: Callable[..., Path], tmp_path: Pa
     with pytest.raises(InputError, match="has no solid"):
         load_structure(step_file(plane))
     (tmp_path / "text.step").write_text("?")
-    with pytest.raises(InputError, match="no STEP file"):
+    with pytest.raises(InputError, match="not a STEP file"):
         load_structure(tmp_path / "text.step")

@@ -93,7 +93,7 @@ def test_an_interface_of_no_part_is_refused(written: Path) -> None:
     edges = data["data"]["graph"]["data"]["edge"]
     edges["0"]["99"] = next(iter(edges["0"].values()))
     written.write_text(json.dumps(data))
-    with pytest.raises(AssemblyError, match="a part that is not there"):
+    with pytest.raises(AssemblyError, match="a part that does not exist"):
         load_compas(written, interfaces="stored")
 
 

@@ -229,8 +229,8 @@ def test_what_a_policy_thinks_and_covers(
 @pytest.mark.parametrize(
     ("words", "hint"),
     [
-        (("picture", "PLAN", "--step", "99"), "step 99 is not there"),
-        (("picture", "PLAN", "--step", "-1"), "step -1 is not there"),
+        (("picture", "PLAN", "--step", "99"), "step 99 does not exist"),
+        (("picture", "PLAN", "--step", "-1"), "step -1 does not exist"),
         (("picture", "PLAN", "--frames", "0"), "at least 1"),
         (("picture", "PLAN", "--columns", "0"), "at least 1"),
         (("picture", "PLAN", "--width", "5"), "80 to 8000"),
@@ -238,7 +238,7 @@ def test_what_a_policy_thinks_and_covers(
         (("picture", "PLAN", "--svg", "--out", "x.png"), "do not fit"),
         (("picture", "nowhere.json"), "nowhere"),
         (("picture", "BROKEN"), "JSON"),
-        (("picture", "OTHER"), "nothing to look at"),
+        (("picture", "OTHER"), "cannot be shown"),
         (("picture", "PLAN", "--structure", "arch:blocks=6"), "parts"),
         (("picture", "arch:blocks=5", "--structure", "arch"), "leave --structure out"),
         (("picture", "PLAN", "--out", "no/such/folder/x.png"), "folder"),

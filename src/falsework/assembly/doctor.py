@@ -1,4 +1,4 @@
-"""Diagnosis of a structure as files hold it, part by part, whether it loads or not."""
+"""Diagnosis of the files of a structure, part by part, whether or not it loads."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ class PartReport:
     """m3; None for a part that bounds no solid."""
     boundary: bool
     mended: str
-    """What was repaired in its mesh; empty for nothing."""
+    """Repairs of its mesh; empty for none."""
     doubts: tuple[str, ...]
-    """What is doubtful about it."""
+    """Doubts about it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,22 +58,23 @@ class Diagnosis:
 
     path: str
     error: str
-    """Why it does not load, in one line; empty if it does."""
+    """Reason why it does not load, in one line; empty if it loads."""
     remarks: tuple[str, ...]
-    """What is doubtful about the whole, and what was mended in it."""
+    """Doubts about the whole structure, and repairs of it."""
     unit: str
     """Likely unit of the coordinates; empty where the present one raises no doubt."""
     parts: tuple[PartReport, ...]
     contacts: int
     """Contacts of the structure; of one that does not load, those of the pairs of parts that can be judged."""
     stored: InterfaceComparison | None
-    """How the stored interfaces differ from the contacts; None if there are none, or the structure does not load."""
+    """Differences between the stored interfaces and the contacts; None if there are none, or the structure does not
+    load."""
     additions: dict[str, Any]
     """Entries to add to `assembly.json`; empty if there are none."""
     cured: bool
     """Whether the structure loads with these entries."""
     draft: Draft | None
-    """The parts as they are in the files; None if not even they can be read."""
+    """The parts as in the files; None if they cannot be read."""
 
     @property
     def loads(self) -> bool:
@@ -90,7 +91,7 @@ class Diagnosis:
         return json.dumps(self.additions)[1:-1]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as JSON has it, without the parts' meshes."""
+        """Return plain JSON values, without the meshes of the parts."""
         return {
             "path": self.path,
             "loads": self.loads,
@@ -106,11 +107,11 @@ class Diagnosis:
 
 
 def diagnose(path: str | Path, unit: str | None = None) -> Diagnosis:
-    """Look at a folder or file of parts, and collect what is wrong with it instead of stopping at the first error.
+    """Examine a folder or file of parts, and collect all errors instead of stopping at the first.
 
     Args:
         path: folder or file, as for `load_structure`.
-        unit: unit of the coordinates; what `assembly.json` or the file says if not given.
+        unit: unit of the coordinates; that of `assembly.json` or the file if not given.
 
     Raises:
         InputError: no such path, or an unknown unit.
@@ -176,7 +177,7 @@ def diagnose(path: str | Path, unit: str | None = None) -> Diagnosis:
 
 
 def _read(path: Path, unit: str | None) -> tuple[Draft, dict[str, Any]]:
-    """Return the unchecked parts of a structure, and the options that its description gives."""
+    """Return the unchecked parts of a structure, and the options in its description."""
     options = described_options(path) if path.is_file() else {}
     if unit is not None:
         options["unit"] = unit
@@ -221,7 +222,7 @@ def _one_block(file: Path) -> Block:
 
 
 def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], list[str], list[str]]:
-    """Return the mesh of each part or None, what was repaired in it, and what is wrong with it."""
+    """Return the mesh of each part or None, its repairs, and its errors."""
     none = np.zeros((0, 3))
     surfaces: list[tuple[str, np.ndarray, np.ndarray]] = []
     errors = []
@@ -255,7 +256,7 @@ def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], lis
 
 
 def _compare_parts(solids: Sequence[TriangleMesh | None], doubts: list[list[str]]) -> None:
-    """Note parts that are tiny beside the others, and parts that are there twice."""
+    """Note parts that are tiny compared with the others, and duplicates."""
     there = [number for number, solid in enumerate(solids) if solid is not None]
     meshes = [solid for solid in solids if solid is not None]
     if not meshes:
@@ -271,7 +272,7 @@ def _compare_parts(solids: Sequence[TriangleMesh | None], doubts: list[list[str]
 
 
 def _load(draft: Draft, options: dict[str, Any]) -> tuple[Assembly | None, str, list[str]]:
-    """Return the assembly or why there is none, and the warnings on the way that are not about one part's mesh."""
+    """Return the assembly or why there is none, and the warnings that do not concern the mesh of one part."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
@@ -283,7 +284,7 @@ def _load(draft: Draft, options: dict[str, Any]) -> tuple[Assembly | None, str, 
 
 
 def _boundary(draft: Draft, options: dict[str, Any]) -> np.ndarray:
-    """Return the mask of the parts that the files name as boundary, as far as they are there."""
+    """Return the mask of the parts that the files name as boundary, as far as these exist."""
     fixed = np.array([block.support for block in draft.blocks])
     if "boundary" in options:
         names = {block.name: number for number, block in enumerate(draft.blocks)}
@@ -312,7 +313,7 @@ def _contacts(
     touching[overlaps.parts] = True
     try:
         contacts = exact_contacts(meshes, settings) if depths.any() else find_contacts(meshes, settings)
-    except AssemblyError:  # an overlap that was measured as less deep than it is
+    except AssemblyError:  # an overlap whose depth was underestimated
         contacts = exact_contacts(meshes, settings)
     touching[contacts.parts] = True
     for row in np.flatnonzero(~touching & ~fixed[there]).tolist():

@@ -1,4 +1,4 @@
-"""Parts as a file holds them, before anything is checked, and the assembly made of them."""
+"""Unchecked parts of a file, and the assembly made of them."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Block:
         faces: list[list[int]] = []
         for face in self.faces:
             if len(face) < 3 or min(face) < 0 or max(face) >= len(self.vertices):
-                raise MeshError(f"part {self.name}: a face uses a vertex that is not there; write the model again")
+                raise MeshError(f"part {self.name}: a face uses a vertex that does not exist; write the model again")
             corners = [[0, 1, 2]] if len(face) == 3 else triangulate(self.vertices[list(face)])
             faces.extend([face[corner] for corner in triangle] for triangle in corners)
         if not faces:
@@ -62,7 +62,7 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """Parts and interfaces of a file as they are there."""
+    """Unchecked parts and interfaces of a file."""
 
     path: Path
     scale: float
@@ -79,7 +79,7 @@ class Draft:
         Args:
             path: the file.
             scale: length of its unit in metres.
-            blocks: parts; where their names do not tell them apart, numbers take their place.
+            blocks: parts; where names are not unique, numbers replace them.
             interfaces: each with `keys` of its two blocks, `points`, shape (corners, 3), in the unit of the file, and
                 `normal`, shape (3,).
         """
@@ -95,7 +95,7 @@ class Draft:
         return Draft(path, scale, tuple(blocks), tuple(stored))
 
     def supports(self, boundary: ArrayLike | None) -> list[int]:
-        """Return the parts that are fixed, as far as they are there.
+        """Return the fixed parts, as far as these exist.
 
         Args:
             boundary: as of `assemble`.
@@ -120,13 +120,13 @@ class Draft:
         Args:
             density: kg/m3; that of the parts if all have one and none is given.
             friction: coefficient of friction of every contact; that of the parts if none is given.
-            boundary: ids or names of the parts that are fixed for ever; the supports if not given.
+            boundary: ids or names of the fixed parts; the supports if not given.
             ground: add a fixed slab under the lowest point, as the last part.
             contact_settings: tolerances.
             interfaces: source of the contacts; `compare` finds them and warns where the stored ones differ.
 
         Raises:
-            InputError: no stored interfaces where they are asked for.
+            InputError: stored interfaces are requested and there are none.
             MeshError: a part that does not bound a solid.
             AssemblyError: the parts make no assembly, or stored interfaces do not fit them.
         """

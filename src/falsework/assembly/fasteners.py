@@ -27,16 +27,16 @@ def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly
     """Return the assembly with fasteners, each a contact point of its own.
 
     A fastener is as stiff as a corner of the contacts between its parts, or of the structure where they have none. It
-    presses too, as if the parts met there.
+    transmits pressure too, as if the parts touched there.
 
     Args:
         assembly: with or without joints.
         entries: objects with `parts` (two ids or names), `at` (m), `tension` (N), and perhaps `shear` (N; friction
             times tension if not given), `axis` (towards either part; the normal of the contact between the parts if not
-            given) and `ductile` (true for one that slides out or lets go slowly).
+            given) and `ductile` (true for one that slides out or releases slowly).
 
     Raises:
-        AssemblyError: parts that are not there, numbers that cannot be used, or no axis where the parts do not meet.
+        AssemblyError: parts that do not exist, invalid numbers, or no axis where the parts do not touch.
     """
     contacts = assembly.contacts
     joints = assembly.joints or Joints.of(contacts)
@@ -45,7 +45,7 @@ def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly
     for entry in entries:
         if not isinstance(entry, Mapping) or not {"parts", "at", "tension"} <= set(entry) <= _ENTRIES:
             raise AssemblyError(
-                f"fastener {entry!r} is no object with parts, at, tension and perhaps shear, axis and ductile"
+                f"fastener {entry!r} is not an object with parts, at, tension and perhaps shear, axis and ductile"
             )
         pair = entry["parts"]
         if not isinstance(pair, list) or len(pair) != 2:

@@ -1,4 +1,4 @@
-"""Interfaces that a file stores: contacts made of them, and their comparison with contacts that are found."""
+"""Stored interfaces of a file: contacts made of them, and their comparison with detected contacts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 _CLOSE = 0.05
 """Largest difference in area of interfaces that count as equal, as a share of the stored one."""
 _NAMED = 3
-"""Pairs of parts that a warning names; the rest is counted."""
+"""Number of pairs of parts that a warning names; the rest is counted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ class InterfaceComparison:
         )
 
     def to_dict(self) -> dict[str, object]:
-        """Return it as JSON has it."""
+        """Return plain JSON values."""
         return asdict(self)
 
     def warn(self, names: Sequence[str]) -> None:
@@ -171,7 +171,7 @@ def _check_fit(meshes: Sequence[TriangleMesh], interfaces: Sequence[StoredInterf
     points_of: dict[int, list[tuple[int, Array]]] = {}
     for number, interface in enumerate(interfaces):
         if min(interface.parts) < 0:
-            raise AssemblyError("a stored interface is of a part that is not there; find them (--interfaces found)")
+            raise AssemblyError("a stored interface is of a part that does not exist; find them (--interfaces found)")
         if interface.parts[0] == interface.parts[1]:
             raise AssemblyError(
                 f"a stored interface joins part {meshes[interface.parts[0]].name} with itself; "

@@ -16,7 +16,7 @@ from falsework.geometry.contact.interfaces import Contacts
 Array = NDArray[np.float64]
 
 Setting = tuple[tuple[float, float], ...]
-"""Steps after both parts are in place, rising, and the share of its strength that a joint has then, likewise."""
+"""Increasing numbers of steps since both parts were placed, and the increasing shares of strength of the joint then."""
 
 _VALUES = ("friction", "cohesion", "tension")
 _ENTRIES = {"between", "parts", "sets", "ductile", *_VALUES}
@@ -38,12 +38,12 @@ class Joints:
     tension: Array
     """N, shape (points,)."""
     ductile: NDArray[np.bool_]
-    """Whether a point that is pulled apart goes on bearing its tension, as studs do, and does not tear, as mortar does;
+    """Whether a point that is pulled apart continues to bear its tension, as studs do, or tears, as mortar does;
     of the criterion `contact`, shape (points,)."""
     setting: tuple[Setting, ...] = ()
-    """How cohesion and tension of joints that set grow with the steps since both parts are in place."""
+    """Growth of cohesion and tension of setting joints with the steps since both parts were placed."""
     sets: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
-    """Which of them is that of each contact point, -1 for none, shape (points,); empty where nothing sets."""
+    """Index into `setting` of each contact point, -1 for none, shape (points,); empty where nothing sets."""
 
     @staticmethod
     def of(
@@ -63,13 +63,13 @@ class Joints:
             friction: coefficient of friction of every contact, or one a contact; NaN is that of the assembly.
             cohesion: Pa, likewise; NaN is friction times tension.
             tension: Pa, likewise.
-            ductile: whether the joint goes on bearing its tension when it is pulled apart, likewise.
-            setting: ways in which joints set; with none, all have their strength at once.
+            ductile: whether the joint continues to bear its tension when it is pulled apart, likewise.
+            setting: growth curves of joints that set; with none, all have their full strength at once.
             sets: which of them is that of every contact, or one a contact; -1 for none.
 
         Raises:
-            AssemblyError: a number that is negative or infinite, strength of a contact without area, or a way to set
-                that falls.
+            AssemblyError: a number that is negative or infinite, strength of a contact without area, or a decreasing
+                strength.
         """
         count = len(contacts)
         values = {}
@@ -137,7 +137,7 @@ class Joints:
             between materials.
 
         Raises:
-            AssemblyError: no such material or part, parts that do not meet, or numbers that cannot be used.
+            AssemblyError: no such material or part, parts that do not touch, or invalid numbers.
         """
         if not entries:
             return None
@@ -150,7 +150,7 @@ class Joints:
         for entry in entries:
             if not isinstance(entry, Mapping) or not set(entry) <= _ENTRIES or not set(entry) & set(_VALUES):
                 raise AssemblyError(
-                    f"joint {entry!r} is no object with friction, cohesion or tension, and between or parts"
+                    f"joint {entry!r} is not an object with friction, cohesion or tension, and between or parts"
                 )
             named = {name: _number(entry[name], name) for name in _VALUES if name in entry}
             rows = _rows(entry, made_of, names, contacts)
@@ -187,7 +187,7 @@ class Joints:
 
     @property
     def arrays(self) -> tuple[Array, ...]:
-        """Everything that a verdict or a replay depends on."""
+        """All data that a verdict or a replay depends on."""
         ways = [np.array(way).ravel() for way in self.setting]
         kinds = self.ductile.astype(np.float64), *([self.sets.astype(np.float64)] if ways else [])
         return self.friction, self.cohesion, self.tension, *ways, *kinds
@@ -205,7 +205,7 @@ class Joints:
         return share
 
     def once_set(self) -> Joints:
-        """Return the same joints, which have set from the start."""
+        """Return the same joints, fully set from the start."""
         return Joints(self.friction, self.cohesion, self.tension, self.ductile)
 
     def among(self, before: Contacts, after: Contacts, parts: int) -> Joints:
@@ -217,7 +217,7 @@ class Joints:
             parts: number of parts before.
 
         Raises:
-            AssemblyError: contacts between the parts that were there have changed.
+            AssemblyError: contacts between the existing parts have changed.
         """
         kept = np.asarray((after.parts[after.contact_of_point] < parts).all(axis=1))
         if not np.array_equal(after.points[kept], before.points):
@@ -262,7 +262,7 @@ def _materials(given: Any, names: Sequence[str]) -> list[str]:
 def _rows(
     entry: Mapping[str, Any], made_of: Sequence[str], names: Sequence[str], contacts: Contacts
 ) -> NDArray[np.bool_]:
-    """Return the contacts that an entry is about, shape (contacts,)."""
+    """Return the contacts that an entry applies to, shape (contacts,)."""
     if "between" in entry and "parts" in entry:
         raise AssemblyError(f"joint {entry!r} has both between and parts; give one of them")
     if "between" in entry:
@@ -290,7 +290,7 @@ def _rows(
 
 
 def _setting(given: Any) -> Setting:
-    """Return a way to set, checked."""
+    """Return a checked growth curve of a setting joint."""
     try:
         way = np.array(given, dtype=np.float64)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""Structures by name or path: built-in ones, meshes, and the formats of readers that are registered."""
+"""Loader of structures by name or path: built-in ones, meshes, and registered formats."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _READERS: list[tuple[str, str, str]] = []
 """Probe, reader and reader of unchecked parts of each format, as `package.module:function`; imported at the first file
-that they may know."""
+that they may recognise."""
 
 LOAD_OPTIONS = ("loads", "earthquake", "materials", "joints", "fasteners")
 """Options that load or join the parts of a structure and that its reader need not know."""
@@ -25,11 +25,11 @@ def register_reader(probe: str, reader: str, parts: str = "") -> None:
     """Let `load_structure` read files of another format.
 
     Args:
-        probe: `package.module:function` that takes the path of a file and says whether it is of this format.
+        probe: `package.module:function` that takes the path of a file and returns whether it is of this format.
         reader: `package.module:function` that takes the path and the options of `load_structure`, and returns an
             `Assembly`.
         parts: `package.module:function` that takes the path and `unit`, and returns a `Draft`, the parts as they are
-            in the file; `falsework doctor` looks at them one by one. Empty if there is none.
+            in the file; `falsework doctor` examines them one by one. Empty if there is none.
     """
     if (probe, reader, parts) not in _READERS:
         _READERS.append((probe, reader, parts))
@@ -58,7 +58,7 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
         structure: name of a built-in structure with its parameters, or a folder or file.
         options: unit, density (kg/m3), friction, boundary, ground, contact_settings, loads, earthquake, materials,
             joints and fasteners as for `load_assembly`, and interfaces (`found`, `stored` or `compare`) as for
-            `load_compas`; None is as good as left out. A built-in structure takes neither unit nor contact_settings,
+            `load_compas`; None is equivalent to omission. A built-in structure takes neither unit nor contact_settings,
             and only COMPAS data store interfaces.
 
     Raises:
@@ -96,7 +96,7 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
 
 
 def described_options(path: Path) -> dict[str, Any]:
-    """Return what `assembly.json` beside a file of a registered format says, as options of its reader.
+    """Return the entries of `assembly.json` beside a file of a registered format, as options of its reader.
 
     Raises:
         AssemblyError: it is damaged or of another version.

@@ -1,4 +1,4 @@
-"""Loads on a structure beside its weight: forces on parts, and a pseudo-static earthquake."""
+"""Loads on a structure in addition to its weight: forces on parts, and a pseudo-static earthquake."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Loads:
     wrench: Array
     """Force and moment about the centre of mass of each part, N and Nm, shape (parts, 6), read-only."""
     acceleration: Array
-    """Acceleration that acts on every part beside gravity, in shares of gravity, shape (3,), read-only."""
+    """Acceleration of every part in addition to gravity, in shares of gravity, shape (3,), read-only."""
 
     @staticmethod
     def of(parts: int, *, wrench: ArrayLike | None = None, acceleration: ArrayLike = (0.0, 0.0, 0.0)) -> Loads:
@@ -58,17 +58,17 @@ class Loads:
             center: centres of mass, shape (parts, 3), m.
 
         Returns:
-            Loads, or None where nothing acts.
+            Loads, or None if there are none.
 
         Raises:
-            AssemblyError: a load on a part that does not exist, or numbers that cannot be used.
+            AssemblyError: a load on a part that does not exist, or invalid numbers.
         """
         wrench = np.zeros((len(names), 6))
         if not isinstance(entries or [], list):
             raise AssemblyError(f"loads are {entries!r}; give a list of objects with part and force")
         for entry in entries or []:
             if not isinstance(entry, Mapping) or "part" not in entry or not set(entry) <= _ENTRIES:
-                raise AssemblyError(f"load {entry!r} is no object with part, force and perhaps at and moment")
+                raise AssemblyError(f"load {entry!r} is not an object with part, force and perhaps at and moment")
             part = part_id(entry["part"], names, "a load acts on part")
             force = _numbers(entry.get("force", [0, 0, 0]), f"the force on part {names[part]}", (3,), "N")
             moment = _numbers(entry.get("moment", [0, 0, 0]), f"the moment on part {names[part]}", (3,), "Nm")
@@ -88,7 +88,7 @@ class Loads:
         """Return the entries of `assembly.json` that `read` makes these loads of.
 
         Raises:
-            AssemblyError: a vertical acceleration, which `assembly.json` cannot say.
+            AssemblyError: a vertical acceleration, which `assembly.json` cannot express.
         """
         if self.acceleration[2]:
             raise AssemblyError("a vertical acceleration cannot be written to assembly.json; use horizontal ones")
@@ -111,14 +111,14 @@ class Loads:
 
 
 def part_id(given: Any, names: Sequence[str], what: str) -> int:
-    """Return the id of a part that is given by id or by name; `what` begins the message where it is not there."""
+    """Return the id of a part that is given by id or by name; `what` begins the message if there is none."""
     if isinstance(given, str) and given in names:
         return list(names).index(given)
     if isinstance(given, str) and given.isdecimal():
         given = int(given)
     if isinstance(given, int) and not isinstance(given, bool) and 0 <= given < len(names):
         return given
-    raise AssemblyError(f"{what} {given!r}, which is not there; give an id from 0 to {len(names) - 1} or a name")
+    raise AssemblyError(f"{what} {given!r}, which does not exist; give an id from 0 to {len(names) - 1} or a name")
 
 
 def _numbers(value: Any, what: str, counts: Sequence[int], unit: str) -> Array:

@@ -33,7 +33,7 @@ _WARNED = 3
 
 
 class ContactWarning(UserWarning):
-    """Contact that real parts may not have, such as along a line only."""
+    """Contact that real parts may lack, such as along a line only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Assembly:
     name: str
     meshes: tuple[TriangleMesh, ...]
     boundary: NDArray[np.bool_]
-    """Parts that are fixed for ever, shape (parts,)."""
+    """Permanently fixed parts, shape (parts,)."""
     density: NDArray[np.float64]
     """Shape (parts,), kg/m3."""
     friction: float
@@ -55,7 +55,7 @@ class Assembly:
     contacts_given: bool = False
     """Whether the contacts were given, such as interfaces that a file stores, and not found from the meshes."""
     loads: Loads | None = None
-    """Loads beside the weight of the parts."""
+    """Loads in addition to the weight of the parts."""
     props: tuple[Prop, ...] = ()
     """Props that states may have: the last parts, which never move and need no robot; see `with_props`."""
     joints: Joints | None = None
@@ -79,10 +79,10 @@ class Assembly:
 
         Args:
             meshes: closed meshes that face outwards, metres.
-            boundary: ids of the parts that are fixed for ever, or a mask of shape (parts,).
+            boundary: ids of the fixed parts, or a mask of shape (parts,).
             density: one number or one a part, kg/m3.
             friction: coefficient of friction of every contact.
-            name: how plans and messages call the structure.
+            name: name of the structure in plans and messages.
             contact_settings: tolerances.
             ground: add a fixed slab under the lowest point, as the last part.
             contacts: contacts of the parts, if they are known; found from the meshes if not given.
@@ -132,7 +132,7 @@ class Assembly:
         """One line for all joints that were resolved, and one for each pair that touches along lines or at points only.
 
         Real edges and corners have a width, which the meshes do not say, and may be chipped off. Pairs of boundary
-        parts are left out: nothing hangs on them.
+        parts are omitted: no verdict depends on them.
         """
         pairs, pair = np.unique(self.contacts.parts, axis=0, return_inverse=True)
         widest = np.zeros(len(pairs), dtype=np.int8)
@@ -144,12 +144,12 @@ class Assembly:
             where = ("at a point", "along a line")[widest[number]]
             if count > 1:
                 where = ("at points", "along lines")[widest[number]]
-            lines.append(f"parts {a} and {b} touch {where} only: verdicts may hang on it")
+            lines.append(f"parts {a} and {b} touch {where} only: verdicts may depend on it")
         return tuple(lines)
 
     @property
     def report(self) -> JointReport:
-        """Joints whose overlap or gap was beyond the contact tolerance: which parts, and by how much."""
+        """Joints whose overlap or gap was beyond the contact tolerance, with their parts and lengths."""
         return self.contacts.report
 
     @property
@@ -336,7 +336,7 @@ def _boundary(value: ArrayLike, meshes: Sequence[TriangleMesh]) -> NDArray[np.bo
         raise AssemblyError(f"boundary is {value!r}; give ids of parts, 0 to {parts - 1}")
     for part in given.tolist():
         if not 0 <= part < parts:
-            raise AssemblyError(f"boundary part {part} is not there; ids of parts are 0 to {parts - 1}")
+            raise AssemblyError(f"boundary part {part} does not exist; ids of parts are 0 to {parts - 1}")
         if mask[part]:
             raise AssemblyError(f"boundary names part {part} twice; give every id once")
         mask[part] = True
@@ -344,7 +344,7 @@ def _boundary(value: ArrayLike, meshes: Sequence[TriangleMesh]) -> NDArray[np.bo
 
 
 def _check_touching(meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], contacts: Contacts) -> None:
-    """Raise for a part that nothing can carry; boundary parts may stand alone, as obstacles do."""
+    """Raise for a part without contacts; boundary parts may stand alone, as obstacles do."""
     alone = ~boundary
     alone[contacts.parts.ravel()] = False
     if alone.any():

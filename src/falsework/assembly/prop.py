@@ -1,4 +1,4 @@
-"""Place of a prop: the part that it carries, where its head is, and the height of its floor."""
+"""Place of a prop: the part that it carries, the position of its head, and the height of its floor."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Prop:
     at: tuple[float, float, float]
     """Middle of its head, on the lower side of the part, m."""
     floor: float
-    """Height at which it stands, m."""
+    """Height of its floor, m."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the place as a JSON object."""

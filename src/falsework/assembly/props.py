@@ -1,9 +1,9 @@
 """Props: passive posts from the floor to the lower side of a part, which carry it without a robot.
 
-A prop is a part of its own that never moves: it is there or it is not, so what is known of states holds for it too.
+A prop is a part of its own that never moves: it is present or absent, so results for states hold for it too.
 Its head is a small square cut to the slope of the part's lower side, with a pad that does not slip up to 45 degrees. It
 is a contact like any other: it pushes, and does not pull, within a cone of friction that is as wide as those of the
-structure, turned upright as far as the pad holds.
+structure, turned upright as far as the pad permits.
 """
 
 from __future__ import annotations
@@ -33,16 +33,17 @@ _GRID = 9
 _FLAT = 1e-6
 """Largest deviation of the corners of a head from one plane, as a share of its side."""
 _PAD = 1.0
-"""Friction of the pad of a head, rubber on dry concrete: the steepest lower side that takes a load straight down."""
+"""Friction of the pad of a head, rubber on dry concrete: limits the steepest lower side that transmits a vertical
+load."""
 _DENSITY = 600.0
 """kg/m3: timber. A prop never moves, so nothing depends on it."""
 
 
 def prop_places(assembly: Assembly) -> tuple[Prop, ...]:
-    """Return a place for a prop under each part that has one, as near below its centre of mass as there is.
+    """Return a place for a prop under each part that has one, the nearest to below its centre of mass.
 
     The lower side must be flat there and at most 45 degrees steep, so that the prop can carry weight straight down, and
-    nothing but a fixed part may be below: that is its floor.
+    the part below must be a fixed one: its floor.
 
     Raises:
         AssemblyError: no part has such a place.
@@ -69,14 +70,15 @@ def prop_places(assembly: Assembly) -> tuple[Prop, ...]:
 
 
 def with_props(assembly: Assembly, props: Sequence[Prop]) -> Assembly:
-    """Return the structure with places for props as its last parts, which are there only in states that say so.
+    """Return the structure with places for props as its last parts, which are present only in states that include them.
 
     Args:
         assembly: a structure without props.
-        props: where they stand; their floors are found anew.
+        props: their places; the floors are recomputed.
 
     Raises:
-        AssemblyError: a part that is not there or fixed, a head that is not on a flat lower side, or no floor under it.
+        AssemblyError: a part that does not exist or is fixed, a head that is not on a flat lower side, or no floor
+            under it.
     """
     if not props:
         return assembly
@@ -197,7 +199,7 @@ class _Columns:
         self._low, self._high = self._triangles[:, :, :2].min(axis=1), self._triangles[:, :, :2].max(axis=1)
 
     def placed(self, prop: Prop) -> _Head:
-        """Return the head of a prop that is asked for.
+        """Return the head of a requested prop.
 
         Raises:
             AssemblyError: as `with_props`.

@@ -21,17 +21,17 @@ Mask = NDArray[np.bool_]
 
 
 def complete_state(boundary: Mask) -> States:
-    """State with every part installed and none held. Shape (parts,)."""
+    """Return the state with every part installed and none held. Shape (parts,)."""
     return np.where(boundary, HELD, INSTALLED).astype(np.uint8)
 
 
 def empty_state(boundary: Mask) -> States:
-    """State with only the boundary present. Shape (parts,)."""
+    """Return the state with only the boundary present. Shape (parts,)."""
     return np.where(boundary, HELD, REMOVED).astype(np.uint8)
 
 
 def as_states(states: ArrayLike, boundary: Mask) -> States:
-    """Check states that come from outside and return them as a batch.
+    """Validate states and return them as a batch.
 
     Args:
         states: one state `(parts,)` or a batch `(batch, parts)` of 0 removed, 1 installed, 2 held.
@@ -102,7 +102,7 @@ def apply_actions(states: States, actions: NDArray[np.integer]) -> States:
 
 
 def undo_mask(states: States, boundary: Mask, robots: int) -> Mask:
-    """Return actions that can have led into each state, stability aside: the moves of assembly.
+    """Return actions that can have led to each state, stability aside: the moves of assembly.
 
     Undoing a hold releases a held part; undoing a removal installs a part that a robot then holds.
 
@@ -133,12 +133,12 @@ STEP_WORDS = {
 
 
 def describe_step(before: States, after: States, names: Sequence[str]) -> str:
-    """Plain words for the step between two states one move apart, such as `hold 7` or `insert keystone`."""
+    """Describe the step between two states one move apart, such as `hold 7` or `insert keystone`."""
     part = int((before != after).argmax())
     return f"{STEP_WORDS[int(before[part]), int(after[part])]} {names[part]}"
 
 
 def describe_action(action: int, names: tuple[str, ...] | list[str]) -> str:
-    """Plain words for one action, such as `hold 7` or `remove keystone`."""
+    """Describe one action, such as `hold 7` or `remove keystone`."""
     parts = len(names)
     return f"{'hold' if action < parts else 'remove'} {names[action % parts]}"

@@ -45,14 +45,14 @@ def load_assembly(
     `assembly.json` in the folder, or beside the file, gives `name`, `unit`, `density` (one number or one a
     part, kg/m3), `friction`, `boundary` (ids or names of parts), `names`, `contact` (fields of
     `ContactSettings`), `loads` and `earthquake` (see `Loads.read`), `materials` and `joints` (see `Joints.read`), and
-    `fasteners` (see `fasten`); all of them may be missing. Arguments come before what the file says.
+    `fasteners` (see `fasten`); all of them may be missing. Arguments take precedence over the file.
 
     Args:
         path: folder or mesh file.
         unit: unit of the coordinates: m, dm, cm, mm, in or ft.
         density: kg/m3.
         friction: coefficient of friction of every contact.
-        boundary: ids of the parts that are fixed for ever, or a mask of shape (parts,).
+        boundary: ids of the fixed parts, or a mask of shape (parts,).
         ground: add a fixed slab under the lowest point, as the last part.
         contact_settings: tolerances.
         loads: objects with `part`, `force` (N) and perhaps `at` (m) and `moment` (Nm).
@@ -102,17 +102,17 @@ def load_assembly(
 def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
     """Write an assembly as a folder that `load_assembly` reads back with the same identity.
 
-    The folder is written under a temporary name and renamed, so that it is there whole or not at all. An
+    The folder is written under a temporary name and renamed, so that it is complete or absent. An
     assembly that is already there is replaced.
 
     Raises:
-        InputError: something else is at that place, it cannot be written to, or contacts or joints were given.
+        InputError: the path is not an assembly, it cannot be written to, or contacts or joints were given.
     """
     target = Path(folder)
     if assembly.contacts_given:
         raise InputError(f"{assembly.name} has given contacts, which a folder of meshes cannot keep; find them instead")
     if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / FILE).is_file())):
-        raise InputError(f"{target} is there and is not an assembly; choose another folder")
+        raise InputError(f"{target} exists and is not an assembly; choose another folder")
     if assembly.joints is not None:
         raise InputError(f"{assembly.name} has joints, which belong to its contacts; write them into {FILE} by hand")
     density = assembly.density
@@ -204,7 +204,7 @@ def _contact_settings(given: Mapping[str, Any], file: Path) -> ContactSettings:
 
 
 def support_names(boundary: ArrayLike) -> list[int | str]:
-    """Return the boundary as ids or names, whichever way it is given; what is wrong with it is said later."""
+    """Return the boundary as ids or names, as given; errors are reported later."""
     given = np.asarray(boundary, dtype=object)
     if given.ndim == 1 and len(given) and all(isinstance(item, bool | np.bool_) for item in given):
         return [int(part) for part in np.flatnonzero(given)]
@@ -221,7 +221,7 @@ def part_ids(boundary: list[Any], names: list[str]) -> list[int]:
     for item in boundary:
         if isinstance(item, str):
             if item not in names:
-                raise AssemblyError(f"boundary part {item!r} is not there; parts are {', '.join(names[:8])}")
+                raise AssemblyError(f"boundary part {item!r} does not exist; parts are {', '.join(names[:8])}")
             item = names.index(item)
         if not isinstance(item, int) or isinstance(item, bool):
             raise AssemblyError(f"boundary names {item!r}; give ids or names of parts")

@@ -1,4 +1,4 @@
-"""Rotations and reflections about the vertical that map a structure onto itself, as permutations of its parts.
+"""Symmetries of a structure about the vertical, as permutations of its parts.
 
 Gravity points down, so a state and its images under these symmetries have the same verdict and corresponding actions. A
 dome of twelve equal sectors has twenty-four symmetries.
@@ -18,7 +18,7 @@ _ALIKE = 0.1
 
 
 def symmetries(assembly: Assembly) -> NDArray[np.intp]:
-    """Return permutations of the parts that some turn about a vertical axis, or reflection in a vertical plane, makes.
+    """Return the permutations of the parts by rotations about a vertical axis and reflections in vertical planes.
 
     Centres of mass, masses and every contact's area times normal have to agree with those of the images. Parts that
     are boundary may stay where they are: the ground is no smaller for being turned. With joints there are none.
@@ -27,13 +27,13 @@ def symmetries(assembly: Assembly) -> NDArray[np.intp]:
         assembly: the structure.
 
     Returns:
-        A row for each symmetry, of shape (symmetries, parts). Part `i` goes to where part `row[i]` is; the first row
-        leaves everything as it is.
+        A row for each symmetry, of shape (symmetries, parts). Part `i` goes to where part `row[i]` is; the first row is
+        the identity.
     """
     parts, fixed = assembly.part_count, assembly.boundary
     identity = np.arange(parts)
     movable = np.flatnonzero(~fixed)
-    if len(movable) < 2 or assembly.joints is not None:  # images of joints are not looked for
+    if len(movable) < 2 or assembly.joints is not None:  # images of joints are not compared
         return identity[None]
     mass, centre = assembly.mass.mass, assembly.mass.center
     bounds = np.array([mesh.bounds for mesh in assembly.meshes])[movable]
@@ -41,7 +41,7 @@ def symmetries(assembly: Assembly) -> NDArray[np.intp]:
     axis = np.average(centre[movable, :2], axis=0, weights=mass[movable])
     place = centre - [*axis, 0.0]
     push = assembly.contacts.pushes(parts)
-    # Lines and points hardly weigh by their area, and yet a part may rest on them: they have to agree by themselves.
+    # Line and point contacts have hardly any area, and yet a part may rest on them: they are compared separately.
     narrow = assembly.contacts.narrow_pushes(parts)
     found = {tuple(identity): identity}
     for turn in _motions(place[movable], mass[movable], size):
@@ -54,7 +54,7 @@ def symmetries(assembly: Assembly) -> NDArray[np.intp]:
 
 
 def _motions(place: NDArray[np.float64], mass: NDArray[np.float64], size: float) -> list[NDArray[np.float64]]:
-    """Return turns and reflections that put one part where another like it is: whatever is a symmetry is among them."""
+    """Return candidates for symmetries: rotations and reflections that map one part to a similar one."""
     radius = np.linalg.norm(place[:, :2], axis=1)
     alike = (
         (np.abs(radius[:, None] - radius) < _NEAR * size)

@@ -35,7 +35,7 @@ class Animate(JudgingCommand):
     out: Annotated[Path, arg(metavar="FILE")] = Path("plan.mp4")
     """File to write; it ends in .mp4 or .gif."""
     seconds: float = 0.4
-    """Duration of a step; a robot plan with a schedule plays by its own clock instead."""
+    """Duration of a step; a robot plan with a schedule is shown in its own time instead."""
     rate: float = 10.0
     """Frame rate."""
     speed: float = 1.0
@@ -50,7 +50,7 @@ class Animate(JudgingCommand):
     """Elevation of the camera, degrees."""
 
     def run(self, output: Output) -> Exit:
-        """Open, draw every picture, write."""
+        """Open the plan, draw every picture, and write the video."""
         from falsework.viewer.pictures.video import KINDS
         from falsework.viewer.show import animate, check_film
 

@@ -40,7 +40,7 @@ def parse_parts(text: str, option: str, names: Sequence[str] = ()) -> tuple[int,
         elif (match := _RANGE.fullmatch(item)) and int(match[1]) <= int(match[2]) <= int(match[1]) + LARGEST_LIST:
             parts.extend(range(int(match[1]), int(match[2]) + 1))
         else:
-            raise InputError(f"{option} {text}: {item!r} is no part; give numbers such as 3,4 or 0-16, or names")
+            raise InputError(f"{option} {text}: {item!r} is not a part; give numbers such as 3,4 or 0-16, or names")
     return tuple(parts)
 
 
@@ -75,7 +75,7 @@ def parse_load(text: str) -> dict[str, Any]:
 
 
 def read_states(path: Path) -> Any:
-    """Read states from a JSON list or a `.npy` file, without judging their length or values.
+    """Read states from a JSON list or a `.npy` file, without checking their length or values.
 
     Raises:
         StateError: no such file, or neither JSON nor NumPy.
@@ -90,9 +90,9 @@ def read_states(path: Path) -> Any:
         content = parse_json(path.read_text(encoding="utf-8"))
     except Exception as error:  # NumPy fails in many ways on a damaged file
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise StateError(f"{path} holds no states: {reason}; give a JSON list of states or a .npy array") from error
+        raise StateError(f"{path} contains no states: {reason}; give a JSON list of states or a .npy array") from error
     if not isinstance(content, list):
-        raise StateError(f"{path} holds no list; give a JSON list of states such as [[2, 1, 0], [2, 2, 0]]")
+        raise StateError(f"{path} contains no list; give a JSON list of states such as [[2, 1, 0], [2, 2, 0]]")
     return content
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class CheckCell(Command):
     """Report which robot of a cell can hold which part of a structure, and propose better bases.
 
-    Every part is tried alone on the boundary, with the other robots at home. Exit code 1 if a part is out of reach of
+    Every part is tested alone on the boundary, with the other robots at home. Exit code 1 if a part is out of reach of
     all robots.
     """
 
@@ -41,7 +41,7 @@ class CheckCell(Command):
     """Search for better bases; auto: if a robot cannot reach a part."""
 
     def run(self, output: Output) -> Exit:
-        """Load, try, print."""
+        """Load, test and print."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.cells.validate import check_cell
         from falsework.robots.grasping.reachability import Reachability, propose_bases, reach_table
@@ -78,7 +78,7 @@ class CheckCell(Command):
         return Exit.NO if missing else Exit.DONE
 
     def _say(self, output: Output, assembly: Assembly, cell: Cell, parts: PartShapes, table: ReachTable) -> None:
-        """One row a part."""
+        """Print one row per part."""
         from rich.table import Table
 
         from falsework.robots.grasping.reachability import Reachability

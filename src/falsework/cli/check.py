@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from falsework.stability.contact.replay import Replay
 
 _DRAWS = 4
-"""Random states of friction at the start under which a plan is replayed."""
+"""Random initial friction states under which a plan is replayed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +194,7 @@ class CheckPlan(JudgingCommand):
         return f"after step {row} of assembly ({plan.describe(row - 1)})" if row else "at the beginning"
 
     def _judge_with_lmgc90(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
-        """Check states by LMGC90 up to the first that falls; states that it cannot compute are only reported."""
+        """Check states by LMGC90 up to the first unstable one; states that it cannot compute are only reported."""
         from falsework.stability.judges.lmgc90 import judge_by_lmgc90
 
         forward = plan if plan.direction == "assembly" else plan.reverse()

@@ -37,7 +37,7 @@ class Command(ABC):
 
     @abstractmethod
     def run(self, output: Output) -> Exit:
-        """Do the work and return the exit code."""
+        """Run the subcommand and return the exit code."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,7 @@ class LoadOptions:
     """Pseudo-static horizontal acceleration as a share of gravity, such as 0.1 along x, or 0.1,0.05 along x and y."""
 
     def given(self) -> dict[str, Any]:
-        """Return those that were given, as `load_structure` takes them.
+        """Return the options that were given, as `load_structure` takes them.
 
         Raises:
             InputError: boundary is no list of parts, or a load or earthquake that cannot be read.
@@ -107,7 +107,7 @@ class StructureOptions(LoadOptions):
         return load_structure(self.spec, **self.given())
 
     def source(self, beside: Path) -> dict[str, Any]:
-        """What a file beside which others may look for the structure has to say about it.
+        """Return the source of the structure, to be recorded in a file.
 
         Args:
             beside: the file; a path to the structure is given relative to its folder.

@@ -49,7 +49,7 @@ class MakeDataset(JudgingCommand):
     """Device of the search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
 
     def run(self, output: Output) -> Exit:
-        """Search, compare, save."""
+        """Search, compare and save."""
         from falsework.cli.arguments import parse_parts
         from falsework.learn.data.dataset import save_dataset
         from falsework.search.device.oracle import tensor_oracle

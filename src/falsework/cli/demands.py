@@ -1,4 +1,4 @@
-"""Margins that are demanded of plans: what they lack, and what a plan has."""
+"""Margins required of plans: shortfalls, and the margins of a plan."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from falsework.search.problem.task import Task
 
 LOOKED_AT = 8
-"""States where a search broke off whose margins are measured, at most."""
+"""Largest number of states where a search stopped whose margins are measured."""
 
 
 def refuse_weak_end(oracle: DemandingStability, task: Task, output: Output) -> bool:
-    """Report a start or target state that does not keep the margins demanded, since then there is no plan."""
+    """Report a start or target state that does not keep the required margins, since then there is no plan."""
     for name, state in (("start", task.start), ("target", task.target)):
         broken = oracle.broken(state)
         if broken:
@@ -30,7 +30,7 @@ def refuse_weak_end(oracle: DemandingStability, task: Task, output: Output) -> b
 
 
 def explain_shortfall(oracle: DemandingStability, result: SearchResult) -> tuple[dict[str, Any], str]:
-    """Return by how much the states where a search broke off miss the margins demanded, as a record and in words."""
+    """Return by how much the states where a search stopped miss the required margins, as a record and in words."""
     import numpy as np
 
     from falsework.stability.oracle import Stability
@@ -44,11 +44,11 @@ def explain_shortfall(oracle: DemandingStability, result: SearchResult) -> tuple
 
 
 def shortfall(oracle: DemandingStability, states: States) -> dict[str, dict[str, float]]:
-    """Return the demands that no state keeps, with the best margin among the states; SI units.
+    """Return the required margins that no state keeps, with the best margin among the states; SI units.
 
     Args:
         oracle: with the demands.
-        states: shape (batch, parts); those that stand as they are.
+        states: shape (batch, parts); those that are stable as they are.
     """
     from falsework.search.margins.plan_margins import MEASURED
 
@@ -78,7 +78,7 @@ def _words(lacks: dict[str, dict[str, float]]) -> str:
 
 
 def margin_lines(plan: Plan) -> list[str]:
-    """Return what a plan says of its margins, one line each."""
+    """Return the margins of a plan, one line each."""
     from falsework.search.margins.plan_margins import quantity_text
 
     margins, lines = plan.margins, []

@@ -1,4 +1,4 @@
-"""`falsework doctor`: what is in the files of a structure, what was mended, and what is doubtful."""
+"""`falsework doctor`: contents, repairs and doubtful parts of the files of a structure."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _DOUBTFUL = "#b2182b"
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor(Command):
-    """Say what is in the files of a structure, what was mended, and what is doubtful about each part.
+    """Report the contents of the files of a structure, repairs, and doubts about each part.
 
-    Works on structures that do not load, too: open, tiny, overlapping, duplicate and lonely parts are collected. Ends
-    with the entries to add to assembly.json, and says whether the structure loads with them. Exit code 1 if it does not
-    load as it is.
+    Works on structures that do not load, too: open, tiny, overlapping, duplicate and isolated parts are listed. Ends
+    with the entries to add to assembly.json, and states whether the structure loads with them. Exit code 1 if it does
+    not load as it is.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -41,10 +41,10 @@ class Doctor(Command):
     unit: Annotated[str | None, arg(metavar="UNIT", help_behavior_hint=UNSET)] = None
     """Unit of the coordinates, such as mm."""
     picture: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
-    """Draw the parts as PNG: doubtful ones red, mended ones orange."""
+    """Draw the parts as PNG: doubtful ones red, repaired ones orange."""
 
     def run(self, output: Output) -> Exit:
-        """Diagnose, draw, tell."""
+        """Diagnose, draw and report."""
         from falsework.assembly.doctor import diagnose
         from falsework.cli.planning import writable
 
@@ -93,7 +93,7 @@ def _lines(found: Diagnosis) -> list[str]:
 
 
 def _draw(found: Diagnosis, path: Path) -> None:
-    """Draw all parts, with those that were mended or are doubtful in colours."""
+    """Draw all parts, with repaired and doubtful ones in colours."""
     import numpy as np
 
     from falsework.viewer.palette import BOUNDARY, INSTALLED, unit_rgb

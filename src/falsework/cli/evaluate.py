@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(Command):
-    """Evaluate a policy: follow its most probable actions from many states, and count how often they reach the end.
+    """Evaluate a policy: follow its most probable actions from many states, and count how often they succeed.
 
     A rollout succeeds only if every state on its path is certified as stable. The training set is that of a narrow
     search; the test set has the states that a wider search finds beyond it, which training never uses.
@@ -41,7 +41,7 @@ class Evaluate(Command):
     folder: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder that `falsework train` wrote."""
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
-    """Evaluate the policy on another structure than the one that it was trained for."""
+    """Evaluate the policy on a structure other than the one that it was trained for."""
     search: bool = False
     """Search where the policy fails, and report the share of test states with a proven plan."""
     targets: bool = False
@@ -148,13 +148,13 @@ class Evaluate(Command):
         from falsework.learn.training.run_context import RunContext
         from falsework.learn.training.training_data import find_pairs
 
-        settings = replace(trained.settings, data="width64")  # what only serves to learn from is not needed
+        settings = replace(trained.settings, data="width64")  # data for training only are not needed
         pairs = find_pairs(RunContext(assembly, settings, oracle, device))
         sets = {name: getattr(pairs, name) for name in ("train", "validation", "test")}
         return {name: (one.states, one.targets) for name, one in sets.items()}
 
     def _data(self, trained: Run, assembly: Assembly, oracle: TensorOracle, device: torch.device) -> Dataset:
-        """States of the run if they are there and of this structure and criterion, else found by the same searches."""
+        """Return the states of the run if they fit structure and criterion, else states of the same searches."""
         from falsework.learn.data.dataset import build_dataset, load_dataset, task_for
         from falsework.learn.training.checkpoint import DATA
 

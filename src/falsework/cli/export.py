@@ -22,7 +22,7 @@ Format = Literal["folder", "glb", "gltf", "usd", "compas", "compas-assembly", "c
 class Export(Command):
     """Write a structure or an animated plan in the format of another program.
 
-    STRUCTURE may be a plan, too. A folder has one mesh a part and assembly.json. glTF (.glb, .gltf) opens in Blender
+    STRUCTURE may be a plan, too. A folder has one mesh per part and assembly.json. glTF (.glb, .gltf) opens in Blender
     and any viewer, USD (.usda) in robot simulators; both show a plan as an animation. COMPAS data (.json) are a list of
     meshes; compas-assembly and compas-dem write block assemblies of the packages of that name.
     """
@@ -43,7 +43,7 @@ class Export(Command):
     """Duration of a step of a plan; 1 s if not given."""
 
     def run(self, output: Output) -> Exit:
-        """Load and save."""
+        """Load and export."""
         from falsework.cli.planning import writable
         from falsework.interop.formats import export, format_of, read_exportable
         from falsework.search.plans.plan import Plan
@@ -51,7 +51,7 @@ class Export(Command):
         chosen = self.format or format_of(self.out)
         if chosen == "folder":
             if self.out.exists() and not (self.out.is_dir() and not any(self.out.iterdir())):
-                raise InputError(f"{self.out} is there and not empty; choose a new folder")
+                raise InputError(f"{self.out} exists and is not empty; choose a new folder")
         else:
             writable(self.out)
         subject, assembly = read_exportable(self.structure.spec, **self.structure.given())

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from falsework.stability import Stability
 
 LOOKED_AT = 16
-"""Unstable states whose motions are looked at, at most."""
+"""Largest number of unstable states whose motions are examined."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Failure:
     reason: str
     """Reason why the search proves nothing, where it does not."""
     sliding: int
-    """States that the search refused because they slide."""
+    """States that the search rejected because they slide."""
     cut: bool
     """Whether the search was stopped before its end, by the keyboard or a deadline."""
     text: str

@@ -40,7 +40,7 @@ class MakeGraph(JudgingCommand):
     """Seconds after which the search of one process ends; the states found so far are saved."""
 
     def run(self, output: Output) -> Exit:
-        """Search, connect, save."""
+        """Search, connect and save."""
         from falsework.cli.failure import explain
         from falsework.search.backend import beam_search
         from falsework.search.problem.deadline import Deadline

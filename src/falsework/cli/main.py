@@ -87,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _fail("interrupted", Exit.INTERRUPTED)
     except BrokenPipeError:
-        # The reader, such as `head`, has gone: Python must not write to it at its exit.
+        # The reader, such as `head`, has closed the pipe: Python must not write to it at exit.
         with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return Exit.DONE
@@ -161,7 +161,7 @@ def _module(name: str) -> str:
 
 @cache
 def _first_lines(module: str) -> dict[str, str]:
-    """Return the first line that the classes of a module say of themselves, without importing the module."""
+    """Return the first docstring line of the classes of a module, without importing the module."""
     source = Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8")
     classes = [found for found in ast.parse(source).body if isinstance(found, ast.ClassDef)]
     return {found.name: (ast.get_docstring(found) or "").partition("\n")[0] for found in classes}
@@ -208,7 +208,7 @@ def _one_line(box: str) -> str:
 
 
 def _explain(error: Exception) -> str:
-    """Return one line for an error: ours say what to do, others get their kind and a way to learn more."""
+    """Return one line for an error: known errors say what to do, others get their kind and a way to learn more."""
     text = " ".join(str(error).split())
     if isinstance(error, FalseworkError):
         return text
@@ -228,7 +228,7 @@ def _warn_in_one_line() -> None:
     """Show warnings like errors: one line, without the place in the code."""
 
     def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-        if not issubclass(category, UserWarning):  # what packages tell programmers is not for users
+        if not issubclass(category, UserWarning):  # warnings of packages for programmers are not for users
             return
         sys.stderr.write(f"falsework: warning: {' '.join(str(message).split())}\n")
 

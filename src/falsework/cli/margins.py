@@ -1,4 +1,4 @@
-"""`falsework margins`: how far friction, tilt, loads and pushes are from where states stop standing."""
+"""`falsework margins`: distance of friction, tilt, loads and pushes from the limit of stability."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ _WORDS = (
 
 @dataclass(frozen=True, kw_only=True)
 class FindMargins(Command):
-    """Find how safe a structure, some of its states, or every state of a plan is.
+    """Find the margins of a structure, of some of its states, or of every state of a plan.
 
     STRUCTURE may be a plan, too. Margins are the least friction, the largest tilt of the ground and horizontal
     acceleration in the worst of 36 directions, the largest factor on the weight of one part and of all, the weakest
     push on a free face of a part, and the force and moment that a robot bears for each part that it holds. Each bound
-    has a certificate on both sides, within 1 %. A margin without a bound is null in JSON. Exit code 1 if a state does
-    not stand, or if a robot would bear more than --bears.
+    has a certificate on both sides, within 1 %. A margin without a bound is null in JSON. Exit code 1 if a state is not
+    stable, or if a robot would bear more than --bears.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -60,15 +60,15 @@ class FindMargins(Command):
     bears: Annotated[str | None, arg(metavar="FORCE,MOMENT", help_behavior_hint=UNSET)] = None
     """Largest force and moment that a robot can bear, such as 120N,8Nm."""
     polygon: bool = False
-    """Find the largest tilt in each of 36 directions too."""
+    """Also find the largest tilt in each of 36 directions."""
     settlement: bool = False
-    """Find how deep each support may sink too, under the criterion contact."""
+    """Also find how deep each support may settle, under the criterion contact."""
     placement: Annotated[str | None, arg(metavar="LENGTHS", help_behavior_hint=UNSET)] = None
-    """Placement errors, such as 1mm,2mm, at which to count the draws that stand, contacts found anew. Slow."""
+    """Placement errors, such as 1mm,2mm, at which to count the stable draws, with contacts found anew. Slow."""
     draws: int = 1000
-    """Draws for each placement error."""
+    """Random draws for each placement error."""
     seed: int = 0
-    """Of the draws."""
+    """Random seed of the draws."""
 
     def run(self, output: Output) -> Exit:
         """Find and print the margins."""
@@ -140,7 +140,7 @@ class FindMargins(Command):
     def _shares(
         self, assembly: Assembly, states: States, errors: list[float], settings: Any, output: Output
     ) -> list[list[float]]:
-        """Share of draws that stand, a list a state with one entry for each placement error."""
+        """Return the share of stable draws, a list per state with one entry for each placement error."""
         from falsework.stability import Stability
         from falsework.stability.margins.placement import placement_curve
 

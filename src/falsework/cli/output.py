@@ -31,7 +31,7 @@ class Output:
             sys.stdout.flush()
 
     def say(self, text: RenderableType) -> None:
-        """Print a result for people, who have it on standard output; a machine has it as a record already."""
+        """Print a result as text, unless it is printed as a JSON record already."""
         if self.machine:
             return
         if isinstance(text, str):
@@ -48,7 +48,7 @@ class Output:
         """Show progress on the error stream: a bar that leaves nothing behind, or a line now and then in a log.
 
         Yields:
-            Takes what is done, what there is to do, and words for the present state.
+            Callback `(done, total, message)`.
         """
         if not sys.stderr.isatty():
             yield self._log(title)
@@ -74,7 +74,7 @@ class Output:
 
     @contextmanager
     def search_progress(self) -> Iterator[Callable[[SearchProgress], None]]:
-        """Show how far a search is."""
+        """Show the progress of a search."""
         with self.bar("searching") as show:
 
             def report(now: SearchProgress) -> None:
@@ -91,7 +91,7 @@ class Output:
 
 
 def _plain(value: Any) -> Any:
-    """NumPy scalars and arrays as JSON knows them."""
+    """Convert NumPy scalars and arrays for JSON."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} is not JSON")

@@ -27,8 +27,8 @@ class MakePlan(Command):
 
     Quick narrow searches come first, wider ones if they fail. Every state of the plan is certified as stable, and the
     whole plan is replayed in assembly order with contact history. Exit code 1 if there is no plan or none was found;
-    the report states which, how far the search got, and which parts would move there. An interrupted search is saved
-    beside the plan; the same command with --resume continues it.
+    the report states which, the progress of the search, and the parts that would move there. An interrupted search is
+    saved beside the plan; the same command with --resume continues it.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -47,7 +47,7 @@ class MakePlan(Command):
     robots: Annotated[str, arg(metavar="NUMBER")] = "2"
     """Number of robots: parts that can be held at a time; `auto` for the fewest with which a plan is found."""
     alternatives: int = 1
-    """Number of plans wanted, as different from each other as possible."""
+    """Number of plans, as different from each other as possible."""
     width: int = 1024
     """Widest search that is tried, in states kept at each step."""
     direction: Literal["both", "assembly", "disassembly"] = "both"
@@ -65,10 +65,10 @@ class MakePlan(Command):
     """Margins that every state must keep: friction=1.25 (factor of safety), tilt=2deg, horizontal=0.05g, push=20N (on
     any free face), load=1kN (on any installed part), placement=1mm; several are separated by commas."""
     maximise: Annotated[Literal["friction", "tilt", "push"] | None, arg(help_behavior_hint=UNSET)] = None
-    """Look for the plan whose weakest step is strongest in this margin, and say how much stronger one can be."""
+    """Search for the plan whose weakest step has the largest margin of this kind, and report an upper bound."""
     robust: bool = False
     """Accept only a plan whose replay also succeeds with other stiffness ratios, release increments and damping, and
-    from 20 random states of friction."""
+    from 20 random initial friction states."""
     assembly_order: bool = False
     """Write the plan in the order of assembly: insert and release instead of hold and remove."""
     proofs: bool = False
@@ -80,7 +80,7 @@ class MakePlan(Command):
     """Resume the interrupted search."""
 
     def run(self, output: Output) -> Exit:
-        """Search, prove, save."""
+        """Search, prove and save."""
         from falsework.cli.demands import explain_shortfall, refuse_weak_end
         from falsework.cli.failure import explain
         from falsework.search.find import find_plans, task_of
@@ -163,7 +163,7 @@ class MakePlan(Command):
         return Exit.DONE if planning.found else Exit.NO
 
     def _with_fewest_robots(self, output: Output) -> Exit:
-        """Look for the fewest robots, and save the plan found with them."""
+        """Search for the fewest robots, and save the plan found with them."""
         from falsework.cli.robots_needed import ask, report
         from falsework.stability import Stability, StabilitySettings
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class RuleOptions:
-    """Rules that a plan must obey beside the number of robots."""
+    """Rules that a plan must obey in addition to the number of robots."""
 
     start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
     """State from which disassembly starts, where assembly ends: `complete`, digits such as 2110, or a file."""
@@ -54,12 +54,12 @@ class RuleOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class SupportOptions(RuleOptions):
-    """Rules that a plan must obey, with what may be held again."""
+    """Rules that a plan must obey, with repeated holds and props."""
 
     support: bool = False
-    """Let robots release a part that stands again without removing it, and hold parts again."""
+    """Let robots release a part without removing it when it no longer needs them, and hold parts again."""
     props: int = 0
-    """Number of props, passive posts from the floor to the lower side of a part, that may stand at a time."""
+    """Number of props, passive posts from the floor to the lower side of a part, that may be in place at a time."""
 
     def rules(self, assembly: Assembly) -> TaskRules:
         """Return the rules, as `find_plans` takes them.
@@ -71,13 +71,13 @@ class SupportOptions(RuleOptions):
             raise InputError("--support and --props take no missing parts; leave out --missing")
         from falsework.assembly.props import keep_props
 
-        # States are given without places for props, which are not there at either end.
+        # States are given without places for props, which are absent at both ends.
         plain = keep_props(assembly, ()) if assembly.props else assembly
         return {**super().rules(plain), "support": self.wider, "props": self.props}
 
     @property
     def wider(self) -> bool:
-        """Whether there is more to a plan than holding every part once."""
+        """Whether plans may hold parts more than once or use props."""
         return self.support or self.props > 0
 
     def with_places(self, assembly: Assembly) -> Assembly:
@@ -89,7 +89,7 @@ class SupportOptions(RuleOptions):
         from falsework.assembly.props import prop_places, with_props
 
         if self.props < 0:
-            raise InputError(f"--props {self.props} is no number of props; give 0 or more")
+            raise InputError(f"--props {self.props} is not a number of props; give 0 or more")
         return with_props(assembly, prop_places(assembly)) if self.props else assembly
 
 

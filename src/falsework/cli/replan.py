@@ -48,8 +48,8 @@ class MakeReplan(JudgingCommand):
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete or empty)")] = None
     """Target state; if not given, the complete structure in assembly, the empty one in disassembly."""
     direction: Literal["auto", "assembly", "disassembly"] = "auto"
-    """`assembly` adds parts, `disassembly` removes them; `auto` follows the target, else builds if the state lacks
-    the missing parts, else dismantles."""
+    """`assembly` adds parts, `disassembly` removes them; `auto` follows the target, else assembles if the state lacks
+    the missing parts, else disassembles."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
@@ -59,7 +59,7 @@ class MakeReplan(JudgingCommand):
     removable_only_if_clear: bool = False
     """Move a part only if it has a collision-free straight exit; always on for a run trained with this rule."""
     alternatives: int = 1
-    """Number of plans wanted, as different from each other as possible."""
+    """Number of plans, as different from each other as possible."""
     seed: int = 0
     """Random seed; results are reproducible on one machine unless the deadline is reached."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
@@ -109,7 +109,7 @@ class MakeReplan(JudgingCommand):
         return Exit.DONE
 
     def _load(self) -> tuple[Assembly, Any, dict[str, Any], int, bool]:
-        """Structure, policy if there is one, where the structure came from, robots, and whether exits must be clear."""
+        """Load the structure, its source, the policy if any, the number of robots, and the exit rule."""
         folder = Path(self.structure.spec)
         if not (folder / "run.json").is_file():
             robots = 2 if self.robots is None else self.robots
@@ -194,7 +194,7 @@ class MakeReplan(JudgingCommand):
         moving = []
         word = "no plan exists" if answer.outcome is Outcome.PROVED_IMPOSSIBLE else "no plan was found"
         text = f"{word}: {answer.reason}"
-        if answer.search is None:  # one of the two ends may not stand, which ends the work before any search
+        if answer.search is None:  # one of the two ends may be unstable, which ends the work before any search
             task = request.task(assembly)
             verdicts = oracle.check(np.stack([task.start, task.target]))
             row = int(np.argmin(verdicts.stable))

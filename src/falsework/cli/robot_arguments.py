@@ -1,4 +1,4 @@
-"""Parsers of where robots are and what they hold, given as command-line arguments."""
+"""Parsers of robot configurations and held parts given as command-line arguments."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def parse_joints(text: str | None, cell: Cell) -> list[Any] | None:
         Joint values of every robot, not yet checked against its limits; None where nothing is given.
 
     Raises:
-        InputError: a robot that the cell has not, or no numbers.
+        InputError: a robot that the cell does not have, or no numbers.
     """
     if text is None:
         return None
@@ -50,7 +50,7 @@ def _by_robot(text: str) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, ValueError):
         raise InputError(f"--joints {text}: no JSON file; give one, or values such as left=0,0,0,0,0,0") from None
     if not isinstance(content, dict):
-        raise InputError(f"--joints {text} holds no object; give lists of joint values by robot")
+        raise InputError(f"--joints {text} contains no object; give lists of joint values by robot")
     return content
 
 

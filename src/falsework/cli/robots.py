@@ -38,8 +38,8 @@ class PlanRobots(Command):
 
     Actions and motions are planned together: every state is stable, a replay in assembly order succeeds, every motion
     is collision-free. Then motions of different robots are scheduled to take place at the same time wherever that is
-    proven safe, whatever the delays. Exit code 1 if no plan was found; the report lists parts out of reach and
-    obstacles, and how far the search got. A partial plan is saved in any case.
+    proven safe, whatever the delays. Exit code 1 if no plan was found; the report lists parts out of reach, obstacles,
+    and the progress of the search. A partial plan is saved in any case.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -64,7 +64,8 @@ class PlanRobots(Command):
     ] = None
     """State to start from: `complete`, digits such as 2110, or a file."""
     joints: Annotated[str | None, arg(metavar="JOINTS", help_behavior_hint="(default: all at home)")] = None
-    """Where the robots are, such as left=0,0.1,-0.5,0,1,0;right=home, or a JSON file with such lists by robot, rad."""
+    """Joint values of the robots in rad, such as left=0,0.1,-0.5,0,1,0;right=home, or a JSON file with such lists by
+    robot."""
     holding: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts that robots hold at the start, such as left=3,right=keystone."""
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
@@ -146,7 +147,7 @@ class PlanRobots(Command):
             start = (complete_state(assembly.boundary) if start is None else start).copy()
             for part in holding:
                 if not start[part]:
-                    raise InputError(f"--holding: part {assembly.names[part]} is not there at the start; leave it out")
+                    raise InputError(f"--holding: part {assembly.names[part]} is absent at the start; leave it out")
                 start[part] = HELD
         return Task.create(
             assembly.boundary,
@@ -211,7 +212,7 @@ class PlanRobots(Command):
 
 
 def _times(plan: RobotPlan) -> dict[str, Any]:
-    """Return times of a plan, and what each arm does with them."""
+    """Return the duration of a plan, and how each arm spends it."""
     from falsework.robots.plans.timeline import arm_shares
 
     if plan.schedule is None:
@@ -351,8 +352,8 @@ class CheckRobots(Command):
 class ExportRobots(Command):
     """Write the motions of a robot plan for robot controllers.
 
-    ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file a step and one for the plan; ABB RAPID as
-    one module a robot; an MCAP bag of ROS 2 messages with the times of the schedule.
+    ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file per step and one for the plan; ABB RAPID
+    as one module per robot; an MCAP bag of ROS 2 messages with the times of the schedule.
     """
 
     examples: ClassVar[tuple[str, ...]] = (

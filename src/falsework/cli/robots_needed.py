@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class AskRobotsNeeded(JudgingCommand):
-    """Find the fewest robots with which a structure can be taken apart and assembled.
+    """Find the fewest robots with which a structure can be disassembled and assembled.
 
     A plan is found with that number, and for the number below it is either proven that no plan exists, or reported that
     none was found, with the number of robots that is proven to be needed at least. Exit code 1 if no plan was found

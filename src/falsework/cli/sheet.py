@@ -59,7 +59,7 @@ class MakeSheet(Command):
         if kind == ".csv":
             content = instructions_csv(sheet).encode(
                 "utf-8-sig"
-            )  # with the mark by which spreadsheets know the encoding
+            )  # with the byte order mark by which spreadsheets detect the encoding
         else:
             from dataclasses import replace
 

@@ -19,7 +19,7 @@ class Structures(Command):
     examples: ClassVar[tuple[str, ...]] = ("falsework structures",)
 
     def run(self, output: Output) -> Exit:
-        """Print one row a structure."""
+        """Print one row per structure."""
         from rich.table import Table
 
         from falsework.assembly.library import structures

@@ -1,4 +1,4 @@
-"""Options that select what a picture, a video or the viewer shows."""
+"""Options that select the subject of a picture, a video or the viewer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class ViewableOptions(LoadOptions):
         """Detect the kind of the file or structure and read it.
 
         Args:
-            robots: of a structure that no plan says it of.
+            robots: number of robots, if no plan gives it.
 
         Raises:
             InputError: nothing that can be shown; the message says what to do.

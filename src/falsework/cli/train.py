@@ -63,10 +63,10 @@ class Train(JudgingCommand):
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device; `auto` takes a GPU if there is one."""
     log: tuple[Literal["tensorboard", "wandb"], ...] = ("tensorboard",)
-    """Loggers beside progress.jsonl in the folder."""
+    """Loggers in addition to progress.jsonl in the folder."""
 
     def run(self, output: Output) -> Exit:
-        """Search, learn, save."""
+        """Search, train and save."""
         from falsework.utils.optional_packages import check_torch
 
         check_torch()
@@ -93,7 +93,7 @@ class Train(JudgingCommand):
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
         if not self.resume and refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
-        first = os.environ.get("RANK", "0") == "0"  # of several processes one shows how far it is
+        first = os.environ.get("RANK", "0") == "0"  # only one of several processes shows progress
         with output.bar("training") as show:
             result = train(
                 assembly,

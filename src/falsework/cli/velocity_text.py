@@ -14,16 +14,16 @@ if TYPE_CHECKING:
 MOVES = 0.02
 """A part counts as moving if some point of it moves at this share of the fastest point of all parts."""
 TURNS = 0.2
-"""A share of the part's motion, at its outermost point, below which turning or shifting is left unsaid."""
+"""Share of the part's motion, at its outermost point, below which rotation or translation is omitted."""
 LEANS = 0.38
-"""Components of a direction below this, the sine of about 22 degrees, are left unsaid."""
+"""Components of a direction below this, the sine of about 22 degrees, are omitted."""
 STEEP = 0.9
 """Vertical component of a direction from which on a part falls or lifts instead of sliding."""
 
 
 @dataclass(frozen=True)
 class PartMotion:
-    """Motion of one part; lengths are relative, since a mechanism has a direction but no size."""
+    """Motion of one part; lengths are relative, since a mechanism has a direction but no magnitude."""
 
     part: int
     speed: float

@@ -1,4 +1,4 @@
-"""Meshes in, numbers out: masses, contacts, clearance. Knows nothing of stability."""
+"""Geometry of parts: meshes, masses, contacts and clearance, independent of stability."""
 
 from falsework.utils.lazy import lazy_exports
 

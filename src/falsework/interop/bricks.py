@@ -31,7 +31,7 @@ STUD_TENSION = 0.98
 """Tension in N that each contact point of a stud bears: 100 g at 9.8 m/s2 (StableLego's configuration)."""
 STUD_FRICTION = 10.0
 """Tangential over normal force beyond the tension that a point bears, in place of the walls of the cavity: a stud that
-is not about to come off bears many weights sideways."""
+is not about to separate bears many weights sideways."""
 UNIT = 0.4e-3
 """Metres of an LDraw unit (LDU): a stud is 20 of them wide and a brick 24 high (LDraw file format, revision 1.0.2)."""
 PITCH, HEIGHT = 20, 24
@@ -56,8 +56,9 @@ _PARTS = {
 }  # fmt: skip
 """Studs along x and z of LDraw parts."""
 _STIFF = 100.0
-"""Area that a stud stands for, in squares of its width. Sticks of bricks bend by more than the thousandth of their
-length that counts as falling, and yet stand; the scale of the stiffness changes displacements but no force."""
+"""Area that a stud stands for, in squares of its width. Sticks of bricks deflect by more than the thousandth of their
+length that counts as falling, and are stable nevertheless; the scale of the stiffness changes displacements but no
+force."""
 _LINE = re.compile(r"\s*(\d+)x(\d+)\s*\(\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*\)\s*")
 _FACES = np.array(
     [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
@@ -253,7 +254,7 @@ def _read_text(path: Path) -> list[Brick]:
             continue
         found = _LINE.fullmatch(line)
         if found is None or "0" in found.groups()[:2]:
-            raise InputError(f"{path}, line {number}: {line.strip()[:40]!r} is no brick such as 2x4 (3,0,1)")
+            raise InputError(f"{path}, line {number}: {line.strip()[:40]!r} is not a brick such as 2x4 (3,0,1)")
         along, across, x, y, z = (int(value) for value in found.groups())
         bricks.append(Brick((PITCH * x, PITCH * y, HEIGHT * z), (along, across)))
     return bricks
@@ -297,7 +298,7 @@ def _bricks_of(
         studs = _PARTS.get(part.removesuffix(".dat"))
         if studs is None:
             known = ", ".join(_PARTS)
-            raise InputError(f"{path}, line {number}: part {part or '(none)'} is no brick that is known: {known}")
+            raise InputError(f"{path}, line {number}: part {part or '(none)'} is not a known brick: {known}")
         # LDraw's y points down; a brick hangs from the middle of its top.
         half = np.abs(here[:3, :3] @ [PITCH / 2 * studs[0], 0.0, PITCH / 2 * studs[1]])
         upright = np.allclose(here[:3, 1], [0.0, 1.0, 0.0], atol=1e-4)

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | None = None) -> Any:
-    """Judge the complete structure of a compas_dem `Problem`, with the contact forces.
+    """Solve the complete structure of a compas_dem `Problem`, with the contact forces.
 
     Contacts are those of `model.compute_contacts()`, found from the meshes where it was not called. Density is that of
     the blocks' materials; friction, cohesion and tension (Pa) are those of the contact model. Supports are the model's,
@@ -36,9 +36,9 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
     second node of the edge, `force_normal`, `force_tangent1` and `force_tangent2` of each point in N,
     `resultant_local`, `resultant_global` (acting on the second node), `force_point` and `force_magnitude`; and for
     every node `transformation`. `metadata` holds `solver`, `verdict`, `proof`, `residual`, `mu` and `criterion`.
-    Displacements are those that bring the forces about in the law of the criterion `contact`, whose joints are stiff:
-    their ratios mean something, their size does not. They are zero under `equilibrium`. A structure that is unstable
-    has no forces: it has no edges, and `velocity` at each node is the motion `(linear, angular)` that nothing stops.
+    Displacements are those that produce the forces under the law of the criterion `contact`, whose joints are stiff:
+    their ratios are meaningful, their size is not. They are zero under `equilibrium`. A structure that is unstable has
+    no forces: it has no edges, and `velocity` at each node is the collapse velocity `(linear, angular)`.
 
     Args:
         problem: `compas_dem.problem.Problem` with its model.
@@ -126,7 +126,7 @@ def assembly_of(problem: Any) -> Assembly:
 
 
 def _check_loads(problem: Any) -> None:
-    """Raise for loads that no verdict takes into account."""
+    """Raise for loads that verdicts do not take into account."""
     for group in problem.boundary_conditions:
         if group.point_loads or group.surface_loads or group.body_forces:
             raise InputError(f"boundary condition {group.name} has loads other than gravity; solve without them")

@@ -1,8 +1,7 @@
 """Reader of COMPAS data: lists of meshes, assemblies of compas_assembly, models of compas_dem.
 
 COMPAS writes every object as JSON with the name of its class, `{"dtype": "compas.datastructures/Mesh", "data": ...}`.
-The classes that hold blocks are few and plain, so they are read here without COMPAS; `model.json` from an architect
-needs nothing but this package.
+The classes that hold blocks are few and plain, so they are read here without COMPAS.
 """
 
 from __future__ import annotations
@@ -98,7 +97,7 @@ class _Reader:
             data = parse_json(self._path.read_text(encoding="utf-8"))
             found = list(self._find(data))
         except UnicodeDecodeError:
-            self._fail("it is no text")
+            self._fail("it is not text")
         except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
             if isinstance(error, InputError):
                 raise
@@ -254,7 +253,7 @@ class _Reader:
             self._fail(f"block {name or '?'} is a {data.get('dtype')}, not a mesh", "convert it to a mesh")
         vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
         if not np.isfinite(vertices).all():
-            self._fail(f"block {name or '?'} has a coordinate that is no number")
+            self._fail(f"block {name or '?'} has a coordinate that is not a number")
         vertices = vertices @ place[:3, :3].T + place[:3, 3]
         if np.linalg.det(place[:3, :3]) < 0:
             faces = [face[::-1] for face in faces]

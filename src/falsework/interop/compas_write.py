@@ -37,7 +37,7 @@ def compas_of(assembly: Assembly, kind: CompasKind = "meshes") -> Any:
         InputError: an unknown kind.
     """
     if kind not in get_args(CompasKind):
-        raise InputError(f"{kind!r} is no kind of COMPAS data; choose {', '.join(get_args(CompasKind))}")
+        raise InputError(f"{kind!r} is not a kind of COMPAS data; choose {', '.join(get_args(CompasKind))}")
     guid = _guids(assembly)
     if kind == "meshes":
         return [_mesh(assembly, part, guid) for part in range(assembly.part_count)]

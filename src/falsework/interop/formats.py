@@ -49,7 +49,7 @@ def read_exportable(
         options: as for `load_structure`.
 
     Returns:
-        What was read, and the structure, which is not loaded for a robot plan.
+        The object read, and the structure, which is not loaded for a robot plan.
 
     Raises:
         InputError: none of them.

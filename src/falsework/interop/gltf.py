@@ -37,15 +37,15 @@ _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
 
 def gltf_of(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb", step_seconds: float = 1.0) -> bytes:
-    """Return a glTF file, whole in itself.
+    """Return a self-contained glTF file.
 
     Without a plan every part is a node with its mesh. With a plan there is an animation besides: each part is a node
-    that moves out along a straight way, or in; it carries one mesh for when the part stands by itself and one for
-    each robot that holds it, in the robot's colour, of which one is to be seen at a time.
+    that moves in or out along a straight path; it carries one mesh for the free part and one for each robot that holds
+    it, in the robot's colour, of which one is visible at a time.
 
     Args:
         assembly: the structure.
-        plan: what is to be animated, in its own direction.
+        plan: plan to animate, in its own direction.
         kind: `glb`, one binary file, or `gltf`, the same as text with its data inside.
         step_seconds: length of a step.
 
@@ -54,7 +54,7 @@ def gltf_of(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb",
         InputError: an unknown kind, or a step of no length.
     """
     if kind not in ("glb", "gltf"):
-        raise InputError(f"{kind!r} is no kind of glTF; choose glb or gltf")
+        raise InputError(f"{kind!r} is not a kind of glTF; choose glb or gltf")
     document = _Document(assembly)
     if plan is None:
         for part in range(assembly.part_count):
@@ -103,7 +103,7 @@ class _Document:
         return node
 
     def animate(self, plan: Plan, times: Tracks) -> None:
-        """All parts, and what happens to them."""
+        """Add all parts and their animation."""
         self._json["extras"] = {"plan": {"direction": plan.direction.value, "steps": len(plan), "robots": plan.robots}}
         animation: dict[str, Any] = {"name": plan.direction.value, "channels": [], "samplers": []}
         for part, track in enumerate(times.tracks):
@@ -115,7 +115,7 @@ class _Document:
             self._json["animations"] = [animation]
 
     def _moving(self, part: int, track: Track, seconds: float, animation: dict[str, Any]) -> None:
-        """A part that moves, disappears or is held: a node that travels, with one child for each of its looks."""
+        """Add a part that moves, disappears or is held: a moving node with one child for each appearance."""
         parent = self._part_node(part)
         looks = sorted({robot for _, robot in track.holder})
         children = []
@@ -253,7 +253,7 @@ def _visible(track: Track, robot: int) -> list[tuple[float, float]]:
 
 
 def _at(keys: Sequence[tuple[float, Any]], time: float) -> Any:
-    """Value that holds at a time."""
+    """Return the value that holds at a time."""
     return [value for when, value in keys if when <= time][-1]
 
 

@@ -46,7 +46,7 @@ def instructions_pdf(
     """Return a PDF of A4 pages.
 
     Args:
-        sheet: what is to be done.
+        sheet: assembly instructions.
         camera: how the pictures look at the structure.
         progress: called with the number of pictures drawn and of all.
 
@@ -90,7 +90,7 @@ def _pages(sheet: AssemblyInstructions) -> Iterator[tuple[AssemblyInstruction, .
 
 
 def _head(canvas: Canvas, sheet: AssemblyInstructions) -> None:
-    """Title, what the words mean, and the rules that the proofs rest on."""
+    """Draw the title, the glossary, and the rules on which the proofs rest."""
     assembly, left, y = sheet.assembly, _MARGIN, _PAGE[1] - _MARGIN - 8
     _text(canvas, left, y, assembly.name, _BOLD, 18, width=_PAGE[0] - 2 * _MARGIN)
     placed = [step.part for step in sheet.steps if step.place]
@@ -124,7 +124,7 @@ def _head(canvas: Canvas, sheet: AssemblyInstructions) -> None:
 
 
 def _row(canvas: Canvas, sheet: AssemblyInstructions, step: AssemblyInstruction, y: float, camera: Camera) -> None:
-    """One step, between `y` and `y` plus the height of a row."""
+    """Draw one step, between `y` and `y` plus the height of a row."""
     left, top = _MARGIN, y + _ROW
     canvas.setStrokeColor("#d5d3cd")
     canvas.setLineWidth(0.5)
@@ -225,7 +225,7 @@ def _shortened(sheet: AssemblyInstructions, parts: tuple[int, ...]) -> str:
 
 
 def _register_fonts() -> None:
-    """Fonts that know more letters than those that every PDF reader has; they come with matplotlib."""
+    """Register fonts with more glyphs than the standard PDF fonts; they come with matplotlib."""
     import matplotlib
     from reportlab.pdfbase.pdfmetrics import getRegisteredFontNames, registerFont
     from reportlab.pdfbase.ttfonts import TTFont

@@ -1,6 +1,6 @@
 """Assembly instructions for a crew: parts to place, to hold and to release in each step.
 
-What a plan calls a robot is a support here: a robot, a prop, or a pair of hands that keeps a part exactly where it is
+A robot of a plan is called a support here: a robot, a prop, or a pair of hands that keeps a part exactly where it is
 until the sheet says that it may be released. The table is always in the order of assembly.
 """
 
@@ -47,7 +47,7 @@ COLUMNS = (
 )
 """Of the table in CSV: metres and kilograms; `hold` names all parts that must be held when the step is done."""
 _LEANS = 0.35
-"""Components of a direction below this, the sine of about 20 degrees, are left unsaid."""
+"""Components of a direction below this, the sine of about 20 degrees, are omitted."""
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """First characters of texts that a spreadsheet evaluates as formulas."""
 
@@ -62,7 +62,7 @@ class AssemblyInstruction:
     place: bool
     """Whether the part is placed, and held from then on; else it is released."""
     support: int
-    """Which support takes it or lets it go, from 0."""
+    """Support that holds or releases it, from 0."""
     hold: tuple[tuple[int, int], ...]
     """Part and support of everything that must be held when the step is done."""
     way: NDArray[np.float64] | None
@@ -70,13 +70,13 @@ class AssemblyInstruction:
     placed: int
     """Parts that are there when the step is done, boundary not counted."""
     needed: bool
-    """Whether the part was said to be missing when the plan was made."""
+    """Whether the part was declared missing when the plan was made."""
     margins: str = ""
     """Margins of the state after the step, as far as the plan records them."""
 
     @property
     def verb(self) -> str:
-        """What is done."""
+        """Action, as a verb."""
         return "place" if self.place else "release"
 
 
@@ -101,7 +101,7 @@ class AssemblyInstructions:
         return tuple(np.flatnonzero((state != REMOVED) & ~self.assembly.boundary).tolist())
 
     def name(self, part: int) -> str:
-        """Return the number and name of a part; one of them if that says as much."""
+        """Return the number and name of a part; only one of them if that suffices."""
         name = self.assembly.names[part]
         return name if name == str(part) or name.endswith((f"-{part}", f"_{part}")) else f"{part} {name}"
 

@@ -82,7 +82,7 @@ def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
     path = Path(path)
     model = rhino3dm.File3dm.Read(str(path))
     if model is None:
-        raise InputError(f"{path} is no Rhino file, or a damaged one; save it again in Rhino")
+        raise InputError(f"{path} is not a Rhino file, or is damaged; save it again in Rhino")
     system = model.Settings.ModelUnitSystem.name
     if unit is None and system not in _UNITS:
         raise InputError(f"{path} has the unit {system}, whose length is not known; name it, such as --unit mm")
@@ -111,7 +111,7 @@ def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
         raise InputError(f"{path} has no mesh or solid; make meshes of the parts in Rhino (Mesh) and save it again")
     if left_out:
         where = ", ".join(f"{count} on layer {layer}" for layer, count in left_out.items())
-        warnings.warn(f"{path}: surfaces that are no solids were left out: {where}", RepairWarning, stacklevel=2)
+        warnings.warn(f"{path}: surfaces that are not solids were left out: {where}", RepairWarning, stacklevel=2)
     return Draft.of(path, scale, [block for _, block in found])
 
 

@@ -12,7 +12,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
 
 _MILLIMETRE = 1e-3
-"""Unit to which Open CASCADE converts what it reads, in metres."""
+"""Unit to which Open CASCADE converts coordinates, in metres."""
 _DEFLECTION = 1e-3
 """Largest distance of triangles from a curved face, as a share of the face's edges."""
 _ANGLE = np.radians(5)
@@ -66,7 +66,7 @@ def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
         raise InputError(f"{path} is a STEP file and says its unit; leave out --unit")
     reader = STEPControl_Reader()
     if reader.ReadFile(str(path)) != IFSelect_RetDone:
-        raise InputError(f"{path} is no STEP file, or a damaged one; export it again")
+        raise InputError(f"{path} is not a STEP file, or is damaged; export it again")
     reader.TransferRoots()
     shape = reader.OneShape()
     blocks = []

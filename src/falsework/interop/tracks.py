@@ -72,11 +72,11 @@ class Tracks:
 def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Tracks:
     """Put a plan on a time axis, in its own direction.
 
-    A part that is removed leaves along a straight way past the others, where there is one, and then disappears; one
-    that is inserted does the opposite.
+    A part that is removed leaves along a collision-free straight path, if there is one, and then disappears; one that
+    is inserted does the opposite.
 
     Args:
-        plan: what happens.
+        plan: plan to animate.
         assembly: the structure that the plan is for.
         step_seconds: length of a step.
 

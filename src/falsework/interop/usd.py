@@ -42,7 +42,7 @@ def usd_of(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float 
 
     Args:
         assembly: the structure.
-        plan: what is to be animated, in its own direction.
+        plan: plan to animate, in its own direction.
         step_seconds: length of a step.
 
     Raises:
@@ -112,7 +112,7 @@ def _material(friction: float) -> list[str]:
 
 
 def _body(assembly: Assembly, part: int, name: str, root: str, track: Track | None) -> list[str]:
-    """Return one part: where it is and how heavy, and its surface."""
+    """Return one part: its pose, mass and surface."""
     fixed = bool(assembly.boundary[part])
     schemas = "" if fixed else '    prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]\n'
     center = assembly.mass.center[part]
@@ -163,7 +163,7 @@ def _surface(assembly: Assembly, part: int, root: str, track: Track | None) -> l
 
 
 def _colors(track: Track) -> Iterable[tuple[float, str]]:
-    """Yield the colour by who holds the part; a key just before each change keeps it from fading."""
+    """Yield the colour by the holder of the part; a key just before each change keeps it from fading."""
     before = None
     for time, robot in track.holder:
         value = f"[{_tuple(unit_rgb(INSTALLED if robot == NO_ROBOT else robot_color(robot)))}]"

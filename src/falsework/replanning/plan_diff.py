@@ -57,13 +57,13 @@ class Difference:
     added: tuple[str, ...]
     """Parts that only the new plan places."""
     dropped: tuple[str, ...]
-    """Parts that only what is left of the old plan places."""
+    """Parts that only the rest of the old plan places."""
     order_kept: float
     """Share of pairs of parts that come in the same order in both plans, between 0 and 1."""
 
     @property
     def steps_saved(self) -> int:
-        """Steps that the new plan has less than what is left of the old one; negative if it has more."""
+        """Number of steps that the new plan saves compared with the rest of the old one; negative if it has more."""
         return self.old_steps - self.new_steps
 
     @property

@@ -17,17 +17,18 @@ if TYPE_CHECKING:
     import torch
 
 _FLOOR = -30.0
-"""Least log probability that a legal action counts with: a search may need what the policy thinks nothing of."""
+"""Least log probability that a legal action counts with: a search may need actions that the policy considers
+improbable."""
 _BATCH = 4096
-"""States that the network sees at once."""
+"""States evaluated by the network in one batch."""
 
 
 class PolicyGuide:
     """Action heuristic by the log-probabilities of a policy; a `falsework.search.Guide`.
 
-    In disassembly that is the probability of the action in the state. In assembly an action is undone, and what counts
-    is the probability with which the policy would take it from the state before: summed up along a way, both are the
-    logarithm of the probability that a rollout of the policy takes this way.
+    In disassembly that is the probability of the action in the state. In assembly an action is undone, and its score is
+    the probability with which the policy would take it from the state before: summed along a path, both are the
+    logarithm of the probability that a rollout of the policy takes this path.
     """
 
     def __init__(
@@ -40,9 +41,9 @@ class PolicyGuide:
         """Prepare a guide with `policy`, a `torch.nn.Module` as `falsework.learn.make_policy` returns it.
 
         Args:
-            policy: called with states, and with targets if it was trained for two states.
+            policy: called with states, and with targets if it is goal-conditioned.
             device: where the network is moved; where it is if not given.
-            task: gives a policy of two states its target, and the search from the target its rules.
+            task: gives a goal-conditioned policy its target, and the search from the target its rules.
 
         Raises:
             DependencyError: torch is not installed.
@@ -64,7 +65,7 @@ class PolicyGuide:
         return PolicyGuide(self.policy, task=task)
 
     def warm_up(self, state: States, rows: int) -> None:
-        """Let the network see one state, then `rows` different ones, so that it is loaded and its speed is known.
+        """Evaluate the network on one state, then on `rows` different ones, to load it and to measure its speed.
 
         Args:
             state: of the structure, shape (parts,).
@@ -84,7 +85,7 @@ class PolicyGuide:
         return self._seconds[nearest] * max(rows / 2 ** (nearest - 1), 1.0) ** 0.5
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float64]:
-        """As `falsework.search.problem.guide.Guide`.
+        """See `falsework.search.problem.guide.Guide`.
 
         Raises:
             InputError: from the target, without a task.

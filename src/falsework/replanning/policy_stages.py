@@ -22,18 +22,18 @@ from falsework.stability.verdict import Verdict
 _SHARE = 0.6
 """Share of the time before a deadline that rollouts may take."""
 _AMBITIONS = 5
-"""Rollouts for different hopes of how long missing parts can be done without."""
+"""Rollouts for different bounds on when missing parts are needed."""
 _VERDICTS = 16
-"""States of a rollout judged before looking whether one of them falls."""
+"""States of a rollout that are checked in one batch."""
 _BACK = 2
 """Half of the samples branch off the proven part of the greedy rollout: 2, 4, 8, ... steps before its end."""
 
 
 def follow_greedily(sessions: Sequence[ReplanSession], context: ReplanContext) -> None:
-    """Take the most probable actions for all sessions at once, then judge where they lead.
+    """Take the most probable actions for all sessions at once, then check the resulting states.
 
-    What the network says does not depend on verdicts, so it is asked for whole rollouts first, and the oracle then
-    gets their states together, which keeps all cores busy.
+    The output of the network does not depend on verdicts, so whole rollouts are computed first, and the oracle then
+    checks their states together, which keeps all cores busy.
     """
     if context.guide is None:
         return
@@ -123,7 +123,7 @@ def with_time(wanted: Sequence[tuple[ReplanSession, int]], guide: PolicyGuide) -
 
 
 def _postponed_variants(session: ReplanSession) -> list[Task]:
-    """Return the task, and where parts are missing, with them later and later."""
+    """Return the task and, if parts are missing, variants that need them later and later."""
     task = session.task
     if not task.missing:
         return [task]
@@ -133,7 +133,7 @@ def _postponed_variants(session: ReplanSession) -> list[Task]:
 
 
 def _branches(session: ReplanSession, count: int) -> list[States]:
-    """Return proven ways that samples go on from."""
+    """Return proven paths from which samples continue."""
     ways = [session.prefix[:1]] * ((count + 1) // 2)
     length, back = len(session.prefix), _BACK
     while len(ways) < count:

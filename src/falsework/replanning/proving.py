@@ -18,9 +18,9 @@ from falsework.stability.oracle import Stability
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 _REMEMBERED = 200_000
-"""States kept with what their proofs left; less than a hundred megabytes."""
+"""Number of states whose proofs are cached; less than a hundred megabytes."""
 _PRACTICE = 8
-"""States from which the time of a proof is measured, at least: few cannot share the cores."""
+"""States from which the time of a proof is measured, at least: fewer would not use all cores."""
 _PIECE = 64
 """States proved at once: their contact forces are in memory together."""
 
@@ -44,7 +44,7 @@ class Prover:
         return states * self._per_state
 
     def warm_up(self) -> None:
-        """Learn how long a proof takes, on the complete structure with one part held in turn."""
+        """Measure how long a proof takes, on the complete structure with one part held in turn."""
         boundary = self.assembly.boundary
         movable = np.flatnonzero(~boundary)[:_PRACTICE]
         states = np.repeat(complete_state(boundary)[None], len(movable), axis=0)
@@ -58,7 +58,7 @@ class Prover:
 
         Args:
             route: states and actions.
-            task: what the route was found for.
+            task: task of the route.
             forces: keep the contact forces that prove the states in the plan.
             seconds: time that is left. Where it is too short to solve the states again for the checker, the plan rests
                 on the proofs that the solver itself found and checked during the search.

@@ -1,8 +1,8 @@
-"""Replanner: a policy proposes plans, searches back it up, and every state of an answer is proven stable.
+"""Replanner: a policy proposes plans, searches complement it, and every state of a plan is proven stable.
 
-First the policy's most probable actions, then actions drawn from its probabilities, then beam searches that it
-guides, then the search that needs no policy, at last all states there are. Nothing that a policy says is believed:
-an answer is a plan of proven states, a proof that there is none, or the admission that none was found yet.
+First the policy's most probable actions, then actions drawn from its probabilities, then beam searches that it guides,
+then the search that needs no policy, finally an exhaustive search. The output of a policy is never trusted: the result
+is a plan of proven states, a proof that there is none, or the statement that none was found yet.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Replanner:
         The policy is followed for all of them in lock-step; those that need a search then take turns.
 
         Args:
-            requests: any mixture; check each with `Request.task` first where a bad one must not spoil the rest.
+            requests: any mixture; check each with `Request.task` first if a bad one must not fail the rest.
             finished: called with number and answer of each request as soon as it is there.
 
         Returns:
@@ -104,7 +104,7 @@ class Replanner:
             return _Round(sessions, self._context, self._support, finished).run()
 
     def _warm(self) -> None:
-        """Have everything loaded and compiled, and learn how long a proof takes."""
+        """Load and compile everything, and measure how long a proof takes."""
         state = complete_state(self.assembly.boundary)[None]
         self.oracle.judge(state, parents=state)
         self.oracle.check(state)
@@ -112,7 +112,7 @@ class Replanner:
             self.oracle.replayer.replay(state)
         self._context.prover.warm_up()
         if self._context.guide is not None:
-            for _ in range(2):  # what the first call takes says nothing about the next
+            for _ in range(2):  # the time of the first call includes loading
                 self._context.guide.warm_up(state[0], self._context.samples)
 
 
@@ -137,7 +137,7 @@ class _Round:
             return []
         self._check_ends()
         if self._context.guide is not None:
-            # Who cannot wait for rollouts of all the others is searched for at once.
+            # Sessions whose deadline leaves no time for rollouts are searched at once.
             patient = with_time([(session, 1) for session in self._open()], self._context.guide)
             self._search([number for number, session in enumerate(self._sessions) if session not in patient])
             follow_greedily(self._open(), self._context)
@@ -146,7 +146,7 @@ class _Round:
         return [self._answers[number] for number in range(len(self._sessions))]
 
     def _open(self) -> list[ReplanSession]:
-        """Return sessions on which work goes on; the others get their answers."""
+        """Return the sessions in progress; the others get their answers."""
         for number, session in enumerate(self._sessions):
             if session.done:
                 self._answer(number)
@@ -174,7 +174,7 @@ class _Round:
                 self._finished(number, self._answers[number])
 
     def _check_ends(self) -> None:
-        """Judge start and target of all sessions."""
+        """Check start and target of all sessions."""
         ends = np.concatenate([[session.task.start, session.task.target] for session in self._sessions])
         verdicts = self._context.prover.oracle.judge(ends)
         for number, session in enumerate(self._sessions):
@@ -202,7 +202,7 @@ def replan(
             the solver comes on top of a deadline; a `Replanner` has done that already.
 
     Returns:
-        Proven plans, or an honest no.
+        Proven plans, or the reason for none.
 
     Raises:
         InputError: the request makes no sense for this structure; the message says what to do.

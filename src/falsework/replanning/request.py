@@ -22,9 +22,9 @@ MOST_PLANS = 1000
 class Request:
     """Request to a `Replanner`.
 
-    A plan leads from `state` to `target`. In assembly parts are added: that is the building site, the target is the
-    complete structure unless another is given, and the plan says what to insert and to release from here on. In
-    disassembly parts are taken away, and the target is the empty structure unless another is given.
+    A plan leads from `state` to `target`. In assembly parts are added: the target is the complete structure unless
+    another is given, and the plan lists the parts to insert and to release from now on. In disassembly parts are
+    removed, and the target is the empty structure unless another is given.
     """
 
     state: ArrayLike
@@ -37,7 +37,7 @@ class Request:
     robots: int = 2
     """Parts that can be held at a time."""
     missing: Sequence[int] = ()
-    """Parts not delivered yet: assembly does without them for as long as possible."""
+    """Parts not delivered yet: assembly defers them as long as possible."""
     fixed: Sequence[int] = ()
     """Parts that are neither held nor released, neither inserted nor removed."""
     alternatives: int = 1
@@ -52,7 +52,7 @@ class Request:
     """Return the action probabilities of the policy in every state of the plan."""
 
     def way(self, assembly: Assembly) -> Direction:
-        """Return whether parts are added or taken away.
+        """Return whether parts are added or removed.
 
         Raises:
             StateError: malformed states, or a target that neither leads to.
@@ -74,14 +74,14 @@ class Request:
         return Direction.ASSEMBLY if absent else Direction.DISASSEMBLY
 
     def task(self, assembly: Assembly) -> Task:
-        """Check the question against a structure; plans are always searched for in the order of disassembly.
+        """Check the request against a structure; plans are always searched for in the order of disassembly.
 
         Raises:
             InputError: it makes no sense for this structure; the message says what to do.
         """
         if not 1 <= self.alternatives <= MOST_PLANS:
             limits = f"at least 1 and at most {MOST_PLANS}"
-            raise InputError(f"{self.alternatives} alternatives is no number of plans; ask for {limits}")
+            raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for {limits}")
         check_deadline(self.deadline)
         state = _state(self.state, assembly, "state")
         target = None if self.target is None else _state(self.target, assembly, "target")

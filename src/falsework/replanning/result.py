@@ -43,17 +43,17 @@ class ReplanResult:
     plans: tuple[Plan, ...]
     """Proven plans from the state to the target, in the requested direction; the first is the best."""
     outcome: Outcome
-    """Found; proved impossible; or not found, which says nothing about whether there is a plan."""
+    """Found; proved impossible; or not found, which proves nothing."""
     decided_by: Stage
     direction: Direction
-    """Of the plans: assembly adds parts, disassembly takes them away."""
+    """Of the plans: assembly adds parts, disassembly removes them."""
     steps: int
     """Actions between the state and the target."""
     reached: int
     """Number of actions on the longest stable path found from the state; `steps` if there is a plan."""
     seconds: float
     spent: Mapping[str, float] = field(default_factory=dict)
-    """Seconds by what they went into: policy, verdicts, proofs; the rest is search and bookkeeping."""
+    """Seconds by kind of work: policy, verdicts, proofs; the rest is search and bookkeeping."""
     verdicts: int = 0
     """States checked by the oracle."""
     deadline_passed: bool = False
@@ -61,16 +61,17 @@ class ReplanResult:
     reason: str = ""
     """Why there is no plan, in words; empty if there is one."""
     moving: tuple[int, ...] = ()
-    """Where there is no plan: parts that move in the states where the search broke off, the most frequent first."""
+    """Where there is no plan: parts that move in the states where the search stopped, the most frequent first."""
     distance: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     """How much the plans differ, between 0 and 1, shape (plans, plans)."""
     confidences: tuple[NDArray[np.float32], ...] = ()
-    """For each plan what the policy thinks of every action of disassembly in every state of the plan: probabilities,
-    shape (steps + 1, 2 parts), illegal actions exactly zero. Only where they were asked for and there is a policy."""
+    """For each plan the probability under the policy of every action of disassembly in every state of the plan, shape
+    (steps + 1, 2 parts), illegal actions exactly zero. Only if requested and there is a policy."""
     criterion: Criterion = "contact"
-    """What stable means for the states of the plans."""
+    """Stability criterion of the states of the plans."""
     replays: tuple[Replayed, ...] = ()
-    """For each plan how its replay in the order of assembly went; none under `equilibrium`, which knows no history."""
+    """Result of the replay of each plan in the order of assembly; none under `equilibrium`, which has no contact
+    history."""
     search: SearchResult | None = None
     """How the last search ended, if there was one."""
 

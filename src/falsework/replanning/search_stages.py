@@ -1,4 +1,4 @@
-"""Search stages of a replanner, which take turns in time slices."""
+"""Search stages of a replanner, interleaved in time slices."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from falsework.search.problem.task import Direction
 from falsework.search.settings import PlannerSettings
 
 _PLAIN_LEVELS = 4
-"""Levels of the plain search for each level of the one that the policy guides, which asks a network too. A count, not
+"""Levels of the plain search for each level of the policy-guided one, which evaluates a network as well. A count, not
 a time, so that the same seed gives the same answer."""
 _SHARE = 0.5
 """Share of the time before a deadline that the guided search may take."""
@@ -52,7 +52,7 @@ class _Census:
         session, census = self._session, self._search.run(stop=stop)
         result, states = census.result, census.graph.states
         while result.found and not session.stands(result.routes[0], Stage.EXHAUSTIVE):
-            # Each turn rules a state out, so that there is an end; but a route of one step has none to rule out.
+            # Each turn excludes a state, so that the loop ends; but a route of one step has none to exclude.
             left = states[~session.oracle.rules_out(states)]
             graph = StateGraph.build(session.task, left)
             route = graph.sample_route(np.random.default_rng(session.request.seed)) if len(left) < len(states) else None
@@ -76,12 +76,12 @@ class _TimedGuide:
 
 
 def search_on(session: ReplanSession, guide: Guide) -> Iterator[None]:
-    """Look for what the rollouts did not find: a plan, later missing parts, other plans; or prove that there is none.
+    """Search for a plan, later missing parts or alternatives, or prove that there is no plan.
 
-    A policy that has just failed is no safe guide, so the search that it guides and the plain one take turns.
+    A policy that has just failed is not a reliable guide, so the search that it guides and the plain one take turns.
 
     Args:
-        session: what is asked, and what was found.
+        session: request and results so far.
         guide: of the search without a policy.
 
     Yields:

@@ -28,11 +28,11 @@ from falsework.stability.verdict import Verdicts
 
 _SAMPLES_GPU, _SAMPLES_CPU = 16, 4
 _SAFETY = 1.3
-"""Times longer than expected that a proof may take without breaking a deadline."""
+"""Safety factor on the expected time of a proof."""
 _PROVING = 0.25
 """Share of a deadline that is kept for it at most."""
 _LOOKED_AT = 16
-"""States in which a search broke off whose motions are looked at, at most."""
+"""Largest number of states where a search stopped whose motions are examined."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class ReplanSettings:
 
 @dataclass(frozen=True, eq=False)
 class ReplanContext:
-    """What all requests about one structure share."""
+    """Context shared by all requests for one structure."""
 
     assembly: Assembly
     prover: Prover
@@ -78,10 +78,10 @@ class ReplanContext:
 
 
 class ReplanSession:
-    """A request that is being worked on."""
+    """Session of one request."""
 
     def __init__(self, request: Request, context: ReplanContext, clock: Deadline) -> None:
-        """Check the request; its clock runs already.
+        """Check the request; its deadline runs already.
 
         Raises:
             InputError: it makes no sense for the structure.
@@ -101,25 +101,25 @@ class ReplanSession:
         self.routes: list[Route] = []
         """The best one first."""
         self.yield_control: Callable[[], None] = lambda: None
-        """Called every now and then, so that other requests need not wait for this one beyond their deadlines."""
+        """Called regularly, so that other requests need not wait for this one beyond their deadlines."""
         self.busy = False
         """Whether a search, a replay or the answer is under way, which ends by itself when the clock has run out."""
         self.decided_by = Stage.NONE
         self.outcome = Outcome.NOT_FOUND
         self.result: SearchResult | None = None
         self.prefix = self.task.start[None]
-        """States that are known to stand, from the start on: where the policy's most probable actions led."""
+        """States from the start on that are known to be stable, along the policy's most probable actions."""
         self.infeasible = False
         """Whether start or target is not stable, so that no plan exists."""
         self._chosen = False
         self._fell_by: dict[bytes, Stage] = {}
-        """Who proposed the routes whose replays fell."""
+        """Stages that proposed the routes whose replays failed."""
         self._unstable: States | None = None
         self._why = ""
 
     @property
     def done(self) -> bool:
-        """Whether nothing is left to look for, or no time to do it."""
+        """Whether the work is complete, or no time is left."""
         enough = bool(self.routes) and self.request.alternatives == 1 and not self.task.missing
         return enough or self.infeasible or self.outcome is Outcome.PROVED_IMPOSSIBLE or self.clock.passed
 
@@ -129,7 +129,7 @@ class ReplanSession:
         return self.outcome is not Outcome.NOT_FOUND
 
     def found(self, routes: list[Route], by: Stage) -> None:
-        """Take plans unless their replays fall; the first are those with which missing parts may come latest."""
+        """Add plans whose replays succeed; the first are those that need missing parts latest."""
         routes = [route for route in routes if self.stands(route, by)]
         if not routes:
             return
@@ -141,9 +141,9 @@ class ReplanSession:
         self.outcome = Outcome.FOUND
 
     def stands(self, route: Route, by: Stage = Stage.SEARCH) -> bool:
-        """Return whether a replay of a route stands, as far as there is time for it.
+        """Return whether a replay of a route succeeds, as far as there is time for it.
 
-        The state in which it falls is ruled out: the oracle of this session from then on says that it slides.
+        The state in which it fails is excluded: the oracle of this session counts it as sliding from then on.
         """
         if self.replayer is None:
             return True
@@ -157,10 +157,10 @@ class ReplanSession:
             self.busy = before
 
     def choose(self, task: Task, states: States, given: Sequence[Route]) -> list[Route]:
-        """Choose the wanted number of diverse routes through some states, of which no replay falls.
+        """Choose the requested number of diverse routes through some states whose replays succeed.
 
         Args:
-            task: what they are routes of.
+            task: task of the routes.
             states: stable, shape (count, parts).
             given: routes to begin with.
         """
@@ -177,7 +177,7 @@ class ReplanSession:
                 stop=lambda: self.clock.passed,
             ).routes
             standing = [route for route in chosen if self.stands(route)]
-            # A state on a route that stands stays in the graph, even if another route falls there.
+            # A state on a route that succeeds stays in the graph, even if another route fails there.
             if len(standing) == len(chosen) or len(states) == count or self.clock.passed:
                 return standing
             count = len(states)
@@ -197,7 +197,7 @@ class ReplanSession:
         elif cut is not None and by is Stage.SEARCH and not self.routes:
             self.found([Route.through(cut[::-1].copy())], by)
         elif result.outcome is Outcome.PROVED_IMPOSSIBLE and not self.routes:
-            # A search that left nothing out has been through all states, whatever it was meant to be.
+            # A search that omitted nothing was exhaustive, whatever its settings.
             self.outcome, self.decided_by = result.outcome, Stage.EXHAUSTIVE
 
     def check_ends(self, verdicts: Verdicts) -> None:
@@ -216,12 +216,12 @@ class ReplanSession:
             self.found([Route(self.task.start[None].copy(), np.zeros(0, dtype=np.int64))], Stage.RULES)
 
     def answer(self) -> ReplanResult:
-        """Prove what was found and say it."""
+        """Prove the plans found and return the result."""
         plans: tuple[Plan, ...]
         self.busy = True
         fallen = None if self.replayer is None else self.replayer.fallen
         if not self.routes and fallen is not None and self.clock.passed:
-            # Every state of it stands, and there was no time for another one; the answer says that its replay falls.
+            # Every state of it is stable, and there was no time for another one; the answer says that its replay fails.
             self.routes = [Route.through(fallen[::-1].copy())]
             self.outcome, self.decided_by = Outcome.FOUND, self._fell_by.get(fallen.tobytes(), Stage.SEARCH)
         plans, chosen = (), self._choose()
@@ -260,7 +260,7 @@ class ReplanSession:
         )
 
     def _choose(self) -> Alternatives:
-        """Choose the wanted number of the plans found."""
+        """Choose the requested number of the plans found."""
         wanted, routes = self.request.alternatives, self.routes
         if wanted == 1 or len(routes) <= wanted or self._chosen or self.task.missing:
             return Alternatives.of(routes[:wanted])
@@ -287,7 +287,7 @@ class ReplanSession:
         return self.result.limit if self.result is not None and self.result.limit else "the search was limited"
 
     def _moving(self) -> tuple[int, ...]:
-        """Return parts that move where the search broke off; not looked at once the deadline has passed."""
+        """Return parts that move where the search stopped; not computed after the deadline."""
         rejected = self._unstable
         if rejected is None and self.result is not None:
             rejected = self.result.rejected[:_LOOKED_AT]

@@ -36,14 +36,14 @@ class ExhaustiveResult:
 
     @cached_property
     def solvable_states(self) -> int:
-        """Of the states, those from which the target can still be reached."""
+        """Number of states from which the target can still be reached."""
         return int(self.graph.solvable.sum())
 
 
 class ExhaustiveSearch:
     """Breadth-first search through every stable state that the start leads to.
 
-    It is the beam search with nothing left out, and stops with an honest answer where that grows too large.
+    It is a beam search of unlimited width that gives up at a limit on the number of states.
     """
 
     def __init__(self, task: Task, oracle: Oracle, *, state_limit: int = 1_000_000, name: str = "") -> None:
@@ -73,7 +73,7 @@ class ExhaustiveSearch:
         return kept > self.state_limit or not self._beam.exhaustive
 
     def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> ExhaustiveResult:
-        """Search on until every state is found, the limit is exceeded, or `stop` stops it.
+        """Search until every state is found, the limit is exceeded, or `stop` stops it.
 
         Args:
             progress: called after every level.

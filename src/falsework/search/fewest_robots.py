@@ -27,14 +27,14 @@ from falsework.stability.oracle import Stability
 DEADLINE = 60.0
 """Seconds for the whole question unless another deadline is given."""
 _FIRST_SHARE, _BELOW_SHARE = 0.1, 0.5
-"""Shares of the time left in which a plan is first looked for with each number of robots, and, once there is a plan,
-with one robot less before that is to be refuted."""
+"""Shares of the time left for the first search for a plan with each number of robots and, once there is a plan, with
+one robot fewer before refuting that."""
 _FIRST_SECONDS = 15.0
 """The most of both at first."""
 _SPAN = 4
 """Numbers of robots that are tried at first, one after the other; in each further round one more."""
 _QUICK, _THOROUGH = 1, 10_000
-"""Verdicts for each part spent on the bound before a plan is looked for, and once there is one with a robot more."""
+"""Verdicts per part spent on the bound before the search for a plan, and after a plan with one robot more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,15 +95,15 @@ def robots_needed(
     forces: bool = True,
     **rules: Unpack[TaskRules],
 ) -> RobotsNeeded:
-    """Find the fewest robots with which a structure can be taken apart, and why fewer do not suffice.
+    """Find the fewest robots with which a structure can be disassembled, and why fewer do not suffice.
 
-    Numbers of robots are tried from the least that is not refuted on. Once there is a plan, the time left goes into
-    the number below: a search that leaves nothing out, and `HoldBound`.
+    Numbers of robots are tried upwards from the least that is not refuted. Once there is a plan, the remaining time is
+    spent on the number below: an exhaustive search, and `HoldBound`.
 
     Args:
         assembly: the structure.
         oracle: decides stability; pass an existing one to reuse its cache.
-        settings: how hard to look for each plan.
+        settings: effort of the search for each plan.
         deadline: seconds for all searches together; None for as long as they take.
         progress: called after every level of every search.
         forces: keep the contact forces that prove each state in the plan.
@@ -120,7 +120,7 @@ def robots_needed(
 
 
 class _Inquiry:
-    """State of `robots_needed`: what is known of each number of robots."""
+    """State of `robots_needed`: results for each number of robots."""
 
     def __init__(
         self,
@@ -178,7 +178,7 @@ class _Inquiry:
         )
 
     def _no_number(self) -> str:
-        """Say why no number of robots suffices, however many there are; empty if that is not known."""
+        """Return why no number of robots suffices; empty if that is not known."""
         unstable = unstable_end(self._task, self._oracle)
         if unstable is not None:
             self._certain = unstable.outcome is Outcome.PROVED_IMPOSSIBLE
@@ -191,11 +191,11 @@ class _Inquiry:
         return f"even with every part held, {names}{more} cannot leave without a collision"
 
     def _search(self) -> None:
-        """Go up until there is a plan, then down again as far as a plan or a proof leads."""
+        """Increase the number of robots until there is a plan, then decrease it while plans or proofs are found."""
         seconds, span = _FIRST_SECONDS, _SPAN
         while self._plan is None and not all(self._over(n) for n in range(self._least, self._most + 1)):
             for number in range(self._least, min(self._least + span, self._most + 1)):
-                # What is not refuted for a number is not for a larger one either.
+                # If a number is not refuted, no larger one is.
                 if number == self._least and self._refuted(number, _QUICK):
                     continue
                 if self._plan is None and not self._over(number):
@@ -220,7 +220,7 @@ class _Inquiry:
         """Return whether it is proven that no plan exists with so many robots, after another attempt if need be."""
         if robots < self._least:
             return True
-        if self._task.prop_limit:  # which the bound knows nothing of
+        if self._task.prop_limit:  # which the bound does not cover
             return False
         barrier = self._bound.barrier(robots, budget * self._assembly.part_count)
         if barrier is None:
@@ -235,7 +235,7 @@ class _Inquiry:
         self._least = max(self._least, robots + 1)
 
     def _look(self, robots: int, seconds: float) -> None:
-        """Look for a plan with so many robots for some time.
+        """Search for a plan with so many robots for some time.
 
         Raises:
             DeadlineExceeded: there is no time left.
@@ -260,7 +260,7 @@ class _Inquiry:
             raise KeyboardInterrupt
 
     def _take(self, robots: int, result: SearchResult) -> None:
-        """Note what came of a search."""
+        """Record the result of a search."""
         if result.found:
             task = self._planners[robots].task
             plan = plan_of(result.routes[0], self._assembly, task, self._oracle, forces=self._forces)
@@ -276,9 +276,9 @@ class _Inquiry:
 
 
 def stuck_parts(task: Task) -> NDArray[np.intp]:
-    """Return the parts that cannot leave however many robots there are, by their numbers; none where it is not proven.
+    """Return the ids of the parts that cannot leave with any number of robots; none if that is not proven.
 
-    A part that has a way out keeps it when others are removed, so removing whatever can leave misses nothing.
+    A part that has an exit keeps it when others are removed, so removing every part that can leave is complete.
     """
     leaving = (task.start != REMOVED) & (task.target == REMOVED)
     if task.clearance is None or task.doubt:

@@ -45,22 +45,22 @@ _SAVE_EVERY = 30.0
 
 
 class TaskRules(TypedDict, total=False):
-    """Rules of a task beside the number of robots, all of them optional."""
+    """Rules of a task in addition to the number of robots, all of them optional."""
 
     start: ArrayLike | None
-    """State to take apart, where assembly ends, shape (parts,); the complete structure if not given."""
+    """State to disassemble, where assembly ends, shape (parts,); the complete structure if not given."""
     target: ArrayLike | None
     """State in which disassembly ends, where assembly starts, shape (parts,); the empty structure if not given."""
     fixed: Sequence[int]
     """Parts that are neither held nor removed."""
     missing: Sequence[int]
-    """Parts not delivered yet; assembly does without them for as long as possible."""
+    """Parts not delivered yet; assembly defers them as long as possible."""
     removable_only_if_clear: bool
     """Remove a part only if it has a free straight exit."""
     support: bool
-    """Let held parts go without removing them, and hold parts again."""
+    """Release held parts without removing them, and hold parts again."""
     props: int
-    """Props that may stand at a time, of those that the structure has places for; needs `support`."""
+    """Props that may be in place at a time, of those that the structure has places for; needs `support`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class Planning:
     """Result of `find_plans`."""
 
     result: SearchResult
-    """How the search ended, and if it found nothing, how far it came."""
+    """Outcome of the search and, if it found nothing, its progress."""
     plans: tuple[Plan, ...]
     """Plans for disassembly, the first one first; `Plan.reverse` gives those for assembly."""
     alternatives: Alternatives
@@ -106,15 +106,16 @@ def find_plans(
         task: rules between start and target, where they are not given by name.
         robots: parts that can be held at a time; 2 where no task says it.
         oracle: decides stability; pass an existing one to reuse its cache.
-        settings: how hard to look, and how many plans.
-        guide: scores actions; by default parts with much support go in first.
+        settings: effort of the search, and number of plans.
+        guide: scores actions; by default parts with much support are inserted first.
         progress: called after every level of every attempt.
         stop: called before every level; true ends the search with the plans found so far.
         deadline: seconds after which the search ends with the best that it has; the plans are proved after that.
-        checkpoint: file that the search is saved to now and then and resumed from if it is there; removed at the end.
+        checkpoint: file to which the search is saved regularly, and from which it resumes if it exists; removed at the
+            end.
         forces: keep the contact forces that prove each state in the plans; for a thousand parts half a gigabyte a plan.
-        rules: start, target, fixed, missing, removable_only_if_clear, support and props; see `TaskRules`. Without
-            them the complete structure is taken apart.
+        rules: start, target, fixed, missing, removable_only_if_clear, support and props; see `TaskRules`. Without them
+            the complete structure is disassembled.
 
     Returns:
         Plans with verdicts and proofs; none if there is none, or none was found.
@@ -166,7 +167,7 @@ def task_of(
     support: bool = False,
     props: int = 0,
 ) -> Task:
-    """Return the task of taking a structure apart; see `TaskRules` for the rules.
+    """Return the task of disassembling a structure; see `TaskRules` for the rules.
 
     States of a structure with places for props may be given without them.
 
@@ -213,13 +214,13 @@ def plan_of(
 ) -> Plan:
     """Plan along a route, each state proved stable anew with a proof that the certificate checker accepts.
 
-    Under the criterion `contact` the plan is replayed as well; what came of it is in `Plan.replay`. Of the places for
-    props the plan has only those that it uses.
+    Under the criterion `contact` the plan is replayed as well; the result is in `Plan.replay`. The plan has only those
+    places for props that it uses.
 
     Args:
         route: states and actions.
         assembly: the structure.
-        task: what the route was found for.
+        task: task of the route.
         oracle: proves the states.
         forces: keep the forces in the plan, under `contact` the displacements too.
         replay: of the route by the oracle's replayer, where it is known already.
@@ -259,7 +260,7 @@ def _prove(states: States, oracle: Stability, verdicts: Verdicts) -> None:
     Args:
         states: shape (states, parts).
         oracle: checks them.
-        verdicts: out: verdicts on them, with what there is room for.
+        verdicts: out: verdicts on them, with certificates where there is room.
     """
     rest = np.arange(len(states))
     if oracle.settings.criterion == "contact":
@@ -279,7 +280,7 @@ def _prove_in_order(states: States, oracle: Stability, verdicts: Verdicts) -> No
     Args:
         states: shape (states, parts).
         oracle: checks them.
-        verdicts: out: verdicts on them, with what there is room for.
+        verdicts: out: verdicts on them, with certificates where there is room.
     """
     count, parts = states.shape
     length = -(-count // _PIECES)
@@ -321,7 +322,7 @@ def _resume(
 ) -> Planner | SupportPlanner:
     if task.support:
         if checkpoint is not None:
-            raise InputError("a search with holding again cannot be saved; leave out the checkpoint")
+            raise InputError("a search with repeated holds cannot be saved; leave out the checkpoint")
         return planner_for(task, oracle, settings, guide=guide)
     if checkpoint is not None and Path(checkpoint).exists():
         return Planner.load(checkpoint, task, oracle, settings, guide=guide)

@@ -1,4 +1,4 @@
-"""Plans whose weakest step is as strong as can be found."""
+"""Plans with the largest margin of the weakest step."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def maximise_margin(
     stop: Stop | None = None,
     forces: bool = True,
 ) -> Planning:
-    """Find the plan whose weakest step is strongest: searches under demands that are raised by bisection.
+    """Find the plan with the largest margin of its weakest step, by searches under requirements raised by bisection.
 
-    The bound says how much stronger the weakest step of any plan can be: both ends belong to every plan, and a demand
-    under which a search has looked at every state, and proven each that it refused, no plan can meet. A search that
-    merely finds nothing bounds nothing.
+    The bound limits the weakest step of any plan: both ends belong to every plan, and no plan can meet a requirement
+    under which an exhaustive search found none and proved every rejection. A search that merely finds nothing gives no
+    bound.
 
     Args:
         assembly: the structure.
@@ -51,13 +51,13 @@ def maximise_margin(
         kind: margin to maximise.
         stability: criterion and solver.
         demands: other margins that every state must keep.
-        settings: how hard each search looks.
+        settings: effort of each search.
         progress: called after every level of every attempt.
         stop: called before every level; true ends it with the best plan so far.
         forces: keep the proofs of the states in the plan.
 
     Returns:
-        The best plan, with its margins of this kind and the bound in `Plan.margins`; what the first search says if
+        The best plan, with its margins of this kind and the bound in `Plan.margins`; the result of the first search if
         there is none.
     """
 
@@ -101,7 +101,7 @@ def maximise_margin(
 
 
 def _bounded(planning: Planning, bound: float | None, seconds: float) -> Planning:
-    """Return a planning whose plan names the bound, and that took so long in all."""
+    """Return a planning whose plan records the bound, with the total time."""
     plan: Plan = planning.plans[0]
     assert plan.margins is not None
     plan = replace(plan, margins=replace(plan.margins, bound=bound))

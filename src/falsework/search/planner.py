@@ -34,17 +34,17 @@ from falsework.utils.archive import read_archive, write_archive
 FORMAT = "falsework.planner/3"
 
 _MOST_FALLS = 64
-"""Routes whose replay falls before an attempt is given up."""
+"""Number of routes with a failing replay before an attempt is given up."""
 _NOVEL_WIDTH = 4
 """Narrowest beam for a plan unlike others: one state a level leaves no choice."""
 
 
 class Planner:
-    """Planner of first plans, of plans with postponed parts, and of alternatives.
+    """Planner of first plans, plans with postponed parts, and alternatives.
 
-    Where parts are missing, plans are compared by the steps of assembly before the first of them goes in, then before
-    the second, and so on; each of these numbers in turn is driven up by bisection, with searches in which the parts
-    must not be there any earlier. What is found is the latest that these searches can find.
+    Where parts are missing, plans are compared by the steps of assembly before the first of them is inserted, then
+    before the second, and so on; each of these numbers in turn is raised by bisection, with searches in which the parts
+    must not be present any earlier. The result is the latest that these searches find.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Planner:
         Args:
             task: rules between start and target.
             oracle: decides stability.
-            settings: how hard to look.
+            settings: effort of the search.
             guide: scores actions; `SupportGuide` is a good one.
         """
         self.task = task.judged_by(oracle)
@@ -101,11 +101,11 @@ class Planner:
 
     @property
     def postponed(self) -> tuple[int, ...]:
-        """Steps of assembly before the first, second, ... missing part goes in, by the plan found so far."""
+        """Steps of assembly before the first, second, ... missing part is inserted, in the plan found so far."""
         return insertion_steps(self.routes[0], self.task) if self.routes else self._trial
 
     def begin_with(self, route: Route) -> None:
-        """Take a route that is known instead of looking for one; only later missing parts and alternatives are left.
+        """Start from a known route instead of searching for one; only later missing parts and alternatives are left.
 
         Args:
             route: path from start to target whose states are known to be stable.
@@ -244,9 +244,9 @@ class Planner:
         return False
 
     def _stands(self, route: Route) -> bool:
-        """Return whether the replay of a route comes to rest in every state; note the first state that falls.
+        """Return whether the replay of a route comes to rest in every state; record the first state that fails.
 
-        An oracle that asks for margins is asked about the whole of every state before.
+        An oracle that requires margins first checks every state in full.
         """
         if self._keeps is not None:
             weak = np.flatnonzero(~self._keeps(route.states[1:-1])) + 1
@@ -262,7 +262,7 @@ class Planner:
         row, last = replay.falls_at or 0, len(route.states) - 1
         if self.fallen is None or row > self.fallen[1]:
             self.fallen = route, row
-        # Both ends belong to every route, so where one falls the state beside it is ruled out.
+        # Both ends belong to every route, so if one fails, the state next to it is excluded.
         barred = route.states[::-1][min(max(row, 1), max(last - 1, 0))]
         self._forbidden = np.concatenate([self._forbidden, barred[None]])
         return False
@@ -274,7 +274,7 @@ class Planner:
         self._attempt = self._falls = 0
 
     def _gather(self, beam: AdaptiveBeam, result: SearchResult) -> None:
-        """Keep the states of a search for another plan, and go on to the next."""
+        """Keep the states of a search for another plan, and continue with the next."""
         if result.found:
             self.states = np.concatenate([self.states, beam.search.states()])
             if self._stands(result.routes[0]):
@@ -303,7 +303,7 @@ class Planner:
         if proved or self._last_attempt_failed():
             self._high = self._trial[self._rank]
             if self._trial_reached >= 0:
-                # Without this part assembly came no further than that, so it is needed by then.
+                # Without this part assembly got no further, so it is needed by then.
                 self._high = max(min(self._high, self._trial_reached + 1), self.postponed[self._rank] + 1)
             self._next_trial(begin=False)
 
@@ -315,7 +315,7 @@ class Planner:
         self._stage = "done"
 
     def _next_trial(self, *, begin: bool) -> None:
-        """Choose what to look for next, now that a plan is known; `begin` with the first missing part."""
+        """Choose the next search, now that a plan is known; `begin` with the first missing part."""
         count = len(self.task.missing)
         self._drop_beams()
         self._trial_reached = -1
@@ -326,7 +326,7 @@ class Planner:
         while self._rank < count:
             low = self.postponed[self._rank]
             if self._high - low > 1:
-                # The most ambitious trial comes first: where it fails tells how far one can get at all.
+                # The most ambitious trial comes first: the point of its failure bounds the others.
                 steps = self._high - 1 if ambitious else (low + self._high) // 2
                 self._trial = (*self.postponed[: self._rank], *(steps,) * (count - self._rank))
                 return
@@ -370,7 +370,7 @@ class Planner:
 
 
 def insertion_steps(route: Route, task: Task) -> tuple[int, ...]:
-    """Return steps of assembly that a route does before the first, second, ... missing part goes in. Ascending."""
+    """Return the steps of assembly of a route before the first, second, ... missing part is inserted. Ascending."""
     present = route.states[::-1][:, list(task.missing)] != REMOVED
     return tuple(sorted(int(steps) for steps in present.argmax(axis=0) - 1))
 

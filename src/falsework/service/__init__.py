@@ -1,4 +1,4 @@
-"""Replanning and verdicts over HTTP for one structure: bounded in size and time, answers with proofs.
+"""Replanning and verdicts over HTTP for one structure, bounded in size and time, with proofs.
 
 `app` defines the routes, `middleware` and `server` refuse bad requests, `pool` distributes the work among processes
 that `worker` runs, and batches requests that arrive together.

@@ -46,7 +46,7 @@ _WORDS = {
 
 
 def application(assembly: Assembly, pool: Pool, settings: ServiceSettings, metrics: Metrics) -> App:
-    """The application of one service, with its guard around it; it starts and stops the pool.
+    """Return the application of one service inside its middleware; it starts and stops the pool.
 
     Args:
         assembly: the structure.
@@ -218,7 +218,7 @@ def _ref(model: str) -> dict[str, str]:
 
 
 def _describe(app: FastAPI, models: description.Models, settings: ServiceSettings) -> Callable[[], dict[str, Any]]:
-    """Makes the OpenAPI description: what FastAPI knows of the routes, with the schemas of this structure."""
+    """Make the OpenAPI description: the routes known to FastAPI, with the schemas of this structure."""
     generate = app.openapi
     written: list[dict[str, Any]] = []
 
@@ -241,7 +241,7 @@ def _describe(app: FastAPI, models: description.Models, settings: ServiceSetting
 
 
 async def _read(request: Request, model: type[BaseModel], assembly: Assembly) -> BaseModel | Response:
-    """The request as its model has it, or what is wrong with it."""
+    """Parse a request by its model, or return the error."""
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != _JSON:
         return _response(Reply(415, refusal(f"send JSON, with Content-Type: {_JSON}")))
@@ -271,7 +271,7 @@ def _response(reply: Reply, media: str = _JSON) -> Response:
 
 
 async def _refuse(_: Request, error: Exception) -> Response:
-    """What the router refuses, such as a path that is not there."""
+    """Return a refusal of the router, such as an unknown path."""
     assert isinstance(error, HTTPException)
     text = {404: "there is nothing here; / lists the requests", 405: "this method is not allowed; / lists the requests"}
     body = refusal(text.get(error.status_code, "this request cannot be served"))
@@ -279,5 +279,5 @@ async def _refuse(_: Request, error: Exception) -> Response:
 
 
 async def _admit(_: Request, __: Exception) -> Response:
-    """What went wrong inside; the guard writes it to the log."""
+    """Return an internal error, which the middleware writes to the log."""
     return _response(Reply(500, refusal(INSIDE)))

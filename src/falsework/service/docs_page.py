@@ -19,7 +19,7 @@ summary { cursor: pointer; color: #0072b2 }
 
 
 def page_of(document: dict[str, Any]) -> str:
-    """Return HTML for an OpenAPI description, whole in itself and without scripts."""
+    """Return HTML for an OpenAPI description, self-contained and without scripts."""
     info = document["info"]
     secured = "components" in document and "securitySchemes" in document["components"]
     sections = [
@@ -44,7 +44,7 @@ def page_of(document: dict[str, Any]) -> str:
 
 
 def _operation(path: str, method: str, operation: dict[str, Any], document: dict[str, Any]) -> str:
-    """Return one way to ask: what to send, what comes back."""
+    """Return one operation: its request and its responses."""
     question = operation.get("requestBody", {}).get("content", {}).get("application/json", {}).get("schema")
     parts = [f"<h2>{method} {escape(path)}<small>{escape(operation.get('summary', ''))}</small></h2>"]
     command = f"curl http://HOST:PORT{path}"

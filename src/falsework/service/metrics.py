@@ -29,33 +29,33 @@ class Metrics:
         self._workers = Gauge("workers_ready", "Workers that take requests", **names)
 
     def answered(self, path: str, status: int, seconds: float) -> None:
-        """A request was answered."""
+        """Count an answered request."""
         name = path if path in PATHS else "other"
         self._requests.labels(name, str(status)).inc()
         self._seconds.labels(name).observe(seconds)
 
     def decided(self, kind: str, label: str) -> None:
-        """A worker gave an answer."""
+        """Count an answer of a worker."""
         self._answers.labels(kind, label).inc()
 
     def batched(self, kind: str, size: int) -> None:
-        """A worker took a batch."""
+        """Count a batch taken by a worker."""
         self._batch.labels(kind).observe(size)
 
     def late(self, kind: str) -> None:
-        """A deadline passed without an answer."""
+        """Count a deadline that passed without an answer."""
         self._late.labels(kind).inc()
 
     def turned_away(self) -> None:
-        """The queue was full."""
+        """Count a request refused because the queue was full."""
         self._turned_away.inc()
 
     def restarted(self, kind: str) -> None:
-        """A worker was lost."""
+        """Count a lost worker."""
         self._restarts.labels(kind).inc()
 
     def text(self, queue: int, workers: int) -> bytes:
-        """Return all of it, as Prometheus reads it."""
+        """Return all metrics in the text format of Prometheus."""
         self._queue.set(queue)
         self._workers.set(workers)
         return generate_latest(self._registry)

@@ -46,7 +46,7 @@ class ServiceMiddleware:
     """Middleware that checks host, token and size, buffers whole requests, and masks errors.
 
     Without a token only this machine can connect, but a page in its browser could be made to do so under another name
-    for 127.0.0.1; hence the look at the host.
+    for 127.0.0.1; hence the check of the host.
     """
 
     def __init__(self, app: App, settings: ServiceSettings, metrics: Metrics) -> None:
@@ -56,7 +56,7 @@ class ServiceMiddleware:
         self._digest = None if settings.token is None else _digest(settings.token.encode())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one connection, as ASGI has it."""
+        """Serve one connection, as ASGI requires."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
         elif scope["type"] == "http":
@@ -103,10 +103,10 @@ class ServiceMiddleware:
             kind, _, token = headers.get(b"authorization", b"").partition(b" ")
             if kind.lower() != b"bearer" or not hmac.compare_digest(_digest(token.strip()), self._digest):
                 challenge = (b"www-authenticate", b"Bearer")
-                raise _Refused(401, "this service wants its token: send Authorization: Bearer TOKEN", (challenge,))
+                raise _Refused(401, "this service requires its token: send Authorization: Bearer TOKEN", (challenge,))
 
     async def _read(self, scope: Scope, receive: Receive) -> bytes:
-        """All of a request, if it is no larger and takes no longer than it may."""
+        """Read a whole request within the limits on size and time."""
         limit = self._settings.body_bytes
         too_large = _Refused(
             413, f"the request is larger than {limit} bytes; ask for less", ((b"connection", b"close"),)
@@ -128,12 +128,12 @@ class ServiceMiddleware:
                         raise too_large
         except TimeoutError:
             close = ((b"connection", b"close"),)
-            raise _Refused(408, f"the request was not there within {self._settings.body_seconds:g} s", close) from None
+            raise _Refused(408, f"the request did not arrive within {self._settings.body_seconds:g} s", close) from None
         return bytes(body)
 
 
 def _again(body: bytes, receive: Receive) -> Receive:
-    """Hand out a body that was read already, and then what else comes."""
+    """Return a receiver that yields the body read already, then further messages."""
     given = False
 
     async def again() -> Message:

@@ -38,7 +38,7 @@ def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
 
     Args:
         oracle: of the structure; gives the proof.
-        order: what to draw.
+        order: picture to draw.
 
     Raises:
         DependencyError: the extra `picture` is not installed.

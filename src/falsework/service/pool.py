@@ -1,9 +1,9 @@
 """Worker pool: batching, deadlines, and recovery of lost workers.
 
-Everything here runs in the event loop of the process that talks to clients, except for the threads that listen to the
-pipes of the workers; nothing in it takes long. A request that waits is answered at its deadline whatever the workers
-do. A worker that dies takes at most one try of its requests with it: each is tried once more, by itself, and if it
-takes the next worker down as well, it is refused.
+Everything here runs in the event loop of the process that serves clients, except for the threads that listen to the
+pipes of the workers; no call blocks for long. A request that waits is answered at its deadline whatever the workers do.
+The requests of a worker that dies are retried once, each by itself; a request that kills the next worker as well is
+refused.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 STANDING: tuple[Kind, ...] = ("replan", "stability")
 """Kinds whose workers start with the service; the one that draws starts with the first picture."""
 START_SECONDS = 300.0
-"""For a worker to load its structure."""
+"""Time limit for a worker to load its structure."""
 _TRIES = 2
 _EXPRESS = 2
 """Requests that the first of several planners takes at a time."""
 _HEAD_START = 0.02
 """Seconds before the deadline at which a worker is to be done, so that its answer is here in time."""
 _BACKOFF = (0.0, 0.5, 2.0, 10.0)
-"""Seconds before a worker is replaced that never got as far as to take a request, by how often that happened."""
+"""Seconds before replacing a worker that died before its first request, by the number of such failures."""
 _TOO_MUCH: dict[Kind, str] = {
     "stability": "verdict within {seconds:g} s; try again, or ask about fewer states",
     "picture": "picture within {seconds:g} s; try again, or ask for a smaller one",
@@ -99,7 +99,7 @@ class Pool:
         """Get ready; `start` begins."""
         self.settings = settings
         self.policy = ""
-        """What proposes actions, in words; empty for none."""
+        """Description of the policy that proposes actions; empty for none."""
         self._recipes = {
             kind: WorkerConfig(assembly, kind, run if kind == "replan" else None, settings.criterion) for kind in KINDS
         }
@@ -134,8 +134,8 @@ class Pool:
         """Start all workers and wait until each has loaded the structure.
 
         Raises:
-            InputError: a worker says why it cannot begin.
-            FalseworkError: a worker died without a word, or took too long.
+            InputError: a worker cannot start; the message gives the reason.
+            FalseworkError: a worker died without a message, or took too long.
         """
         for name, value in _QUIET.items():
             os.environ.setdefault(name, value)
@@ -168,7 +168,7 @@ class Pool:
         await asyncio.sleep(0)
 
     async def ask(self, kind: Kind, payload: Any, seconds: float) -> Reply:
-        """Have a worker answer a request; there is an answer when its time is up at the latest.
+        """Have a worker answer a request, by its deadline at the latest.
 
         Args:
             kind: of the request.
@@ -195,11 +195,11 @@ class Pool:
             guard.cancel()
 
     def _put(self, ticket: PendingRequest) -> None:
-        """Who has the least time left comes first."""
+        """Queue a request, the one with the least time left first."""
         heapq.heappush(self._queues[ticket.kind], (ticket.deadline, ticket.number, ticket))
 
     def _plan(self, kind: Kind, seconds: float) -> None:
-        """Hand out requests in a moment, when others may have joined them."""
+        """Distribute requests after a moment, when others may have joined them."""
         if kind not in self._planned:
             self._planned[kind] = asyncio.get_running_loop().call_later(seconds, self._hand_out, kind)
 
@@ -246,7 +246,7 @@ class Pool:
             self._lost(worker)
 
     def _listen(self, worker: _Worker, loop: asyncio.AbstractEventLoop) -> None:
-        """Hand what a worker puts into its pipe to the event loop, until the worker is gone; what a thread runs.
+        """Pass messages from the pipe of a worker to the event loop until the worker is gone; runs in a thread.
 
         Event loops on Windows cannot wait for pipes.
         """
@@ -287,7 +287,7 @@ class Pool:
         return self.ready["replan"] == self.settings.workers and self.ready["stability"] == 1
 
     def _lost(self, worker: _Worker) -> None:
-        """A worker is gone: try its requests once more, and have another one take its place."""
+        """Retry the requests of a lost worker once, and replace the worker."""
         if worker not in self._workers:
             return
         begun = worker.ready
@@ -321,7 +321,7 @@ class Pool:
             worker.watchdog.cancel()
 
     def _stuck(self, worker: _Worker) -> None:
-        """A worker that does not come back is ended; its pipe then says so."""
+        """Terminate a worker that does not respond; its closed pipe then reports it."""
         log.error("a worker is stuck and is replaced")
         worker.process.kill()
 
@@ -350,7 +350,7 @@ class Pool:
         listener.start()
 
     def _late(self, ticket: PendingRequest, seconds: float) -> None:
-        """A request has run out of time while it waited or was worked on."""
+        """Answer a request whose deadline passed while it waited or was worked on."""
         if not ticket.open:
             return
         self._metrics.late(ticket.kind)
@@ -361,7 +361,7 @@ class Pool:
 
 
 def not_yet(seconds: float, criterion: Criterion) -> bytes:
-    """Return the answer to a request for a plan whose time is up: neither a plan nor a no."""
+    """Return the answer to a request for a plan whose deadline passed, which proves nothing."""
     record = {
         "criterion": criterion,
         "outcome": NOT_YET,

@@ -24,12 +24,12 @@ MOST_ROBOTS, MOST_ALTERNATIVES = 64, 8
 MOST_FRAMES, NARROWEST, WIDEST = 24, 80, 1600
 """States of a contact sheet, and pixels across each."""
 _SHOWN = 160
-"""Characters of a complaint that quote what came in."""
+"""Characters of an error message that quote the input."""
 _REF = "#/components/schemas/{model}"
 
 
 def _whole(value: Any) -> Any:
-    """2.0 is the number 2 in JSON; 2.5, "2" and true are not."""
+    """Convert a whole number: 2.0 is the number 2 in JSON; 2.5, "2" and true are refused."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
@@ -62,10 +62,10 @@ class Models:
 
 
 def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
-    """Return requests as they must be for a structure and the bounds of a service.
+    """Return the request models for a structure and the bounds of a service.
 
     Args:
-        assembly: says how long a state is.
+        assembly: gives the length of a state.
         settings: bounds.
     """
     parts = assembly.part_count
@@ -182,7 +182,7 @@ def complaint(error: ValidationError, parts: int) -> str:
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
     place = [str(piece) for piece in first["loc"]]
     if not place:
-        return f"the request is no JSON object as it must be: {first['msg'][:_SHOWN]}; /docs says what it may hold"
+        return f"the request is not a valid JSON object: {first['msg'][:_SHOWN]}; /docs says what it may hold"
     if place[0] in ("state", "target", "states"):
         where = f"states {place[1]}" if place[0] == "states" and len(place) > 1 else place[0]
         return f"{where}: give {parts} values 0 (removed), 1 (installed) or 2 (held), one a part, or complete or empty"
@@ -192,7 +192,7 @@ def complaint(error: ValidationError, parts: int) -> str:
 
 
 def components(models: Models) -> dict[str, Any]:
-    """Return schemas of everything that goes in and out, by name, for the OpenAPI description."""
+    """Return schemas of all requests and responses, by name, for the OpenAPI description."""
     _, generated = models_json_schema(
         [(model, "validation") for model in (models.replan, models.stability, models.picture)], ref_template=_REF
     )

@@ -105,7 +105,7 @@ async def _serve(
 ) -> None:
     metrics = Metrics()
     pool = Pool(assembly, settings, metrics, run=run)
-    await pool.start()  # before anybody is let in, so that what is wrong is said here
+    await pool.start()  # before any request is accepted, so that errors are reported here
     server = server_of(assembly, pool, settings, metrics)
     announcing = asyncio.create_task(_announce(server, listener, started))
     try:
@@ -124,7 +124,7 @@ async def _announce(server: uvicorn.Server, listener: socket.socket, started: Ca
 
 
 def _protocol(settings: ServiceSettings) -> type[H11Protocol]:
-    """HTTP/1.1 with a limit on how long a client may take to say what it wants, and to take the answer."""
+    """Return an HTTP/1.1 protocol with time limits for sending a request and for receiving the answer."""
     longest = settings.longest_deadline + settings.body_seconds + settings.stuck_seconds
 
     class PatientNoLonger(H11Protocol):

@@ -41,7 +41,7 @@ class ServiceSettings:
     window: float = 0.003
     """How long the first request of a batch waits for others."""
     queue: int = 256
-    """Requests that may wait; more are turned away."""
+    """Requests that may wait; more are refused."""
     connections: int = 512
     """Clients at a time."""
     body_bytes: int = 1 << 20
@@ -51,9 +51,9 @@ class ServiceSettings:
     idle_seconds: int = 15
     """Between two requests on one connection."""
     header_seconds: float = 10.0
-    """For a client to say what it wants ..."""
+    """For a client to send the header ..."""
     body_seconds: float = 10.0
-    """... and to send all of it."""
+    """... and the whole request."""
     deadline: float = 5.0
     """For a plan, unless the request names another."""
     longest_deadline: float = 60.0
@@ -64,11 +64,11 @@ class ServiceSettings:
     states: int = 256
     """States in one request about stability."""
     grace: float = 0.015
-    """How much later than its deadline a request is answered at the latest, if nothing holds this process up."""
+    """How much later than its deadline a request is answered at the latest, if nothing blocks this process."""
     stuck_seconds: float = 10.0
     """After its last deadline, a worker that is still busy is replaced."""
     criterion: Criterion = "contact"
-    """What stable means, see `falsework.stability.StabilitySettings`."""
+    """Stability criterion, see `falsework.stability.StabilitySettings`."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:

@@ -1,7 +1,7 @@
 """Worker processes: each loads the structure once and answers batches until its pipe closes.
 
-A worker knows nothing of HTTP. It takes `(kind, items)` from its pipe and puts back one `Done` an item, as soon as it
-has it, and `None` after the last. It sends the text of the answer, which needs no further processing.
+A worker does not depend on HTTP. It takes `(kind, items)` from its pipe and puts back one `Done` per item, as soon as
+it is ready, and `None` after the last. It sends the text of the answer, which needs no further processing.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class WorkerConfig:
     run: Path | None = None
     """Folder of a trained policy."""
     criterion: Criterion = "contact"
-    """What stable means, see `falsework.stability.StabilitySettings`."""
+    """Stability criterion, see `falsework.stability.StabilitySettings`."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Ready:
     """Message: the worker accepts requests."""
 
     policy: str
-    """What proposes actions, in words; empty for none."""
+    """Description of the policy that proposes actions; empty for none."""
 
 
 @dataclass(frozen=True)
@@ -90,16 +90,16 @@ class Done:
 
     number: int
     status: int
-    """As in HTTP."""
+    """HTTP status."""
     body: bytes
     """JSON, or a picture as PNG."""
     label: str = ""
-    """Who decided, for the statistics."""
+    """Deciding stage, for the statistics."""
 
 
 def work(pipe: Connection, config: WorkerConfig) -> None:
-    """Answer batches until the pipe closes; what a new process runs."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that talks to clients; it closes the pipe
+    """Answer batches until the pipe closes; entry point of a worker process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that serves clients handles Ctrl-C and closes the pipe
     try:
         bench = {"replan": _Planner, "stability": _Judge, "picture": _Painter}[config.kind](config)
     except InputError as error:
@@ -138,7 +138,7 @@ class _Judge:
         self._oracle.check(states)
 
     def answer(self, items: Sequence[Item], pipe: Connection) -> None:
-        """All states of all requests in one batch, but for those that are to be explained."""
+        """Check all states of all requests in one batch, except those to be explained."""
         if self._oracle.counters.cpu + self._oracle.counters.exact > REMEMBERED:
             self._oracle = Stability(self._assembly, self._settings)
         plain = [item for item in items if not item.payload[1]]
@@ -186,7 +186,7 @@ class _Planner:
         return Replanner(self._assembly, policy, Stability(self._assembly, self._settings))
 
     def answer(self, items: Sequence[Item], pipe: Connection) -> None:
-        """The requests together; if one of them breaks the batch, each by itself."""
+        """Answer the requests together, or each by itself if one of them breaks the batch."""
         from falsework.replanning.request import Request
 
         counters = self._replanner.oracle.counters
@@ -233,7 +233,7 @@ class _Painter:
         self._oracle = Stability(config.assembly, one_thread(config.criterion))
 
     def answer(self, items: Sequence[Item], pipe: Connection) -> None:
-        """One picture after the other."""
+        """Draw one picture after the other."""
         for item in items:
             try:
                 pipe.send(Done(item.number, 200, draw_png(self._oracle, PictureOrder(**item.payload)), "drawn"))
@@ -248,7 +248,7 @@ class _Painter:
 
 
 def replan_record(answer: ReplanResult, criterion: Criterion) -> dict[str, Any]:
-    """Return an answer as JSON values, its plans as in plan files; `criterion` says what stable means in it."""
+    """Return an answer as JSON values, its plans as in plan files; `criterion` is the stability criterion."""
     cut = answer.outcome is Outcome.NOT_FOUND and answer.deadline_passed
     return {
         "criterion": criterion,
@@ -267,7 +267,7 @@ def replan_record(answer: ReplanResult, criterion: Criterion) -> dict[str, Any]:
 
 
 def _load_policy(config: WorkerConfig) -> tuple[Any, str]:
-    """Return the policy of a run and what it is in words."""
+    """Return the policy of a run and its description."""
     if config.run is None:
         return None, ""
     from falsework.utils.optional_packages import check_torch

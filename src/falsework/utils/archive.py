@@ -19,7 +19,7 @@ _HEADER = "header"
 
 
 def write_whole(path: Path | str, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file under a temporary name beside it, then rename; an interruption leaves no half of it.
+    """Write a file under a temporary name beside it, then rename it, so that an interruption leaves no partial file.
 
     Raises:
         InputError: the folder does not exist or cannot be written to.
@@ -44,8 +44,8 @@ def write_archive(path: Path | str, form: str, header: Mapping[str, Any], arrays
 
     Args:
         path: file to write, replaced if there.
-        form: what the file is and which version, such as `falsework.graph/1`.
-        header: anything JSON can say.
+        form: kind and version of the file, such as `falsework.graph/1`.
+        header: JSON values.
         arrays: named arrays of numbers.
     """
     entries: dict[str, Any] = {_HEADER: np.array(json.dumps({"format": form, **header})), **arrays}

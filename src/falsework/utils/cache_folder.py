@@ -1,4 +1,4 @@
-"""Folder of the user that keeps compiled code."""
+"""User folder that caches compiled code."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def cache_folder() -> Path:
 
 
 def read_cache(name: str) -> bytes | None:
-    """Return what is kept under a name, or None."""
+    """Return the content cached under a name, or None."""
     try:
         return (cache_folder() / name).read_bytes()
     except OSError:
@@ -25,7 +25,7 @@ def read_cache(name: str) -> bytes | None:
 
 
 def write_cache(name: str, content: bytes) -> None:
-    """Keep content under a name; warn once where the folder cannot be written."""
+    """Cache content under a name; warn once if the folder cannot be written."""
     kept = cache_folder() / name
     fresh = kept.with_suffix(f".{os.getpid()}.tmp")
     try:

@@ -40,7 +40,7 @@ def same_weights(module: torch.nn.Module, shards: ProcessGroup) -> None:
 
 
 def decided(value: float, shards: ProcessGroup, device: torch.device) -> float:
-    """A number that only the first process may choose, such as its clock, in all of them."""
+    """Return a number of the first process, such as its time, in all processes."""
     if shards.size == 1:
         return value
     torch = import_torch()
@@ -52,7 +52,7 @@ def decided(value: float, shards: ProcessGroup, device: torch.device) -> float:
 
 
 def summed(values: list[float], shards: ProcessGroup, device: torch.device) -> list[float]:
-    """Sums over the processes, such as of successes and of states tried."""
+    """Return sums over the processes, such as of successes and of states tried."""
     if shards.size == 1:
         return values
     torch = import_torch()
@@ -64,7 +64,7 @@ def summed(values: list[float], shards: ProcessGroup, device: torch.device) -> l
 
 
 def gather_rows(rows: torch.Tensor, shards: ProcessGroup) -> torch.Tensor:
-    """The rows of all processes, which may be different numbers of them, those of the first process first.
+    """Return the rows of all processes, of possibly different numbers, in the order of the processes.
 
     Args:
         rows: shape (count, ...); count differs from process to process.

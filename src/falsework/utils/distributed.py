@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 class ProcessGroup:
     """Process group of one search, seen from one of its processes.
 
-    Whatever is combined is combined exactly, as integers or unchanged, so that the number of processes does not show
-    in the result.
+    All reductions are exact, of integers or unchanged values, so that the result does not depend on the number of
+    processes.
     """
 
     rank: int = 0

@@ -13,7 +13,7 @@ from falsework.utils.json_text import parse_json
 
 
 def write_json(path: Path | str, data: Mapping[str, Any], spread: Container[str]) -> None:
-    """Write JSON, whole or not at all: an entry a line, and a line for each element of the lists that are to spread.
+    """Write JSON, whole or not at all: an entry a line, and a line for each element of the lists to spread.
 
     Raises:
         InputError: the file cannot be written.
@@ -37,7 +37,7 @@ def _dump(value: Any) -> str:
 class Reader:
     """Strict reader of JSON values with precise errors.
 
-    A class for one kind of file says what messages call it, which format is read, and which command writes it.
+    A subclass for one kind of file gives its name in messages, the format, and the command that writes it.
     """
 
     kind: ClassVar[str]
@@ -67,7 +67,7 @@ class Reader:
             raise PlanError(f"{path} cannot be read as a {cls.kind}: {error}; plan again") from None
 
     def _header(self, data: Any, keys: set[str], optional: frozenset[str] = frozenset()) -> None:
-        """The format comes first: of a file of another version it is all there is to say."""
+        """Check the format first: for a file of another version no other error is reported."""
         if not isinstance(data, dict) or "format" not in data:
             self._fail('it has no "format"', f"give a file that `{self.command}` wrote")
         if data["format"] != self.form:
@@ -76,7 +76,7 @@ class Reader:
 
     def _keys(self, value: Any, keys: set[str], place: str, optional: frozenset[str] = frozenset()) -> None:
         if not isinstance(value, dict):
-            self._fail(f"{place} is no object")
+            self._fail(f"{place} is not an object")
         absent = sorted(keys - set(value))
         if absent:
             self._fail(f"{place} lacks {absent[0]!r}")
@@ -86,7 +86,7 @@ class Reader:
 
     def _list(self, value: Any, place: str) -> list[Any]:
         if not isinstance(value, list):
-            self._fail(f"{place} is no list")
+            self._fail(f"{place} is not a list")
         return value
 
     def _fail(self, what: str, remedy: str = "the file is damaged; plan again") -> NoReturn:

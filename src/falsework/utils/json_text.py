@@ -1,4 +1,4 @@
-"""JSON text from outside, parsed within limits that keep everything after it out of trouble."""
+"""Parser of untrusted JSON text with limits on nesting and integers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Portable code of kernels (LLVM bitcode), compiled for this processor at first use and kept as machine code.
+"""Portable code of kernels (LLVM bitcode), compiled for this processor at first use and cached as machine code.
 
 `kernels.zip` in the package holds a file of bitcode for each group of kernels, and `index.json`: for each group its
 entries with the kinds of their arguments, and a digest of the sources that it was made of. `tests/make_kernels.py`

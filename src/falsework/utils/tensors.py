@@ -51,7 +51,7 @@ def choose_device(name: str = "auto") -> torch.device:
 
 
 def put(array: np.ndarray, device: torch.device) -> torch.Tensor:
-    """Copy of an array on a device; unsigned 64-bit words keep their bits as signed ones."""
+    """Copy an array to a device; unsigned 64-bit words keep their bits as signed ones."""
     if array.dtype == np.uint64:
         array = array.view(np.int64)
     return import_torch().from_numpy(np.array(array)).to(device)
@@ -61,7 +61,7 @@ def mix(keys: torch.Tensor, salt: int) -> torch.Tensor:
     """Return random words that depend on nothing but each key and the salt: the finaliser of SplitMix64.
 
     A state's random numbers are made from its hash, not drawn in turn, so that they are the same wherever the state
-    stands in a list and whichever process looks at it.
+    stands in a list and whichever process examines it.
 
     Args:
         keys: int64, any shape.
@@ -82,7 +82,7 @@ def uniform(words: torch.Tensor) -> torch.Tensor:
 
 
 def place_in_group(groups: torch.Tensor) -> torch.Tensor:
-    """Place of each entry among those of its group, from 0; entries of one group lie together. Shape of `groups`."""
+    """Return the index of each entry in its group, from 0; groups are contiguous. Shape of `groups`."""
     torch = import_torch()
     place = torch.arange(len(groups), device=groups.device)
     begins = torch.ones_like(groups, dtype=torch.bool)
@@ -111,7 +111,7 @@ def _signed(word: int) -> int:
 
 
 def _shifted(words: torch.Tensor, bits: int) -> torch.Tensor:
-    """Shift to the right that fills up with zeros."""
+    """Shift to the right, filling with zeros."""
     return (words >> bits) & ((1 << (64 - bits)) - 1)
 
 

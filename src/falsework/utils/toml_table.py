@@ -19,12 +19,12 @@ Array = NDArray[np.float64]
 
 
 class Table:
-    """One table of a TOML file; keys that are read are ticked off, and what is left over is an error."""
+    """One table of a TOML file; keys that are read are recorded, and any remaining key is an error."""
 
     def __init__(self, source: str, where: str, values: Any) -> None:
         self.source, self.where = source, where
         if not isinstance(values, dict):
-            raise CellError(f"{source}: {where or 'the file'} is no table; write it as [{where}]")
+            raise CellError(f"{source}: {where or 'the file'} is not a table; write it as [{where}]")
         self._values: dict[str, Any] = dict(values)
         self._known: list[str] = []
 
@@ -40,7 +40,7 @@ class Table:
         except RecursionError:
             raise CellError(f"{source} is nested too deeply; write it with tables") from None
         except ValueError as error:  # of its syntax, or a number with thousands of digits
-            raise CellError(f"{source} is no TOML: {' '.join(str(error).split())}") from error
+            raise CellError(f"{source} is not valid TOML: {' '.join(str(error).split())}") from error
 
     def name(self, key: str) -> str:
         """Return a key as messages call it, such as `robots[0].base`."""
@@ -105,7 +105,7 @@ class Table:
         """Return an array of tables; empty where it is not there."""
         value = self._values[key] if self.has(key) else []
         if not isinstance(value, list):
-            raise self.fail(key, f"is no list; write each as [[{self.name(key)}]]")
+            raise self.fail(key, f"is not a list; write each as [[{self.name(key)}]]")
         return [Table(self.source, f"{self.name(key)}[{index}]", entry) for index, entry in enumerate(value)]
 
     def names(self) -> list[str]:
@@ -122,7 +122,7 @@ class Table:
 
 
 def _is_number(value: Any) -> bool:
-    """Whether a value is a finite number that a float holds."""
+    """Return whether a value is a finite number that a float holds."""
     known = isinstance(value, (int, float)) and not isinstance(value, bool)
     return known and abs(value) <= sys.float_info.max
 
@@ -136,5 +136,5 @@ def read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is no text"
+        reason = getattr(error, "strerror", None) or "it is not text"
         raise CellError(f"cell file {path} cannot be read: {reason}") from error

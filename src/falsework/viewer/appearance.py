@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 FADE = 2.0
 """Steps that a part takes to leave the picture."""
 TRAVEL = 0.45
-"""How far it comes meanwhile, in diagonals of the structure."""
+"""Distance travelled meanwhile, in diagonals of the structure."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Appearance:
     color: NDArray[np.uint8]
     """Red, green, blue, shape (parts, 3)."""
     opacity: Array
-    """0 for what is not seen, shape (parts,)."""
+    """0 for invisible parts, shape (parts,)."""
     shift: Array
     """From the place of each part, metres, shape (parts, 3)."""
     holder: NDArray[np.int64]
@@ -62,7 +62,7 @@ def appearance_at(
     """Return the appearance of all parts at a timeline position.
 
     Args:
-        timeline: states and who holds what.
+        timeline: states and holders.
         place: step in the order shown; between whole numbers parts are on their way.
         state: shown instead of the state there, such as one with parts missing; shape (parts,).
         chances: probability of the action that concerns each part, NaN where none does; coloured on a scale, shape
@@ -117,7 +117,7 @@ def pick(assembly: Assembly, appearance: Appearance, origin: Array, direction: A
 
     Args:
         assembly: the structure.
-        look: where the parts are; what is not seen is not hit.
+        look: where the parts are; invisible parts are not hit.
         origin: of the ray, metres, shape (3,).
         direction: of the ray, any length, shape (3,).
     """

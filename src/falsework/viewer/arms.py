@@ -226,7 +226,7 @@ def solids_of_arms(arms: Arms, arm_poses: ArmPoses, assembly: Assembly) -> list[
 
 
 def bounds_with_arms(arms: Arms, box: Array) -> Array:
-    """Lowest and highest coordinates of the structure and of the robots at the first keyframe, shape (2, 3)."""
+    """Return the bounds of the structure and of the robots at the first keyframe, shape (2, 3)."""
     arm_poses = arms.at(0.0)
     points = [box]
     for link, pose in zip(arms.links, arm_poses.poses, strict=True):

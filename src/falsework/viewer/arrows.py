@@ -1,4 +1,4 @@
-"""Arrows that show a proof: contact forces, friction and weight of a stable state, motion of an unstable one."""
+"""Arrows for a certificate: contact forces, friction and weight of a stable state, motion of an unstable one."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ LONGEST = 0.14
 SHORTEST = 0.02
 """Arrows below this share of the largest are left out."""
 MOTION_SHARE = 0.06
-"""Way of the fastest point where motion is shown, in diagonals of the structure."""
+"""Displacement of the fastest point where motion is shown, in diagonals of the structure."""
 SIDES = 8
 """Of the shaft of an arrow."""
 KINDS = {"contact forces": FORCE, "friction": FRICTION, "gravity": GRAVITY, "motion": MOTION, "sliding": SLIDING}
-"""What arrows show, and their colour."""
+"""Quantities that arrows show, and their colours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +55,8 @@ def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[s
     """Return the contact forces, friction and gravity in one state, all on one scale.
 
     The force of each contact is drawn as it acts on the part of the two that is free to move (on the second if both
-    are), split into what presses or pulls and what rubs, at the point where the pressure acts in total; where some of
-    it pulls, at the mean of the points by the size of their normal forces.
+    are), split into normal force and friction, at the centre of pressure; where part of it is tension, at the mean of
+    the points by the size of their normal forces.
 
     Args:
         assembly: the structure.

@@ -1,4 +1,4 @@
-"""Time of a scheduled robot plan against the states that the structure comes to."""
+"""Time of a scheduled robot plan and the states that the structure reaches."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Clock:
     starts: NDArray[np.float64]
     """When each motion begins, seconds, shape (nodes,)."""
     events: NDArray[np.float64]
-    """When the structure comes to each state but the first, seconds, ascending, shape (steps,)."""
+    """When the structure reaches each state but the first, seconds, ascending, shape (steps,)."""
     makespan: float
     """When the last motion ends, seconds."""
 

@@ -24,7 +24,7 @@ def margin_strip(plan: Plan | None, direction: Direction, step: int) -> str:
     Dark columns are weak; a mark is over the weakest, and a frame around the step that is shown.
 
     Args:
-        plan: what is shown.
+        plan: plan to show.
         direction: order in which it is shown.
         step: that is shown, from 0.
     """

@@ -24,10 +24,10 @@ FRICTION = "#d7263d"
 GRAVITY = "#f08c00"
 MOTION = "#00c08b"
 SLIDING = "#48d8f0"
-"""Parts that slide, and the way they do."""
+"""Parts that slide, and their motion."""
 
 RAMP = ("#dccdb2", "#d98aa5", "#a34a8f", "#5f2276", "#2a0845")
-"""From an action that a policy never takes to one it is sure of; its lightness falls all the way."""
+"""From probability 0 to 1 of an action; lightness decreases monotonically."""
 
 STEPS = 16
 """Steps of the scale that parts are coloured on."""
@@ -58,7 +58,7 @@ def ramp(values: ArrayLike) -> NDArray[np.uint8]:
     """Return colours on the scale of probabilities.
 
     Args:
-        values: from 0 to 1, any shape; what lies outside counts as the end.
+        values: from 0 to 1, any shape; values outside count as the nearest end.
 
     Returns:
         Red, green, blue from 0 to 255, shape (..., 3).

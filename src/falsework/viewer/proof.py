@@ -31,7 +31,7 @@ class StateProof:
     words: str
     """Summary in one line."""
     arrows: dict[str, Arrows]
-    """By what they show: contact forces, friction, gravity; or motion; or sliding."""
+    """By kind: contact forces, friction, gravity; or motion; or sliding."""
     moved: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     """For a state that is not stable: displaced vertices of the moving parts; by part, shape (vertices, 3)."""
     slides: bool = False
@@ -54,7 +54,7 @@ class StateProof:
 
 
 def proof_of_state(oracle: Stability, state: States) -> StateProof:
-    """Ask for the verdict on a state and turn its proof into arrows.
+    """Request the verdict on a state and convert its proof into arrows.
 
     Args:
         oracle: decides stability.

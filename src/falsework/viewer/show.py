@@ -74,9 +74,9 @@ def view(
         structure: structure of a plan, graph or state that does not name it.
         policy: colours the parts and proposes new plans; a policy or the folder of a run.
         robots: number of robots, where no plan says it.
-        criterion: what stable means.
+        criterion: stability criterion.
         deadline: seconds that a new plan may take; None for as long as it takes.
-        host: address to serve at. Beyond this machine, everybody who can reach it can see and steer the page.
+        host: address to serve at. Beyond this machine, every client that can reach it can view and control the page.
         port: port to serve at; the next free one is taken if it is not free.
         allowed_hosts: names other than `host` under which browsers may open the page.
         browser: open the page in the browser.
@@ -147,7 +147,7 @@ def picture(
         forces: draw the proof of a single state.
         verdicts: decide the stability of the states that are drawn, and mark those that are not stable.
         limits: colour the parts of a single state by how near they are to slipping or tipping.
-        criterion: what stable means.
+        criterion: stability criterion.
         policy: colours the parts of a single state, or marks its states in a state graph; a policy or the folder of a
             run.
         frames: pictures of a contact sheet.
@@ -219,11 +219,11 @@ def picture(
 
 
 def _nearness(shown: Viewable, place: int, criterion: Criterion) -> NDArray[np.float64]:
-    """Return how near the free parts of a state that stands are to their limits, NaN elsewhere, shape (parts,)."""
+    """Return how near the free parts of a stable state are to their limits, NaN elsewhere, shape (parts,)."""
     state = shown.timeline.states[shown.timeline.row(place)]
     verdicts = Stability(shown.assembly, StabilitySettings(criterion=criterion)).check(state)
     if not verdicts.stable[0]:
-        raise InputError("the state does not stand, so its parts are beyond their limits; draw it with --verdicts")
+        raise InputError("the state is not stable, so its parts are beyond their limits; draw it with --verdicts")
     assert verdicts.forces is not None
     return nearness_to_limit(shown.assembly, state, verdicts.forces[0])
 
@@ -266,7 +266,7 @@ def animate(
         rate: pictures a second.
         speed: seconds of a schedule that pass in a second.
         verdicts: decide the stability of every state, and mark those that are not stable.
-        criterion: what stable means.
+        criterion: stability criterion.
         width: pixels across.
         azimuth: direction of view about the vertical, degrees.
         elevation: direction of view above the horizon, degrees.

@@ -22,9 +22,10 @@ Array = NDArray[np.float64]
 
 NO_ROBOT = -1
 EXACT_UP_TO = 150
-"""Parts up to which ways out are taken from the clearance table; above, making the table takes too long for a look."""
+"""Parts up to which exit directions are taken from the clearance table; above, computing it takes too long for a
+viewer."""
 UPWARDS = 0.35
-"""How much a way out that is only guessed leans upwards."""
+"""Upward component of an estimated exit direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,7 @@ class Timeline:
         return position if self.direction is Direction.DISASSEMBLY else len(self) - position
 
     def row(self, position: float) -> int:
-        """State that is shown at a place: the last one that is reached."""
+        """Return the state shown at a place: the last one reached."""
         if self.direction is Direction.DISASSEMBLY:
             return int(np.floor(self.at(position)))
         return int(np.ceil(self.at(position)))
@@ -140,7 +141,7 @@ class Timeline:
 
 
 def holders(states: States, boundary: Mask) -> NDArray[np.int64]:
-    """Robot that holds each part in each state, `NO_ROBOT` where none does; a part keeps its robot while it is held.
+    """Return the robot that holds each part in each state, `NO_ROBOT` for none; it stays the same during a hold.
 
     Args:
         states: states one action apart, shape (steps + 1, parts).
@@ -163,7 +164,8 @@ def holders(states: States, boundary: Mask) -> NDArray[np.int64]:
 def way_out(assembly: Assembly, state: States, part: int) -> Array:
     """Return the unit vector along which a part can leave a state; shape (3,).
 
-    From the clearance table, or where that is not made (many parts) or knows no way: away from what it touches.
+    From the clearance table, or if that is not computed (many parts) or has no direction: away from the parts that it
+    touches.
     """
     if assembly.part_count <= EXACT_UP_TO:
         way = assembly.clearance.exit_direction(state, part)

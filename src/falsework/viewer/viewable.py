@@ -1,4 +1,4 @@
-"""Opening of files and objects to look at: plans, runs, robot plans, state graphs and structures."""
+"""Opening of files and objects to show: plans, runs, robot plans, state graphs and structures."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def open_file(
         if form.startswith("falsework.robot"):
             return _robot_plan(load_robot_plan(file), file, structure, cell, direction, options)
         if form and not form.startswith("falsework.assembly/"):
-            raise InputError(f"{file} has format {form!r}, which is nothing to look at; give a plan or a structure")
+            raise InputError(f"{file} has format {form!r}, which cannot be shown; give a plan or a structure")
         if file.name == "assembly.json":
             path = file.parent
     elif file.is_file() and file.suffix.lower() == ".npz":
@@ -213,7 +213,7 @@ def _run(folder: Path, structure: Assembly | str | Path | None, options: dict[st
         structure = load_structure(structure, **options)
     run = _load_run(folder, structure)
     robots = getattr(run.settings, "robots", 2)
-    # A policy takes apart: from the complete structure its next actions are there to be seen.
+    # A policy disassembles: its next actions are shown for the complete structure.
     still = _still(run.assembly, complete_state(run.assembly.boundary), robots, Direction.DISASSEMBLY)
     return Viewable("run", run.assembly, still, policy=run.policy)
 

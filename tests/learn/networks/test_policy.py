@@ -246,7 +246,7 @@ def test_settings_survive_a_file() -> None:
     settings = PolicySettings("gat", goal_conditioned=True, layers=3)
     assert from_dict(PolicySettings, asdict(settings)) == settings
     assert settings.resolved().channels == 16
-    with pytest.raises(InputError, match="'depth' is no setting of PolicySettings"):
+    with pytest.raises(InputError, match="'depth' is not a setting of PolicySettings"):
         from_dict(PolicySettings, {"depth": 3})
 
 

@@ -319,7 +319,7 @@ def test_folders_that_are_taken_and_runs_that_are_not_there(arch: Any, tmp_path:
         train(arch, SMALL, folder=tmp_path / "run", device="cpu")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").write_text("years of work")
-    with pytest.raises(InputError, match="is there and is no run"):
+    with pytest.raises(InputError, match="exists and is not a run"):
         train(arch, SMALL, folder=tmp_path / "other", device="cpu")
     with pytest.raises(InputError, match="there is no folder"):
         train(arch, SMALL, folder=tmp_path / "none", device="cpu", resume=True)

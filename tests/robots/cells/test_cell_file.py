@@ -102,7 +102,7 @@ def test_built_in_cells_can_work(name: str, shared_assembly) -> None:
             r"structure\.position is .*; give 3 numbers",
         ),
         (("falsework.cell/1", "falsework.cell/9"), r"format is 'falsework.cell/9'; this version reads"),
-        (('name = "one arm"', "name = "), r"cell\.toml is no TOML: .*line 3"),
+        (('name = "one arm"', "name = "), r"cell\.toml is not valid TOML: .*line 3"),
     ],
 )
 def test_wrong_files_say_file_and_key(change: tuple[str, str], message: str) -> None:

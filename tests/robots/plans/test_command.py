@@ -162,7 +162,7 @@ def test_go_on_from_where_the_arms_are(run: Callable, cell_file: Path, tmp_path:
         (("--holding", "elbow=0"), "has no robot 'elbow'"),
         (("--holding", "arm"), "names no robot and value"),
         (("--holding", "arm=77"), "no part 77"),
-        (("--state", "002", "--holding", "arm=0"), "is not there at the start"),
+        (("--state", "002", "--holding", "arm=0"), "is absent at the start"),
         (("--joints", "arm=1,2,x"), "give joint values in rad"),
         (("--joints", "arm=9,0,0,0,0,0"), "outside its limits"),
         (("--joints", "arm=0,2.6,0,0,0,0"), "at the start"),

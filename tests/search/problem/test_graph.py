@@ -134,7 +134,7 @@ def damaged(name: str, change: Any) -> Any:
         (lambda h, a: a["source"].__setitem__(0, -1), "edges point outside"),
         (lambda h, a: a.update(action=a["action"][:-1]), "different lengths"),
         (lambda h, a: a["action"].__setitem__(0, (a["action"][0] + 1) % 8), "an edge"),
-        (lambda h, a: a["target"].__setitem__(0, 0), "an edge is no legal action"),
+        (lambda h, a: a["target"].__setitem__(0, 0), "an edge is not a legal action"),
         (lambda h, a: h.update(robots=1), "break the rules"),
         (lambda h, a: h.update(robots="two"), "damaged"),
         (lambda h, a: h.update(fixed=[99]), "does not exist"),

@@ -74,7 +74,7 @@ def test_files(regrasped: Plan, direction: Direction, tmp_path: Path) -> None:
     assert np.array_equal(read.actions, plan.actions)
     data = plan_to_dict(plan)
     del data["rules"]["support"]
-    with pytest.raises(PlanError, match="no action of"):
+    with pytest.raises(PlanError, match="not an action of"):
         plan_from_dict(data)
     data["rules"]["support"] = 1
     with pytest.raises(PlanError, match=r"rules\.support must be true or false"):
@@ -198,13 +198,13 @@ def test_damaged_files_of_props(propped: Plan) -> None:
         return str(error.value)
 
     entry = len(propped.boundary) - 1
-    assert "is no list" in damaged(lambda data: data["structure"].update(props=3))
+    assert "is not a list" in damaged(lambda data: data["structure"].update(props=3))
     assert "has no place" in damaged(lambda data: data["structure"]["props"][0].update(at=[0, 0]))
     assert "is under part" in damaged(lambda data: data["structure"]["props"][0].update(part=entry))
     assert "rules.props" in damaged(lambda data: data["rules"].update(props=-1))
     assert "neither there nor away" in damaged(lambda data: data["start"]["state"].__setitem__(entry, 1))
-    assert "no action of" in damaged(lambda data: data["steps"][0].update(do="hold", part=entry))
-    assert "no action of" in damaged(lambda data: data["rules"].pop("support"))
+    assert "not an action of" in damaged(lambda data: data["steps"][0].update(do="hold", part=entry))
+    assert "not an action of" in damaged(lambda data: data["rules"].pop("support"))
 
 
 def test_the_check_counts_props(propped: Plan, propped_arch: Assembly) -> None:

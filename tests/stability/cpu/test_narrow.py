@@ -102,7 +102,7 @@ def test_a_beam_with_a_keel_on_two_ridges(scenes: Any) -> None:
     ridges = [ridge(1.0, name="near"), ridge(3.0, name="far")]
     with pytest.warns(ContactWarning) as seen:
         assembly = Assembly.from_meshes([*ridges, keel], boundary=[0, 1])
-    assert str(seen[0].message) == "parts near and keel touch at a point only: verdicts may hang on it"
+    assert str(seen[0].message) == "parts near and keel touch at a point only: verdicts may depend on it"
     assert assembly.contacts.points == pytest.approx(np.array([(1, 0.5, 1), (3, 0.5, 1)]))
     assert verdict([*ridges, keel], [0, 1]) == Verdict.STABLE, "its middle is over the line through both"
     lean = keel.vertices + np.where(keel.vertices[:, 2:] > 1.5, (0, 0.02, 0), 0)

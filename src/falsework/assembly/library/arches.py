@@ -23,9 +23,9 @@ def arch(
 ) -> Blocks:
     """Semicircular arch of equal voussoirs on two abutments.
 
-    With fine voussoirs it stands as long as the thickness is above 0.1075 of the radius (Milankovitch 1907,
-    the mechanism with five hinges), if friction holds the blocks; few voussoirs leave fewer places for
-    hinges and may stand thinner. The joints are radial, the faces between them flat.
+    With fine voussoirs it is stable as long as the thickness is above 0.1075 of the radius (Milankovitch 1907, the
+    mechanism with five hinges), if friction holds the blocks; few voussoirs leave fewer places for hinges and may allow
+    a smaller thickness. The joints are radial, the faces between them flat.
     """
     if thickness > radius:
         raise InputError(f"thickness {thickness:g} m is more than radius {radius:g} m; make the arch thinner")
@@ -56,8 +56,8 @@ def catenary(
 ) -> Blocks:
     """Catenary arch of voussoirs of equal length, the inverted hanging chain.
 
-    Its middle line is the line of thrust of its own weight, so it stands far thinner than a semicircle. The
-    joints are perpendicular to the middle line, those on the abutments too.
+    Its middle line is the line of thrust of its own weight, so it is stable at a far smaller thickness than a
+    semicircle. The joints are perpendicular to the middle line, those on the abutments too.
     """
     half = span / 2
     if not 0.02 <= rise / half <= 20:
@@ -85,11 +85,11 @@ def catenary(
 
 
 def _voussoirs(inner: Array, outer: Array, depth: float) -> list[Solid]:
-    """Blocks between consecutive joints, from the lowest x; `inner` and `outer` are (x, z), shape (joints, 2)."""
+    """Return the blocks between consecutive joints by x; `inner` and `outer` are (x, z), shape (joints, 2)."""
     return [_across("voussoir", [inner[k], inner[k + 1], outer[k + 1], outer[k]], depth) for k in range(len(inner) - 1)]
 
 
 def _across(kind: str, profile: list, depth: float, *, fixed: bool = False) -> Solid:
-    """Prism over a polygon of (x, z) that reaches `depth` across the span."""
+    """Return the prism over a polygon of (x, z) that reaches `depth` across the span."""
     flat = np.array([(x, -depth / 2, z) for x, z in profile])
     return prism(kind, flat, (0.0, depth, 0.0), fixed=fixed)

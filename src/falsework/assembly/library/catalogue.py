@@ -58,7 +58,7 @@ class Parameter:
 
     @property
     def range_text(self) -> str:
-        """Words for the values that are allowed, such as `a whole number from 3 to 1000`."""
+        """Description of the valid values, such as `a whole number from 3 to 1000`."""
         noun = "a whole number" if self.kind is int else "a number"
         return f"{noun} from {self.minimum} to {self.maximum}{self.unit and ' ' + self.unit} ({self.meaning})"
 
@@ -93,7 +93,7 @@ class Structure(Generic[P]):
         return self.make(self._bind(*args, **kwargs))
 
     def generate(self, *args: P.args, **kwargs: P.kwargs) -> Blocks:
-        """Make the meshes and say which are boundary; raises like `__call__`."""
+        """Make the meshes and their boundary mask; raises like `__call__`."""
         return self._blocks(self.checked(self._bind(*args, **kwargs)))
 
     def make(

@@ -19,9 +19,9 @@ def corbel(
 ) -> Blocks:
     """Corbelled arch of level blocks whose courses step inwards until they meet.
 
-    Every course reaches `step = span / (2 (courses - 1))` beyond the one below. Half of the arch stands by
-    itself if and only if `step <= length / courses`: `k` blocks on top of another have their centre of mass
-    `(k + 1) step / 2` beyond its middle, and must not pass its edge at `length / 2`.
+    Every course reaches `step = span / (2 (courses - 1))` beyond the one below. Half of the arch is stable by itself if
+    and only if `step <= length / courses`: `k` blocks on top of another have their centre of mass `(k + 1) step / 2`
+    beyond its middle, and must not pass its edge at `length / 2`.
     """
     step = span / (2 * (courses - 1))
     if step >= length:

@@ -22,11 +22,11 @@ def dome(
 ) -> Blocks:
     """Hemispherical dome of voussoir rings with staggered joints and one key.
 
-    The joints are radial and stand half a voussoir apart from ring to ring. All faces are flat: a voussoir
-    spans two facets of a sphere whose parallels are regular polygons of `2 blocks` corners, so that one
-    facet of it lies on each of its two neighbours below. With joints that run through along meridians,
-    nothing ties the foot of the dome and it needs a thickness of 0.042 of its radius (Heyman 1967); friction
-    between staggered voussoirs ties it, and it stands thinner.
+    The joints are radial and stand half a voussoir apart from ring to ring. All faces are flat: a voussoir spans two
+    facets of a sphere whose parallels are regular polygons of `2 blocks` corners, so that one facet of it lies on each
+    of its two neighbours below. With joints that run through along meridians, nothing ties the foot of the dome and it
+    needs a thickness of 0.042 of its radius (Heyman 1967); friction between staggered voussoirs ties it, so that a
+    smaller thickness suffices.
     """
     if thickness > radius:
         raise InputError(f"thickness {thickness:g} m is more than radius {radius:g} m; make the dome thinner")

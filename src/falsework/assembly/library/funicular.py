@@ -15,7 +15,7 @@ _SAMPLES = 2001
 
 @dataclass(frozen=True, eq=False)
 class Funicular:
-    """Surface of revolution that hangs, or stands, under its own weight at equal horizontal thrust.
+    """Surface of revolution in equilibrium under its own weight at equal horizontal thrust.
 
     With horizontal thrust `H` (N/m, the same in all directions) and weight `w` per area of the surface, vertical
     equilibrium in plan is `H div grad z = -w sqrt(1 + |grad z|^2)`: a net of equal force densities, refined

@@ -27,11 +27,11 @@ def house(
     thickness: Annotated[float, Range(0.001, 1, "thickness of a plate", "m")] = 0.04,
     pitch: Annotated[float, Range(1, 25, "slope of the roof; friction alone keeps it", "degrees")] = 20.0,
 ) -> Blocks:
-    """House of plates that cross each other in slots and come apart along clear ways.
+    """House of plates that cross each other in slots and can be disassembled along free directions.
 
     Front and back have slots that are open above, the side walls slots that are open below: a side wall leaves
     upwards only, and front and back are free only when both side walls have left. A floor, and at the top two
-    roof plates, cover all four. Every plate stands by itself on what is below it.
+    roof plates, cover all four. Every plate is stable by itself on the parts below it.
     """
     overhang = 1.5 * thickness
     if min(length, width) < 3 * thickness or height < 2 * thickness:
@@ -147,10 +147,10 @@ def shelf(
     """Shelf whose last four parts interlock: it cannot be disassembled one part at a time.
 
     The loose shelves slide out to the front. The top is two boards that are joined by tongue and groove and hang with
-    T-shaped tenons in slots of both uprights, which are open above. The slots stop the boards along x and y, the
-    groove stops each board from going up without the other, and the tenons stop the uprights in all directions.
-    Both boards together lift off; one part at a time, the exhaustive search proves that there is no plan where a
-    part must have a straight way out.
+    T-shaped tenons in slots of both uprights, which are open above. The slots stop the boards along x and y, the groove
+    stops each board from going up without the other, and the tenons stop the uprights in all directions. Both boards
+    together lift off; one part at a time, the exhaustive search proves that there is no plan where a part must have a
+    straight exit.
     """
     # Cells: along x the head of a tenon, its neck, the inside, neck, head; along y nine; along z see `levels`.
     lines_x = np.cumsum([-width / 2 - 2 * thickness, thickness, thickness, width, thickness, thickness])

@@ -18,7 +18,7 @@ def polycube(
 ) -> Blocks:
     """Cube cut at random into interlocking polycubes that come apart one by one.
 
-    It stands whatever the seed, for the reason given for the bottle: columns of cubes carry themselves.
+    It is stable for every seed, for the reason given for the bottle: columns of cubes carry themselves.
     """
     cells = [(x, y, z) for x in range(size) for y in range(size) for z in range(size)]
     half = size * edge / 2

@@ -19,7 +19,7 @@ def bottle(
 ) -> Blocks:
     """Upright bottle cut at random into interlocking polyominoes, one square deep.
 
-    It stands whatever the seed: the outline never widens upwards, so every square can pass its column's
+    It is stable for every seed: the outline never widens upwards, so every square can pass its column's
     weight straight down, and pieces glued from squares in equilibrium are in equilibrium.
     """
     cells = bottle_outline(width, height)

@@ -19,7 +19,7 @@ def stack(
     """Stack of equal blocks that reaches over the edge of a table by a harmonic sum.
 
     The block that is `k`-th from the top reaches `overhang * length / (2 k)` beyond what it lies on, so that
-    the whole reaches `overhang * length / 2 * (1 + 1/2 + ... + 1/blocks)`. It stands if and only if
+    the whole reaches `overhang * length / 2 * (1 + 1/2 + ... + 1/blocks)`. It is stable if and only if
     `overhang <= 1`: then the centre of mass of the blocks above every edge is not beyond it.
     """
     front = 0.0

@@ -37,7 +37,7 @@ def vault(
     """Thin double-curved vault on four corner springers, of staggered hexagonal blocks.
 
     The middle surface is the funicular form of its own weight at equal horizontal thrust in all directions
-    (`Funicular`). Blocks are what the tangent planes at a staggered grid of points cut out of the shell:
+    (`Funicular`). Blocks are cut out of the shell by the tangent planes at a staggered grid of points:
     point `x` belongs to block `i` if `d_i(x)`, its signed distance from plane `i`, is the largest of all and
     at most half of `thickness` either way. So blocks are convex, joints are flat and halve the angle between
     two faces, which makes them perpendicular to the middle surface, and every block can leave outwards.

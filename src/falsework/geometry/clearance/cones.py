@@ -1,8 +1,8 @@
 """Cones of blocked directions between parts, which prove that no exit direction lies between those found.
 
-A convex piece of a part, moved along a direction without end, meets a convex piece of another part if and only if
-the direction lies in the cone over the Minkowski difference of the two. That cone is convex and has flat
-facets (Lozano-Perez, Spatial Planning: A Configuration Space Approach, 1983).
+A convex piece of a part, translated along a direction without limit, meets a convex piece of another part if and only
+if the direction lies in the cone over the Minkowski difference of the two. That cone is convex and has flat facets
+(Lozano-Perez, Spatial Planning: A Configuration Space Approach, 1983).
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Array = NDArray[np.float64]
 _STRICT = 1e-9
 """A direction this near to a facet, as a sine, counts as outside of the cone."""
 _TRIANGLES = 128
-"""Faces that a part without one convex piece is represented by, the largest ones."""
+"""Number of largest faces that represent a part without one convex piece."""
 _CORNERS = 10_000
 """Corners of a Minkowski difference up to which its cone is computed."""
 _CROSSES = 1_000
-"""Pairs of edges that are tried for a plane between two pieces."""
+"""Pairs of edges tried for a separating plane between two pieces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Cones:
     start: NDArray[np.int64]
     """Shape (cones + 1,)."""
     part: NDArray[np.int64]
-    """The part that is in the way, shape (cones,)."""
+    """Blocking part, shape (cones,)."""
 
     def __len__(self) -> int:
         return len(self.part)
@@ -72,7 +72,7 @@ class Cones:
         )
 
     def of(self, parts: NDArray[np.integer]) -> Cones:
-        """Return the cones of some parts alone."""
+        """Return the cones of some parts only."""
         kept = np.isin(self.part, parts)
         rows = np.repeat(kept, np.diff(self.start))
         start = np.concatenate([[0], np.cumsum(np.diff(self.start)[kept])]).astype(np.int64)
@@ -130,7 +130,7 @@ class Pieces:
 def cones_between(moving: Pieces, obstacle: Pieces, part: int) -> Cones:
     """Return cones of directions in which pieces of one part run into pieces of another, `part`.
 
-    A pair of pieces that no plane was found to separate is left out, which makes the cones fewer but not wrong.
+    A pair of pieces without a known separating plane is omitted, which gives fewer cones, but correct ones.
     """
     facets, sizes = _cones(
         moving.points, moving.start, moving.normals, moving.edges,
@@ -221,7 +221,7 @@ def _facets(a: Array, b: Array, axis: Array) -> Array:  # pragma: no cover - com
     """Return inward normals of the cone over `b - a`, all of which lies ahead along the axis; shape (facets, 3).
 
     The cone is cut by the plane at one along the axis, and the convex hull of the section is found by Andrew's
-    chain. A corner that hardly stands out is left out, which makes the cone smaller.
+    chain. A corner that hardly protrudes is omitted, which makes the cone smaller.
     """
     least = 0
     for k in range(1, 3):

@@ -57,23 +57,23 @@ class Triangles:
         return Triangles(corners, np.tile(self.cut + 1, 4))
 
     def joined(self, other: Triangles) -> Triangles:
-        """These and the others."""
+        """Return these triangles and the others."""
         return Triangles(np.concatenate([self.corners, other.corners]), np.concatenate([self.cut, other.cut]))
 
 
 def uncovered(
     triangles: Triangles, cones: Cones, ways: NDArray[np.bool_], limit: int
 ) -> tuple[Triangles, NDArray[np.bool_]] | None:
-    """Return triangles in which a direction may be better than the known ways.
+    """Return triangles in which a direction may be better than the known exit directions.
 
-    A triangle is settled if for some way each of its blockers has a cone that holds the whole triangle: then
-    whatever set of parts leaves a direction in it open leaves that way open too. Others are cut until they are
-    settled, or reach the limit, or until the cones do not settle even their centre.
+    A triangle is settled if for some exit direction each of its blockers has a cone that contains the whole triangle:
+    then every set of parts that leaves a direction in the triangle free leaves that exit free too. Others are
+    subdivided until they are settled, or reach the limit, or until the cones do not settle even their centre.
 
     Args:
-        triangles: what is to be covered.
+        triangles: triangles to be covered.
         cones: directions that parts block.
-        ways: blockers of each known way, shape (ways, parts), with at most 64 blockers in all.
+        ways: blockers of each known exit direction, shape (ways, parts), with at most 64 blockers in all.
         limit: how often the sphere may be cut.
 
     Returns:
@@ -92,7 +92,7 @@ def uncovered(
 
 @njit(cache=True)
 def _place(corners: Array, facets: Array, offset: Array) -> int:  # pragma: no cover - compiled
-    """1 if a triangle lies in a cone, -1 if outside of it, else 0."""
+    """Return 1 if a triangle lies in a cone, -1 if outside of it, else 0."""
     inside = True
     for k in range(len(facets)):
         beyond = True
@@ -126,7 +126,7 @@ def _uncovered(
     ways: NDArray[np.uint64],
     limit: int,
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_], bool]:  # pragma: no cover - compiled
-    """Corners and cuts of what is left, whether its centre is not settled, and whether the work came to its end."""
+    """Return corners and cuts of the rest, whether its centres are not settled, and whether the work was completed."""
     left, left_cut, doubtful = [np.zeros((3, 3))], [0], [False]
     count = len(bits)
     live = np.empty((DEEPEST + 2, count), dtype=np.int64)
@@ -136,7 +136,7 @@ def _uncovered(
     depths = np.empty(4 * (DEEPEST + 2), dtype=np.int64)
     tests, whole = 0, True
     for root in range(len(roots)):
-        # Row `depth` holds what is known of the triangle that is being cut at this depth: cones that hold it whole,
+        # Row `depth` is about the triangle that is being cut at this depth: cones that contain it wholly,
         # and those whose boundary may cross it.
         live[0] = np.arange(count)
         lives[0] = count

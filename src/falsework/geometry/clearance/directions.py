@@ -1,4 +1,4 @@
-"""Candidate exit directions of a part: those that its contacts suggest, then a sphere covering."""
+"""Candidate exit directions of a part: those suggested by its contacts, then a covering of the sphere."""
 
 from __future__ import annotations
 

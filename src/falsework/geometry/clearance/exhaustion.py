@@ -1,4 +1,4 @@
-"""Search for exit directions until none can be missing."""
+"""Search for exit directions that ends with a proof of completeness."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from falsework.geometry.clearance.cover import DEEPEST, Triangles, uncovered
 from falsework.geometry.clearance.sweep import Sweeper, Ways
 
 _SWEEPS = 192
-"""Directions that are swept for one part before it is given up."""
+"""Directions that are swept for one part before giving up."""
 _FINER = 3
 """Number of cuts of triangles before the centres of the rest are tested."""
 _AT_ONCE = 16
-"""Directions that are swept before the triangles are looked at again."""
+"""Directions that are swept before the triangles are examined again."""
 
 
 def all_ways(sweeper: Sweeper, part: int, ways: Ways) -> tuple[Ways, bool]:
-    """Add ways out to those that are known until every direction is proved to be no better than one of them.
+    """Add exit directions until every direction is proved to be no better than one of them.
 
-    The sphere of directions is cut into triangles. One is settled if the cones in which parts block show that it
-    offers nothing new. The centre of another is swept: either that is a new way, or the triangle is cut further.
+    The sphere of directions is cut into triangles. A triangle is settled if the blocking cones show that it contains no
+    new exit. Otherwise its centre is swept: either it is a new exit direction, or the triangle is subdivided.
 
     Args:
         sweeper: the structure.
         part: the part that leaves.
-        ways: ways that are known, at least one.
+        ways: known exit directions, at least one.
 
     Returns:
-        All ways, and whether the proof succeeded; if not, others may exist that sweeping did not meet.
+        All exit directions, and whether the proof succeeded; if not, others may exist that sweeping did not find.
     """
     if not ways.blockers.any(axis=1).all():  # one is always free
         return ways, True
@@ -57,6 +57,6 @@ def all_ways(sweeper: Sweeper, part: int, ways: Ways) -> tuple[Ways, bool]:
         swept += count
         if not ways.blockers.any(axis=1).all():
             return ways, True
-        # A triangle whose centre is a new way may be settled by it or not: its quarters will tell.
+        # A triangle whose centre is a new exit direction may be settled by it or not: its quarters decide.
         triangles = left.chosen(now).quartered().joined(left.chosen(later))
     return ways, False

@@ -26,7 +26,7 @@ _INTO = np.sin(np.radians(3.0))
 _PLANES = 1000
 """Normals of planes that are tried to separate parts before any collision is computed."""
 _BATCH = 125
-"""Directions that are looked at together; the first ones often settle a part."""
+"""Directions that are tested together; the first ones often settle a part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,16 +83,16 @@ class Sweeper:
     def least_blocked(self, part: int, directions: Array, known: Ways | None = None) -> Ways:
         """Return the directions that no other beats: those whose blockers do not include all blockers of another.
 
-        A direction is given up as soon as the blockers that are known include those of one already found, so
-        that most sweeps are never made; of directions with the same blockers one is kept.
+        A direction is discarded as soon as its known blockers include those of one already found, so that most sweeps
+        are skipped; of directions with the same blockers one is kept.
 
         Args:
             part: the part that leaves.
             directions: unit vectors, shape (directions, 3).
-            known: ways that were found before.
+            known: exit directions found before.
 
         Returns:
-            Those that are left of the known ways, then the new ones, in the order given.
+            The remaining known exit directions, then the new ones, in the given order.
         """
         found = Ways(np.zeros((0, 3)), np.zeros((0, len(self._meshes)), dtype=bool)) if known is None else known
         rank = np.arange(-len(found.directions), 0)
@@ -106,7 +106,7 @@ class Sweeper:
                 walls: dict[int, Body] = {}
                 beaten = includes_one(row, rows)
                 others = np.flatnonzero(~free[way] & ~row)
-                # First what blocks the ways already found: it is most likely to show that this one is no better.
+                # First the blockers of the exits already found: they most likely show that this one is no better.
                 for other in others[np.argsort(-rows.sum(axis=0)[others], kind="stable")].tolist():
                     if beaten:
                         break
@@ -167,7 +167,7 @@ class Sweeper:
         return free, hit & ~free
 
     def _meets(self, part: int, other: int, direction: Array, walls: dict[int, Body]) -> bool:
-        """Return whether the part hits the other on its way along the direction; `walls` keeps its walls for that way.
+        """Return whether the part hits the other along the direction; `walls` caches its walls for that direction.
 
         The swept volume is bounded by the wall that the outline of the part sweeps, apart from its two
         ends. Another part that it meets either crosses that wall or is enclosed by the volume; then the
@@ -202,7 +202,7 @@ class Sweeper:
     def _tangled(self, low: Array, high: Array) -> dict[tuple[int, int], int]:
         """Count the doublings of the shrinking for pairs whose corners cut into each other.
 
-        It stops at a quarter of the thickness of the thinner part; what then still collides is never free.
+        It stops at a quarter of the thickness of the thinner part; pairs that still collide are never free.
         """
         levels: dict[tuple[int, int], int] = {}
         thinnest = np.array([mesh.thickness for mesh in self._meshes])

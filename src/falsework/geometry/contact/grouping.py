@@ -17,7 +17,7 @@ def segment_sum(values: Array, owner: NDArray[np.integer], count: int) -> Array:
 
 
 def segment_mean(values: Array, owner: NDArray[np.integer], count: int) -> Array:
-    """Mean of the rows of each owner, shape (count, columns); zero for an owner without rows."""
+    """Return the mean of the rows of each owner, shape (count, columns); zero for an owner without rows."""
     return segment_sum(values, owner, count) / np.maximum(np.bincount(owner, minlength=count), 1)[:, None]
 
 

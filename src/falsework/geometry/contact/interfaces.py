@@ -22,16 +22,16 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 Array = NDArray[np.float64]
 
 _MORE = 1.02
-"""Area of a joint, relative to that found within the tolerances, above which the latter has lost a part of it."""
+"""Area of a joint, relative to that found within the tolerances, above which the latter is incomplete."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
     """Contacts between pairs of parts: planar ones, of which a curved interface is several, and lines and points.
 
-    Lines and points are what is left where parts touch by an edge or a corner. Real ones have some width, which the
-    meshes do not say; `areas` gives them that of the contact tolerance, so that whatever weights contacts by their
-    area sees them, and sees little of them.
+    Lines and points arise where parts touch by an edge or a corner. Real ones have some width, which the meshes do not
+    contain; `areas` assumes the contact tolerance, so that they have a small, nonzero weight wherever contacts are
+    weighted by area.
     """
 
     parts: NDArray[np.int32]
@@ -72,7 +72,7 @@ class Contacts:
         return self._pushes(part_count, self.areas)
 
     def narrow_pushes(self, part_count: int) -> NDArray[np.float64]:
-        """Normals into part `i` of all its lines and points with part `j`, shape (parts, parts, 3); as `pushes`."""
+        """Return the normals into part `i` of its lines and points with part `j`, shape (parts, parts, 3)."""
         return self._pushes(part_count, (self.dimension < 2).astype(np.float64))
 
     def _pushes(self, part_count: int, weights: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -125,7 +125,7 @@ class ContactSettings:
 
 
 def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | None = None) -> Contacts:
-    """Find where parts lie against each other.
+    """Find the contacts between parts.
 
     Opposed faces within the tolerances are intersected; the patches of one pair of parts that lie in one
     plane become one contact, reduced to the corners of their common convex hull. Nothing is lost by that:
@@ -142,10 +142,10 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
     that lies in the hull of a planar contact of the same pair is an edge of that contact, and is left out; so is
     one where other parts lie against both sides of the edge.
 
-    Parts that overlap by more than the tolerance, and parts that touch nothing, are what a model has whose faces are
-    warped, or cut into triangles differently on both sides. With default lengths, pairs of such parts are given a
-    joint where `find_joints` finds faces that these rules refuse or leave out; its patches are grouped by
-    `settings.curvature`. Lengths that are given hold as they are.
+    Parts that overlap by more than the tolerance, and parts that touch nothing, are typical of models whose faces are
+    warped, or triangulated differently on both sides. With default lengths, pairs of such parts are given a joint where
+    `find_joints` finds faces that these rules refuse or leave out; its patches are grouped by `settings.curvature`.
+    Given lengths are taken literally.
 
     Args:
         meshes: closed meshes that face outwards.
@@ -170,7 +170,7 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
     inexact[contacts.parts.ravel()] = False
     among = inexact[:, None] | inexact
     if overlaps.any_deeper(meshes):
-        # Such a model is less exact than the tolerance elsewhere, too: what touches may touch by more.
+        # Such a model is less exact than the tolerance elsewhere too: parts that touch may have larger contacts.
         inexact[overlaps.parts.ravel()] = True
         among = inexact[:, None] | inexact
         among[tuple(contacts.parts.T)] = True
@@ -178,7 +178,7 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
 
 
 def exact_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings) -> Contacts:
-    """Find the contacts of `find_contacts` within the tolerances, without joints and without a look at overlaps."""
+    """Find the contacts of `find_contacts` within the tolerances, without joints and without a check of overlaps."""
     gap, overlap = settings.lengths(meshes)
     tolerance = max(gap, overlap)
     patches = face_patches(meshes, gap=gap, overlap=overlap, angle=settings.angle)

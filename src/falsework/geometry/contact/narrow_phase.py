@@ -23,7 +23,7 @@ Index = NDArray[np.int64]
 _CHUNK = 200_000
 """Pairs of faces, or pieces and edges, that are compared at once; bounds the memory of very fine meshes."""
 _BESIDE = 1.5
-"""Distance from an edge of a face, in tolerances, up to which what lies on the face lies on its edge."""
+"""Distance from an edge of a face, in tolerances, up to which a point on the face counts as on its edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class Reach:
 
     @property
     def tolerance(self) -> float:
-        """The larger of gap and overlap: what is narrower than this has no width."""
+        """The larger of gap and overlap: narrower contacts have no width."""
         return max(self.gap, self.overlap)
 
     @property
@@ -109,7 +109,7 @@ def narrow_places(meshes: Sequence[TriangleMesh], reach: Reach, slivers: Narrow)
 
 
 def _groups(owner: Index, member: Index, count: int) -> tuple[Index, Index]:
-    """Members sorted by their owners, and where those of each owner start; shapes (count + 1,) and (members,)."""
+    """Return members sorted by owner, and where those of each owner start; shapes (count + 1,) and (members,)."""
     order = np.argsort(owner, kind="stable")
     return np.searchsorted(owner[order], np.arange(count + 1)), member[order]
 
@@ -122,7 +122,7 @@ def _members(groups: tuple[Index, Index], chosen: Index) -> tuple[Index, Index]:
 
 
 def _near_faces(corners: Array, part: NDArray[np.int32], half: float) -> Iterator[tuple[Index, Index]]:
-    """Pairs of faces of different parts whose boxes, grown by `half`, overlap, each both ways round; in chunks."""
+    """Yield chunks of ordered pairs of faces of different parts whose boxes, grown by `half`, overlap."""
     for i, j in iterate_box_pairs(corners.min(axis=1) - half, corners.max(axis=1) + half):
         keep = part[i] != part[j]
         i, j = i[keep], j[keep]

@@ -24,7 +24,7 @@ _MEASURED = 20
 
 @dataclass(frozen=True, eq=False)
 class Overlaps:
-    """Pairs of parts that pass through each other by more than modelling leaves behind."""
+    """Pairs of parts that overlap by more than modelling errors."""
 
     parts: NDArray[np.int64]
     """Shape (pairs, 2), the lower one first, sorted."""
@@ -64,7 +64,7 @@ class Overlaps:
 
 
 def find_overlaps(meshes: Sequence[TriangleMesh], tolerance: float, *, corner: float | None) -> Overlaps:
-    """Find parts that pass through each other by more than modelling leaves behind.
+    """Find parts that overlap by more than modelling errors.
 
     Opposed faces, which should touch, may overlap by `tolerance`. Corners and edges that cut into a
     neighbour lose no contact and may go deeper, to `corner`: where four stones of a dome meet, their

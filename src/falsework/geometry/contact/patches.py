@@ -210,7 +210,7 @@ def _slopes(frames: Array, face_normals: Array) -> Array:
 
 
 def _may_touch(a: Array, b: Array, slope: Array, level: Array, *, gap: Array, overlap: Array) -> NDArray[np.bool_]:
-    """Cheap necessary conditions: flat boxes overlap, and the gap enters its band somewhere over them."""
+    """Test cheap necessary conditions: flat boxes overlap, and the gap enters its band somewhere over them."""
     low = np.maximum(a.min(axis=1), b.min(axis=1))
     high = np.minimum(a.max(axis=1), b.max(axis=1))
     middle = level + np.einsum("ki,ki->k", slope, (low + high) / 2)

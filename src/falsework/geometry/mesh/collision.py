@@ -21,10 +21,10 @@ MORE, LESS = 0.56, 0.45
 def shrink(mesh: TriangleMesh, distance: float) -> Array:
     """Return vertices of the mesh with every face moved inwards by `distance`, shape (vertices, 3), metres.
 
-    Parts that touch, or overlap by less than twice `distance`, come apart when both are shrunk, so that a
-    collision of what is left is one of the parts and not of rounding. Each vertex moves by the least vector
-    that moves all planes of its faces by the distance; where more than three planes meet, in the sense of
-    least squares. The distance must be small beside the thickness of the part.
+    Parts that touch, or overlap by less than twice `distance`, come apart when both are shrunk, so that a remaining
+    collision is one of the parts and not of rounding. Each vertex moves by the least vector that moves all planes of
+    its faces by the distance; where more than three planes meet, in the sense of least squares. The distance must be
+    small beside the thickness of the part.
     """
     return mesh.vertices - distance * outwards(mesh)
 
@@ -103,7 +103,7 @@ def inside(points: Array, corners: Array) -> NDArray[np.bool_]:
 
 
 def interpenetrate(a: TriangleMesh, b: TriangleMesh, allowed: float) -> bool:
-    """Return whether two solids that are shrunk by half of what is allowed still share space.
+    """Return whether two solids, shrunk by half of the allowed overlap, still share space.
 
     They are not shrunk by the same amount: solids that coincide would leave surfaces that coincide, and
     none that cross.
@@ -113,7 +113,7 @@ def interpenetrate(a: TriangleMesh, b: TriangleMesh, allowed: float) -> bool:
 
 
 def nested(a: TriangleMesh, a_points: Array, b: TriangleMesh, b_points: Array) -> bool:
-    """Whether one of two surfaces that do not cross lies inside the other."""
+    """Return whether one of two surfaces that do not cross lies inside the other."""
     a_low, a_high, b_low, b_high = a_points.min(0), a_points.max(0), b_points.min(0), b_points.max(0)
     if (a_low >= b_low).all() and (a_high <= b_high).all() and inside(a_points[:1], b_points[b.faces])[0]:
         return True

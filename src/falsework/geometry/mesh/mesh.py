@@ -24,10 +24,10 @@ class TriangleMesh:
 
     @staticmethod
     def from_arrays(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
-        """Copy arrays into a mesh after checking shapes and indices, and nothing else.
+        """Copy arrays into a mesh after checking shapes and indices only.
 
         Args:
-            name: how messages call the part.
+            name: name of the part in messages.
             vertices: shape (vertices, 3), metres.
             faces: indices into `vertices`, shape (faces, 3).
 
@@ -41,7 +41,7 @@ class TriangleMesh:
         if corners.ndim != 2 or corners.shape[1] != 3:
             raise MeshError(f"part {name}: faces have shape {corners.shape}; expected (faces, 3)")
         if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
-            raise MeshError(f"part {name}: a face uses a vertex that is not there; there are {len(points)} vertices")
+            raise MeshError(f"part {name}: a face uses a vertex that does not exist; there are {len(points)} vertices")
         points.setflags(write=False)
         corners.setflags(write=False)
         return TriangleMesh(name, points, corners)

@@ -15,8 +15,8 @@ from falsework.geometry.mesh.polygon import triangulate
 def read_obj(file: Path) -> list[tuple[str, NDArray[np.float64], NDArray[np.int64]]]:
     """Read the objects of an OBJ file: name, vertices of the whole file, and faces of each.
 
-    Objects are what `o` lines name, or `g` lines in a file without `o`. Polygons are cut into triangles,
-    concave ones too. Textures, normals, lines and materials are passed over.
+    Objects begin at `o` lines, or at `g` lines in a file without `o`. Polygons are cut into triangles,
+    concave ones too. Textures, normals, lines and materials are ignored.
 
     Raises:
         MeshError: a line that cannot be understood, or a face with a vertex that is not there.
@@ -58,7 +58,7 @@ def read_obj(file: Path) -> list[tuple[str, NDArray[np.float64], NDArray[np.int6
 def _triangles(file: Path, points: NDArray[np.float64], polygons: list[list[int]]) -> NDArray[np.int64]:
     """Return triangles of polygons, in their order."""
     if max(map(max, polygons)) >= len(points) or min(map(min, polygons)) < 0:
-        raise MeshError(f"a face in {file} uses a vertex that is not there; there are {len(points)}; export it again")
+        raise MeshError(f"a face in {file} uses a vertex that does not exist; there are {len(points)}; export it again")
     if all(len(polygon) == 3 for polygon in polygons):
         return np.array(polygons, dtype=np.int64)
     faces: list[list[int]] = []

@@ -19,7 +19,7 @@ def newell_normal(points: Array) -> Array:
 def triangulate(points: Array) -> list[tuple[int, int, int]]:
     """Cut a flat simple polygon into triangles with the same orientation, by cutting off ears.
 
-    A fan from one corner, which is what most readers make of it, folds over where the polygon is concave.
+    A fan from one corner, as most readers produce it, folds over where the polygon is concave.
 
     Args:
         points: corners in order, shape (corners, 3), metres.

@@ -41,11 +41,11 @@ def unit_length(unit: str) -> float:
 
 
 def load_meshes(path: str | Path, unit: str = "m", *, supports: Collection[int | str] = ()) -> tuple[TriangleMesh, ...]:
-    """Read, check and where it is safe repair the meshes of all parts.
+    """Read and check the meshes of all parts, and repair them where that is safe.
 
     A folder holds one file a part (OBJ, STL, PLY, GLB). Names that are all numbers are the ids of the
     parts and must be `0` to `m - 1`; other names are put in natural order. A single file holds one object a
-    part; a file without objects is split where its surfaces do not hang together. GLB is read as its
+    part; a file without objects is split into connected surfaces. GLB is read as its
     standard has it, y up, and turned to z up.
 
     Args:
@@ -98,7 +98,7 @@ def _order(names: list[str], where: Path) -> list[int]:
     if all(number is not None for number in ids):
         for number in range(len(ids)):
             if ids.count(number) > 1:
-                raise InputError(f"part {number} is there {ids.count(number)} times in {where}; give every id once")
+                raise InputError(f"part {number} occurs {ids.count(number)} times in {where}; give every id once")
         missing = sorted(set(range(len(ids))) - set(ids))
         if missing:
             raise InputError(
@@ -107,7 +107,7 @@ def _order(names: list[str], where: Path) -> list[int]:
         return sorted(range(len(ids)), key=lambda index: ids[index] or 0)
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"part {name!r} is there {names.count(name)} times in {where}; give every name once")
+            raise InputError(f"part {name!r} occurs {names.count(name)} times in {where}; give every name once")
     return sorted(range(len(names)), key=lambda index: natural_key(names[index]))
 
 
@@ -154,7 +154,7 @@ def _read_solids(file: Path) -> list[_Solid]:
             vertices = mesh.vertices @ transform[:3, :3].T + transform[:3, 3]
             faces = np.asarray(mesh.faces, dtype=np.int64)
             if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
-                raise MeshError(f"a face in {file} uses a vertex that is not there; export it again")
+                raise MeshError(f"a face in {file} uses a vertex that does not exist; export it again")
             if np.linalg.det(transform[:3, :3]) < 0:
                 faces = faces[:, ::-1]
             if file.suffix.lower() == ".glb":
@@ -166,7 +166,7 @@ def _read_solids(file: Path) -> list[_Solid]:
 
 
 def _split(solid: _Solid, file: Path) -> list[_Solid]:
-    """Return parts of a file without objects: surfaces that hang together by their edges."""
+    """Return parts of a file without objects: surfaces connected by edges."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 

@@ -35,7 +35,7 @@ def thicken_supports(
 ) -> list[tuple[str, Array, Faces]]:
     """Give supports that are open, nearly flat surfaces a thickness, on the side away from their neighbours.
 
-    Warns with a `RepairWarning` of what was done. Nothing depends on the mass of a support.
+    Reports the repair by a `RepairWarning`. No result depends on the mass of a support.
 
     Args:
         solids: name, vertices in metres, shape (vertices, 3), and faces, shape (faces, 3), of each part.
@@ -77,7 +77,7 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
     looks outwards, and whose surfaces do not overlap, comes back with its faces as they were.
 
     Args:
-        name: how messages call the part.
+        name: name of the part in messages.
         vertices: shape (vertices, 3), metres.
         faces: shape (faces, 3).
 
@@ -141,7 +141,7 @@ def _drop_copies(corners: Faces, done: list[str]) -> Faces:
 
 
 def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Array, Faces]:
-    """Repair in order of growing reach, and stop as soon as the surface is closed."""
+    """Repair with increasingly strong methods, and stop as soon as the surface is closed."""
     welded = _weld(points, corners)
     if len(np.unique(welded)) < len(points):
         done.append("merged vertices that almost coincide")

@@ -1,4 +1,4 @@
-"""Supports that are modelled as open surfaces: given a thickness on the side that carries nothing."""
+"""Supports modelled as open surfaces, which are given a thickness on their free side."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Closed surfaces that one part is made of: which bound hollows, which overlap, and their union."""
+"""Closed surfaces of one part: hollows, overlaps and union."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ class Shells:
         return Shells(surface, outward, tuple(solids))
 
     def outward_faces(self, corners: Faces) -> Faces:
-        """Faces turned away from the material: outwards, or inwards where a shell bounds a hollow."""
+        """Return faces turned away from the material: outwards, or inwards where a shell bounds a hollow."""
         turned = corners.copy()
         wrong = (self.outward == self._hollow)[self.surface]
         turned[wrong] = turned[wrong][:, ::-1]
         return turned
 
     def overlap(self) -> bool:
-        """Whether shells share space of which neither encloses the other."""
+        """Return whether shells share space and neither encloses the other."""
         return any(
             interpenetrate(self.solids[a], self.solids[b], self._shallow)
             for a, b in combinations(range(len(self.solids)), 2)
@@ -61,7 +61,7 @@ class Shells:
         )
 
     def unite(self, name: str) -> tuple[Array, Faces, float]:
-        """Vertices and faces of the union, and the volume that counted more than once, m3.
+        """Return vertices and faces of the union, and the volume that counted more than once, m3.
 
         Raises:
             MeshError: manifold3d is not installed, or it cannot use the shells.
@@ -116,7 +116,7 @@ class Shells:
         return _SHALLOW * float(np.linalg.norm(bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)))
 
     def _near(self, a: int, b: int) -> bool:
-        """Whether the boxes around two shells overlap."""
+        """Return whether the boxes around two shells overlap."""
         one, other = self.solids[a].bounds, self.solids[b].bounds
         return bool((np.minimum(one[1], other[1]) - np.maximum(one[0], other[0]) > self._shallow).all())
 
@@ -127,14 +127,14 @@ def directed_edges(corners: Faces) -> tuple[Faces, Faces]:
 
 
 def is_closed(corners: Faces) -> bool:
-    """Whether every edge is passed as often one way as the other, which makes the surface a closed one."""
+    """Return whether every edge is passed equally often in both directions, so that the surface is closed."""
     tail, head = directed_edges(corners)
     count = int(corners.max()) + 1
     return bool((tail != head).all() and (np.sort(tail * count + head) == np.sort(head * count + tail)).all())
 
 
 def edge_mates(corners: Faces) -> tuple[Faces, Faces, bool]:
-    """Pairs of directed edges between the same vertices, and whether any edge has more than two faces."""
+    """Return pairs of directed edges between the same vertices, and whether any edge has more than two faces."""
     tail, head = directed_edges(corners)
     low, high = np.minimum(tail, head), np.maximum(tail, head)
     order = np.lexsort((high, low))
@@ -143,7 +143,7 @@ def edge_mates(corners: Faces) -> tuple[Faces, Faces, bool]:
 
 
 def _surfaces(corners: Faces) -> NDArray[np.int32]:
-    """Shell of each face: faces that hang together by edges of two faces, or by any edges if that leaves holes."""
+    """Return the shell of each face: faces connected by edges of two faces, or by any edges if that leaves holes."""
     tail, head = directed_edges(corners)
     low, high = np.minimum(tail, head), np.maximum(tail, head)
     edge = low * (int(corners.max()) + 1) + high

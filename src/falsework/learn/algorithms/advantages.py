@@ -24,7 +24,7 @@ def generalized_advantages(
     Args:
         rows: for each step the rollouts that took part, shape (active,).
         values: for each step their estimated return before the action, shape (active,).
-        rewards: for each step what the action earned, shape (active,).
+        rewards: for each step the reward of the action, shape (active,).
         rollouts: number of rollouts.
         discount: worth of a reward one step later.
         gae_lambda: 1 compares with the outcome, 0 with the next estimate.

@@ -45,7 +45,7 @@ class Curriculum:
             rules: of the structure.
             settings: how to draw.
             targets: of each start, shape (count, parts), or None.
-            shards: processes; each draws for itself, and all hear of all outcomes.
+            shards: processes; each draws for itself, and outcomes are shared.
 
         Raises:
             InputError: no start states.
@@ -105,7 +105,7 @@ class Curriculum:
         return float(self._left[self._left <= self.horizon].double().mean())
 
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
-        """As `StartSampler`."""
+        """See `StartSampler`."""
         inside = self._left <= self.horizon
         fresh = (inside & ~self._visited).nonzero()[:, 0]
         order = torch.randperm(len(fresh), generator=generator, device=fresh.device)
@@ -121,12 +121,12 @@ class Curriculum:
     def record(
         self, batch: StartBatch, transitions: Transitions, surrogate: torch.Tensor, generator: torch.Generator
     ) -> None:
-        """As `StartSampler`."""
+        """See `StartSampler`."""
         assert batch.rows is not None
         self.record_outcomes(batch.rows, transitions.success, surrogate)
 
     def record_outcomes(self, rows: torch.Tensor, success: torch.Tensor, surrogate: torch.Tensor) -> None:
-        """Take note of rollouts of this process by the indices of their starts; all columns of shape (rollouts,)."""
+        """Record rollouts of this process by the indices of their starts; all columns of shape (rollouts,)."""
         rows = gather_rows(rows, self._shards)
         success = gather_rows(success, self._shards)
         surrogate = gather_rows(surrogate, self._shards)
@@ -155,18 +155,18 @@ class Curriculum:
         }
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """As `StartSampler`."""
+        """See `StartSampler`."""
         columns = {name: getattr(self, f"_{name}") for name in ("starts", "visited", "surrogate", "entropy", "far")}
         if self._targets is not None:
             columns["targets"] = self._targets
         return {**columns, "counts": torch.tensor([self.updates, self.horizon])}
 
     def local_state_dict(self) -> dict[str, torch.Tensor]:
-        """As `StartSampler`."""
+        """See `StartSampler`."""
         return {}
 
     def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
-        """As `StartSampler`."""
+        """See `StartSampler`."""
         device = self._left.device
         for name in ("starts", "visited", "surrogate", "entropy", "far"):
             setattr(self, f"_{name}", tensors[name].to(device).clone())
@@ -176,7 +176,7 @@ class Curriculum:
         self.updates, self.horizon = tensors["counts"].tolist()
 
     def _probability(self, inside: torch.Tensor) -> torch.Tensor:
-        """With which each state is drawn: by its rank in surrogate loss, nothing beyond the horizon."""
+        """Return the probability of drawing each state: by its rank in surrogate loss, zero beyond the horizon."""
         surrogate = torch.where(inside, self._surrogate, -1.0)
         order = torch.argsort(surrogate, descending=True, stable=True)
         rank = torch.arange(1, len(order) + 1, device=order.device, dtype=torch.float32)
@@ -185,7 +185,7 @@ class Curriculum:
         return probability / probability.sum()
 
     def _correction(self, probability: torch.Tensor) -> torch.Tensor:
-        """Weights of samples that were drawn with these probabilities (Schaul et al. 2016), at most 1."""
+        """Return the weights of samples drawn with these probabilities (Schaul et al. 2016), at most 1."""
         done = min(self.updates / _CORRECTED_AFTER, 1.0)
         power = min(self.settings.correction + (1.0 - self.settings.correction) * done, 1.0)
         if power == 0 or self.settings.rank_power == 0:
@@ -197,7 +197,7 @@ class Curriculum:
         return int(self._left.max()) if len(self) else 0
 
     def _next_horizon(self) -> int:
-        """The least one a stage farther away that takes in more states."""
+        """Return the least horizon a stage farther away that includes more states."""
         longest = self._longest()
         stage = max(-(-longest // self.settings.stages), 1)
         farther = self._left[self._left > self.horizon]
@@ -209,5 +209,5 @@ class Curriculum:
         if seen >= _FAR_ROLLOUTS and solved >= self.settings.pass_mark * seen:
             self.horizon = max(self._next_horizon(), self.horizon)
             self._far.zero_()
-        elif seen >= 8 * _FAR_ROLLOUTS:  # what the policy could do long ago says nothing of it now
+        elif seen >= 8 * _FAR_ROLLOUTS:  # outdated results say nothing about the present policy
             self._far *= 0.5

@@ -13,13 +13,13 @@ def relabel(
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Draw two states of one rollout: the later one as the goal of the earlier one.
 
-    Whatever a rollout was after, and however it ended, the actions between the two were legal and left the structure
+    Whatever the goal of a rollout, and however it ended, the actions between the two were legal and left the structure
     stable (paper, section 5.3).
 
     Args:
         transitions: of whole rollouts, in the order in which they were taken.
         count: pairs to draw.
-        solved: knows the held-out states, which become neither state nor goal.
+        solved: has the held-out states, which become neither state nor goal.
         generator: source of randomness.
 
     Returns:

@@ -32,7 +32,7 @@ _VALUE_WEIGHT = 0.1
 
 
 def imitation_loss(logits: torch.Tensor, mask: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
-    """Mean of `-log(sum of the probabilities of the valid actions)` over the rows that have a valid action.
+    """Return the mean of `-log(sum of the probabilities of the valid actions)` over the rows that have a valid action.
 
     Args:
         logits: shape (batch, actions).
@@ -43,14 +43,14 @@ def imitation_loss(logits: torch.Tensor, mask: torch.Tensor, valid: torch.Tensor
     log_probability = masked_log_probabilities(logits, mask)
     valid = valid & mask
     known = valid.any(dim=1)
-    # Rows without a valid action count for nothing; let them look at all actions, so that they make no NaN either.
+    # Rows without a valid action have weight zero; they use all actions, so that they yield no NaN.
     looked = torch.where(known[:, None], valid, mask)
     inside = torch.logsumexp(torch.where(looked, log_probability, _LOW), dim=1)
     return -(inside * known).sum() / known.sum().clamp(min=1)
 
 
 class Imitation(Learner):
-    """Takes steps on batches of solvable states drawn on the device."""
+    """Imitation learner on batches of solvable states drawn on the device."""
 
     def __init__(
         self,
@@ -103,7 +103,7 @@ class Imitation(Learner):
         self._networks = [Network(one, precision, compiled=compiled) for one in (policy, *copies)]
 
     def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
-        """As `Learner.block`."""
+        """See `Learner.block`."""
         self.policy.train()
         drawn = self._draw(steps)
         sums = torch.zeros(2, device=self._solved.device)
@@ -128,7 +128,7 @@ class Imitation(Learner):
         return {"loss": loss, "gradient_norm": norm, "solved": float(len(self._solved))}
 
     def schedule(self, step: int, progress: float) -> float:
-        """Learning rate as a share of the largest: a rise by steps, a plateau, half a cosine by progress."""
+        """Return the learning rate as a share of the largest: a rise by steps, a plateau, half a cosine by progress."""
         settings = self._settings
         rise = min((step + 1) / max(settings.warm_up, 1), 1.0)
         fallen = min(max((progress - 1.0 + settings.decay) / max(settings.decay, 1e-9), 0.0), 1.0)

@@ -1,4 +1,4 @@
-"""Learner: what imitation and PPO have in common, an optimizer, random numbers and their state in a checkpoint."""
+"""Base of imitation and PPO: an optimizer, random numbers and their state in a checkpoint."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from falsework.utils.distributed import ProcessGroup
 
 
 class Learner(ABC):
-    """Improves a policy, a block of steps at a time."""
+    """Base of learners, which improve a policy a block of steps at a time."""
 
     def __init__(
         self, policy: Policy, generator: torch.Generator, seed: int, shards: ProcessGroup, **optimizer: Any

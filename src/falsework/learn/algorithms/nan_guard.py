@@ -1,4 +1,4 @@
-"""Stops training at the first loss that is not a finite number, and keeps the batch that caused it."""
+"""Guard that stops training at the first non-finite loss and saves the batch that caused it."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from falsework.utils.archive import write_whole
 
 
 class NanGuard:
-    """Looks at every step whether its loss is finite, one step late, so that the device is never waited for.
+    """Check of every step for a finite loss, one step late, so that the host never waits for the device.
 
-    A step that is not finite must not be taken: give the optimizer `found_inf`, or ask the guard before it.
+    A step that is not finite must not be taken: give the optimizer `found_inf`, or call the guard before it.
     """
 
     def __init__(self, folder: Path | str | None = None, *, rank: int = 0) -> None:
-        """Save what goes wrong in `folder`; nowhere if None. Processes need different ranks."""
+        """Save failing batches in `folder`; nowhere if None. Processes need different ranks."""
         self._folder = None if folder is None else Path(folder)
         self._rank = rank
         self._pending: tuple[torch.Tensor, torch.cuda.Event | None, Mapping[str, torch.Tensor], str] | None = None
 
     def watch(self, value: torch.Tensor, batch: Mapping[str, torch.Tensor], step: str) -> None:
-        """Look at the last step, and remember this one.
+        """Check the last step, and store this one.
 
         Args:
             value: loss or norm of the gradient of this step, any shape.
-            batch: what it was computed from; must not change until the next call.
+            batch: its input; must not change until the next call.
             step: where this is, such as `step 12`; part of the file name.
 
         Raises:
@@ -45,7 +45,7 @@ class NanGuard:
         self._pending = (finite, event, batch, step)
 
     def check(self) -> None:
-        """Look at the last step now, such as at the end of an update.
+        """Check the last step now, for instance at the end of an update.
 
         Raises:
             TrainingError: it was not finite.
@@ -64,7 +64,7 @@ class NanGuard:
         )
 
     def _save(self, batch: Mapping[str, torch.Tensor], step: str) -> str:
-        """Write the batch, and say where it is."""
+        """Write the batch, and return where it is."""
         if self._folder is None:
             return ""
         from safetensors.torch import save
@@ -75,6 +75,6 @@ class NanGuard:
         content = save(tensors, {"format": "falsework.batch/1", "step": json.dumps(step)})
         try:
             write_whole(path, lambda file: file.write(content))
-        except (OSError, ValueError) as error:  # what went wrong first is what matters
+        except (OSError, ValueError) as error:  # only the first failure matters
             return f" (its batch could not be saved: {error})"
         return f"; the batch that caused it is in {path}"

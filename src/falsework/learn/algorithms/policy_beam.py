@@ -1,4 +1,4 @@
-"""Beam searches from many states at once, guided by a policy: one question to the network serves all of them."""
+"""Beam searches from many states at once, guided by a policy that is evaluated for all of them in one batch."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from falsework.search.device.parallel_beams import ParallelLevel, next_level, wi
 from falsework.search.device.rules import TensorRules
 
 _SPARE = 2
-"""Candidates judged for each state that is kept, since some fall."""
+"""Candidates checked for each state that is kept, since some are unstable."""
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyBeamResult:
-    """What became of the searches."""
+    """Outcome of the searches."""
 
     found: torch.Tensor
-    """Which starts have a way to their target, `bool`, shape (starts,)."""
+    """Whether each start has a path to its target, `bool`, shape (starts,)."""
     states: torch.Tensor
-    """All states on the ways that were found: proven stable and solvable, `uint8`, shape (count, parts)."""
+    """All states on the paths that were found: proven stable and solvable, `uint8`, shape (count, parts)."""
     owner: torch.Tensor
     """Start that each of them belongs to, shape (count,)."""
 
@@ -38,8 +38,8 @@ def policy_beam_search(
 ) -> PolicyBeamResult:
     """Search in the order of disassembly from each start, with a beam of its own.
 
-    Candidates of a start are ordered by the logarithm of the probability that the policy goes their way, the best
-    `2 width` of them are judged, and the best `width` that stand are kept.
+    Candidates of a start are ordered by the log probability of their path under the policy; the best `2 width` of them
+    are checked, and the best `width` stable ones are kept.
 
     Args:
         environment: rules and verdicts.
@@ -78,7 +78,7 @@ def policy_beam_search(
 
 
 def _best_of_rows(score: torch.Tensor, mask: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """The best scored legal actions of each state, at most `count`: rows and actions."""
+    """Return the best scored legal actions of each state, at most `count`: rows and actions."""
     best = score.topk(min(count, score.shape[1]), dim=1).indices
     legal = mask.gather(1, best)
     row, place = legal.nonzero(as_tuple=True)
@@ -88,7 +88,7 @@ def _best_of_rows(score: torch.Tensor, mask: torch.Tensor, count: int) -> tuple[
 def _candidates(
     rules: TensorRules, level: ParallelLevel, score: torch.Tensor, mask: torch.Tensor, width: int
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Best successors for each start, in the order of their scores."""
+    """Return the best successors for each start, in the order of their scores."""
     row, action = _best_of_rows(score, mask, _SPARE * width)
     value = score[row, action]
     order = torch.argsort(value, descending=True, stable=True)
@@ -100,7 +100,7 @@ def _candidates(
 
 
 def _first_of_equals(hashes: torch.Tensor, owner: torch.Tensor) -> torch.Tensor:
-    """Positions of the first of equal states of one start, in their order."""
+    """Return the positions of the first of equal states of one start, in order."""
     order = torch.argsort(hashes, stable=True)
     order = order[torch.argsort(owner[order], stable=True)]
     first = torch.ones(len(order), dtype=torch.bool, device=order.device)

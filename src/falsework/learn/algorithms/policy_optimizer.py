@@ -14,7 +14,7 @@ from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import below
 
 _MAX_GRADIENT_NORM = 1.0
-"""Norm to which longer gradients are cut."""
+"""Norm to which larger gradients are clipped."""
 
 
 class PolicyOptimizer:
@@ -63,7 +63,7 @@ class PolicyOptimizer:
 
         Args:
             loss: of this process, differentiable.
-            batch: what it was computed from, saved if the step is not finite; must not change until the next step.
+            batch: its input, saved if the step is not finite; must not change until the next step.
             learning_rate: of this step.
             average: decay of the moving average of the weights.
 
@@ -88,7 +88,7 @@ class PolicyOptimizer:
         return norm.detach()
 
     def check(self) -> None:
-        """Look at the last step, such as at the end of a block.
+        """Check the last step, for instance at the end of a block.
 
         Raises:
             TrainingError: it was not finite.
@@ -105,7 +105,7 @@ class PolicyOptimizer:
         _blend(self._average, self._weights, 1.0)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Weights, their average, moments and count of steps as plain named tensors."""
+        """Return weights, their average, moments and count of steps as plain named tensors."""
         saved = {f"weight.{name}": tensor for name, tensor in self.policy.state_dict().items()}
         saved |= {f"average.{place}": tensor for place, tensor in enumerate(self._average)}
         for place, state in self._adam.state_dict()["state"].items():
@@ -113,7 +113,7 @@ class PolicyOptimizer:
         return {**saved, "steps": torch.tensor([self.steps])}
 
     def load_state_dict(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Restore what `state_dict` gave; other names are ignored."""
+        """Restore the tensors of `state_dict`; other names are ignored."""
         self.steps = int(tensors["steps"][0])
         self.policy.load_state_dict(below("weight.", tensors))
         for place, one in enumerate(self._average):

@@ -58,18 +58,18 @@ def solve_all(
     plain_limit: int = 64,
     generator: torch.Generator | None = None,
 ) -> SolveReport:
-    """Find a proven plan from every state: the policy first, then searches for what it leaves.
+    """Find a proven plan from every state: the policy first, then searches where it fails.
 
-    All stages work on all states that are left at once, except the last, which searches without the policy.
+    All stages work on all remaining states at once, except the last, which searches without the policy.
 
     Args:
         environment: rules and verdicts.
         policy: proposes actions in rollouts and guides the beam.
         starts: stable, `uint8` on the device, shape (starts, parts).
         targets: shape (starts, parts), or None.
-        samples: rollouts drawn from each state from which the most probable actions fail.
-        widths: of the beams that the policy guides, in turn.
-        plain_limit: states that are searched from without the policy, at most.
+        samples: rollouts drawn from each state where the greedy rollout fails.
+        widths: of the beams guided by the policy, in turn.
+        plain_limit: number of states from which to search without the policy, at most.
         generator: of drawn actions.
     """
     begun, asked = time.perf_counter(), environment.counters.states_asked
@@ -111,7 +111,7 @@ def solve_all(
 
 
 def _plain(environment: Environment, start: torch.Tensor, target: torch.Tensor | None) -> bool:
-    """Whether a search without a policy finds a plan."""
+    """Return whether a search without a policy finds a plan."""
     rules = environment.rules
     task = Task.create(
         rules.task.boundary,

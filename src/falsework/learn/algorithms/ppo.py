@@ -1,8 +1,8 @@
 """Proximal policy optimisation (Schulman et al. 2017) on batches of whole rollouts.
 
 By default it fine-tunes a policy that imitation has prepared: rollouts from mixed start states, no discount, a value
-head that estimates the probability of success, and imitation of what is known beside it. `config.ppo.PAPER` has the
-settings of the paper (section 5.2).
+head that estimates the probability of success, and an additional imitation loss on known states. `config.ppo.PAPER` has
+the settings of the paper (section 5.2).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Demonstrations = tuple[torch.Tensor, torch.Tensor | None, torch.Tensor | None]
 
 
 class PPO(Learner):
-    """Improves a policy by the outcomes of its own rollouts.
+    """Proximal policy optimisation from the outcomes of the policy's own rollouts.
 
     No loss is taken at held-out states: not by gradients of rollouts, not by imitation, not by hindsight.
     """
@@ -102,13 +102,13 @@ class PPO(Learner):
         """Transitions per step of this process."""
 
     def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
-        """As `Learner.block`; where there are several epochs, an update that begins is finished."""
+        """See `Learner.block`; where there are several epochs, an update that begins is finished."""
         left, numbers = steps, {}
         while left > 0:
             before = self.steps
             rollouts = max(self._settings.rollouts // self._shards.size, 1)
             if self._settings.epochs == 1:
-                # Not more than the steps to come can learn from, such as those of a slow network in its last minute.
+                # No more than the remaining steps can use, for instance in the last minute of a slow network.
                 useful = round(left * self._share / self._sampler.mean_steps)
                 rollouts = max(min(rollouts, useful), _FEWEST_ROLLOUTS)
             done = 1.0 - left / steps
@@ -128,7 +128,7 @@ class PPO(Learner):
 
         Returns:
             Means over all processes: `rollout_success`, `loss`, `surrogate_loss`, `value_loss`, `entropy`,
-            `divergence`, `clipped`, `learning_rate`, number of `transitions`, and what the sampler reports.
+            `divergence`, `clipped`, `learning_rate`, number of `transitions`, and the report of the sampler.
 
         Raises:
             TrainingError: a step was not finite.
@@ -152,7 +152,7 @@ class PPO(Learner):
             learnable, advantage=normalized(learnable.advantage, self._shards, centered=settings.centered)
         )
         count = len(learnable)
-        if count == 0:  # takes part with no weight: other processes average their gradients with this one
+        if count == 0:  # zero weight: other processes average their gradients with this one
             learnable = _padding(batch, self._environment.part_count)
         rollouts = len(batch.states)
         entropy = torch.full((rollouts,), settings.entropy, device=device) if batch.entropy is None else batch.entropy
@@ -188,7 +188,7 @@ class PPO(Learner):
         return {**numbers, "learning_rate": rate, **self._sampler.report()}
 
     def learning_rate(self, progress: float) -> float:
-        """Learning rate of the next update."""
+        """Return the learning rate of the next update."""
         settings = self._settings
         if settings.milestones:
             return settings.learning_rate * 0.1 ** sum(milestone <= self.updates for milestone in settings.milestones)
@@ -196,26 +196,26 @@ class PPO(Learner):
         return settings.learning_rate * (1.0 - (1.0 - _FINAL_LEARNING_RATE) * through)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """As `Learner.state_dict`."""
+        """See `Learner.state_dict`."""
         saved = {f"starts.{name}": tensor for name, tensor in self._sampler.state_dict().items()}
         return {**super().state_dict(), **saved, "updates": torch.tensor([self.updates])}
 
     def local_state_dict(self) -> dict[str, torch.Tensor]:
-        """As `Learner.local_state_dict`."""
+        """See `Learner.local_state_dict`."""
         saved = {f"starts.{name}": tensor for name, tensor in self._sampler.local_state_dict().items()}
         return {**saved, **super().local_state_dict()}
 
     def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
-        """As `Learner.load_state_dict`."""
+        """See `Learner.load_state_dict`."""
         super().load_state_dict(tensors, local)
         self.updates = int(tensors["updates"][0])
         self._sampler.load_state_dict(below("starts.", tensors), None if local is None else below("starts.", local))
 
     def _minibatches(self, count: int, most: int | None = None) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        """Draw rows of all transitions in random order, in pieces of one size, as many in every process.
+        """Draw all transitions in random order, in equally many minibatches of one size in every process.
 
-        In a single pass pieces have the full size, since a compiled network wants one size, and what is left over is
-        dropped; else what fills the last piece up counts 0.
+        In a single pass minibatches have the full size, since a compiled network needs one size, and the remainder is
+        dropped; otherwise the padding of the last one has weight 0.
 
         Args:
             count: transitions of this process.
@@ -239,7 +239,7 @@ class PPO(Learner):
         return list(zip(rows.split(size), used.split(size), strict=True)) if number else []
 
     def _demonstrations(self, transitions: Transitions, steps: int) -> list[list[tuple[float, Demonstrations]]]:
-        """Draw what is imitated in each of some steps, with its weight in the loss."""
+        """Draw the demonstrations for each of some steps, with their weight in the loss."""
         settings, generator = self._settings, self._generator
         shown: list[list[tuple[float, Demonstrations]]] = [[] for _ in range(steps)]
         count = max(round(self._share * _IMITATED), 1)
@@ -270,7 +270,7 @@ class PPO(Learner):
         entropy_weight: torch.Tensor,
         shown: list[tuple[float, Demonstrations]],
     ) -> tuple[Loss, torch.Tensor]:
-        """Compute the loss of PPO, and the total with what is imitated, in one call of the network."""
+        """Compute the PPO loss, and the total with the imitation loss, in one call of the network."""
         states = torch.cat([batch.states, *(one[0] for _, one in shown)])
         targets = batch.targets
         if targets is not None:
@@ -306,7 +306,7 @@ def _named(batch: Transitions) -> dict[str, torch.Tensor]:
 
 
 def _padding(batch: StartBatch, parts: int) -> Transitions:
-    """Make one transition without a meaning."""
+    """Make one dummy transition for padding."""
     device = batch.states.device
     zero = torch.zeros(1, device=device)
     return Transitions(

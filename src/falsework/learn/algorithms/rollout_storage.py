@@ -29,7 +29,7 @@ class Transitions:
     advantage: torch.Tensor
     """Shape (actions,)."""
     returns: torch.Tensor
-    """What the value ought to have been, shape (actions,)."""
+    """Target of the value head, shape (actions,)."""
     rollout: torch.Tensor
     """Rollout that the row belongs to, shape (actions,)."""
     success: torch.Tensor
@@ -56,7 +56,7 @@ def collect_transitions(
     gae_lambda: float,
     probabilities: bool,
 ) -> Transitions:
-    """Play a rollout from each start, actions drawn.
+    """Sample a rollout from each start, with its advantages and returns.
 
     Args:
         environment: rules and verdicts.

@@ -1,4 +1,4 @@
-"""Start states of rollouts: what a sampler gives, and mixed starts from data, failures and hindsight."""
+"""Start states of rollouts: sampler interface, and mixed starts from data, failures and hindsight."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class StartBatch:
 
 
 class StartSampler(Protocol):
-    """Chooses where rollouts start, and learns from how they end."""
+    """Sampler of start states that adapts to the outcomes of rollouts."""
 
     @property
     def mean_steps(self) -> float:
@@ -71,11 +71,11 @@ class StartSampler(Protocol):
         ...
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return what is the same in all processes."""
+        """Return the state that is the same in all processes."""
         ...
 
     def local_state_dict(self) -> dict[str, torch.Tensor]:
-        """Return what belongs to this process."""
+        """Return the state that belongs to this process."""
         ...
 
     def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
@@ -115,7 +115,7 @@ class MixedStarts:
         self.mean_steps = max(float(left.double().mean()), 1.0) if len(left) else 1.0
 
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
-        """As `StartSampler`."""
+        """See `StartSampler`."""
         failures = round(count * _FROM_FAILURES) if len(self._failed.states) else 0
         goals = self._targets is not None
         passed = round(count * _FROM_HINDSIGHT) if goals and len(self._passed.states) else 0
@@ -135,7 +135,7 @@ class MixedStarts:
     def record(
         self, batch: StartBatch, transitions: Transitions, surrogate: torch.Tensor, generator: torch.Generator
     ) -> None:
-        """As `StartSampler`."""
+        """See `StartSampler`."""
         failed = (~transitions.success).nonzero()[:, 0]
         self._failed = _take(_joined([_take(batch, failed), self._failed]), slice(self._most))
         if batch.targets is not None:
@@ -143,22 +143,22 @@ class MixedStarts:
             self._passed = _take(_joined([StartBatch(*pairs[:2]), self._passed]), slice(self._most))
 
     def report(self) -> dict[str, float]:
-        """As `StartSampler`."""
+        """See `StartSampler`."""
         return {}
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """As `StartSampler`."""
+        """See `StartSampler`."""
         return {}
 
     def local_state_dict(self) -> dict[str, torch.Tensor]:
-        """As `StartSampler`."""
+        """See `StartSampler`."""
         saved = {"failed": self._failed.states, "passed": self._passed.states}
         if self._failed.targets is None or self._passed.targets is None:
             return saved
         return {**saved, "failed_targets": self._failed.targets, "passed_targets": self._passed.targets}
 
     def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
-        """As `StartSampler`."""
+        """See `StartSampler`."""
         if local is None:
             return
         moved = {name: tensor.to(self._starts.device) for name, tensor in local.items()}

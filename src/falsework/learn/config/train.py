@@ -58,7 +58,7 @@ class TrainSettings:
     """Random seed of weights, batches and rollouts; not of the searches, so that runs with different seeds share one
     test set."""
     block: int = 0
-    """Steps between two looks at the clock; 0: 200 on a GPU, 20 on a processor."""
+    """Steps between two checks of the time; 0: 200 on a GPU, 20 on a processor."""
     evaluate_every: int = 5
     """Blocks from one point of the curve to the next."""
     evaluation_states: int = 512
@@ -114,7 +114,7 @@ class TrainSettings:
 
 
 def _policy(policy: PolicySettings, gpu: bool) -> PolicySettings:
-    """A quick network as large as the device can play with at leisure, and an attentive one as it can wait for."""
+    """Return the settings of the network, sized for the speed of the device."""
     if policy.kind == "resmlp":
         return replace(policy, channels=policy.channels or (1024 if gpu else 256))
     if policy.kind == "transformer" and not gpu:
@@ -123,15 +123,15 @@ def _policy(policy: PolicySettings, gpu: bool) -> PolicySettings:
 
 
 def default_minutes(parts: int, device: str) -> float:
-    """Minutes that training takes if nothing is said: enough on a GPU for the figures in the documentation."""
+    """Return the default training time in minutes: enough on a GPU for the figures in the documentation."""
     minutes = 2.0 if parts <= 20 else 5.0 if parts <= 50 else 15.0
     return minutes if device == "cuda" else 2.0 * minutes
 
 
 def default_widths(parts: int, device: str) -> tuple[int, ...]:
-    """Widths of the searches that make data beyond the paper's.
+    """Return the widths of the searches for data beyond the paper's.
 
-    Many narrow ones take many paths through the bottlenecks of a structure, which a wide one passes on a few.
+    Many narrow searches take many paths through the bottlenecks of a structure, a wide one only a few.
     """
     if device == "cuda":
         return (*[128] * 16, 1024) if parts <= 20 else (128,) * 64
@@ -139,7 +139,7 @@ def default_widths(parts: int, device: str) -> tuple[int, ...]:
 
 
 def default_target_widths(parts: int, device: str, minutes: float) -> tuple[int, ...]:
-    """The same for tasks with targets, which are far more than states: as many searches as time allows.
+    """Return the same for goal-conditioned tasks, far more numerous than states: as many searches as time allows.
 
     They take about a tenth of it on a GPU and a quarter on a CPU. Only many states keep a network from overfitting the
     paths of a few searches.
@@ -169,7 +169,7 @@ def from_dict(kind: type[T], values: Mapping[str, Any]) -> T:
     known = {one.name for one in fields(kind)}  # type: ignore[arg-type]
     odd = sorted(set(values) - known)
     if odd:
-        raise InputError(f"{odd[0]!r} is no setting of {kind.__name__}")
+        raise InputError(f"{odd[0]!r} is not a setting of {kind.__name__}")
     return kind(**{name: _read(hints[name], value, f"{kind.__name__}.{name}") for name, value in values.items()})
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 FORMAT = "falsework.dataset/2"
 
 VALIDATION_STATES = 1024
-"""States of the validation set, at most: one in a hundred more or less shows in its success."""
+"""States of the validation set, at most: enough to resolve a difference of one in a hundred."""
 
 _SETS = ("train", "test", "validation", "more")
 _ARRAYS = frozenset({*_SETS, "boundary"})
@@ -72,10 +72,10 @@ class Dataset:
     train: States
     """The paper's training set, shape (count, parts)."""
     test: States
-    """States of a wider search that are not in `train`; never to be learned from, shape (count, parts)."""
+    """States of a wider search that are not in `train`; never used for training, shape (count, parts)."""
     validation: States
-    """States of another search of that width that are in neither; never to be learned from, and what settings, networks
-    and lengths of training are chosen by, shape (count, parts)."""
+    """States of another search of that width that are in neither; never used for training, but for choosing settings,
+    networks and lengths of training, shape (count, parts)."""
     more: States
     """States of further searches that are in none of these, shape (count, parts)."""
     task: Task
@@ -85,11 +85,11 @@ class Dataset:
     complete: bool = True
     """Whether every search reached the complete structure; of those that ran side by side, one of them."""
     seconds: dict[str, float] = field(default_factory=dict)
-    """What each search took."""
+    """Time of each search."""
 
     @property
     def criterion(self) -> Criterion:
-        """What stable means for its states."""
+        """Stability criterion of its states."""
         return criterion_of(self.task)
 
     def levels(self) -> dict[str, list[int]]:
@@ -146,14 +146,14 @@ def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: in
         path: of the file.
         arrays: by name.
         parts: number of parts.
-        remedy: what to do about it.
+        remedy: remedy, for the message.
 
     Raises:
         InputError: one of them holds anything else.
     """
     for name, states in arrays.items():
         if states.ndim != 2 or states.shape[1] != parts or states.dtype != np.uint8 or (states > HELD).any():
-            raise InputError(f"{path} is damaged ({name} holds no states of {parts} parts); {remedy}")
+            raise InputError(f"{path} is damaged ({name} contains no states of {parts} parts); {remedy}")
 
 
 def task_for(assembly: Assembly, robots: int = 2, clearance: bool = False, fixed: Any = ()) -> Task:
@@ -183,9 +183,9 @@ def search_states(
     direction: Direction = Direction.ASSEMBLY,
     report: Report | None = None,
 ) -> tuple[States, bool]:
-    """States of one beam search, and whether it reached its other end.
+    """Return the states of one beam search, and whether it reached its other end.
 
-    In the direction of assembly each of them is solvable, since the search came to it from the empty structure.
+    In the direction of assembly each of them is solvable, since the search reached it from the empty structure.
 
     Args:
         task: the task.
@@ -224,7 +224,7 @@ def search_several(
     shards: ProcessGroup = ProcessGroup(),
     keep: int | None = None,
 ) -> tuple[States, float]:
-    """States of some narrow searches side by side, each process doing its share of them, and how many came through.
+    """Return the states of narrow searches run side by side over all processes, and how many searches completed.
 
     Args:
         task: the task.
@@ -235,7 +235,7 @@ def search_several(
         seed: of the searches.
         device: where to search.
         shards: processes that share the searches.
-        keep: states to hand back of each, with those that lead to them; None for all.
+        keep: states to return for each search, with those that lead to them; None for all.
 
     Returns:
         Shape (count, parts), and a number of searches.
@@ -272,7 +272,7 @@ def build_dataset(
 
     Args:
         assembly: the structure.
-        task: what is to be learned, as of `task_for`.
+        task: task to learn, as of `task_for`.
         settings: widths and seed.
         oracle: verdicts, whose criterion the data set then names; made if not given.
         device: `auto`, `cpu` or `cuda`.
@@ -281,7 +281,7 @@ def build_dataset(
 
     Raises:
         DependencyError: torch is not installed.
-        InputError: no such device, or the empty structure has no way to the complete one.
+        InputError: no such device, or no path leads from the empty structure to the complete one.
     """
     from falsework.stability import Stability
 
@@ -324,5 +324,5 @@ def build_dataset(
 
 
 def _absent(states: States, others: States) -> Mask:
-    """Which states are not among others. Shape (batch,)."""
+    """Return whether each state is absent from others, shape (batch,)."""
     return StateIndex(np.unique(others, axis=0)).find(states) < 0

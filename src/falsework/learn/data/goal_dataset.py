@@ -44,12 +44,12 @@ _ROUNDS = 8
 _VALIDATION = 5
 """One unseen pair in so many is for validation, at least; so many times fewer of them than test pairs are enough."""
 _THROUGH = 0.25
-"""Share of searches that must come through, or the next ones begin at the other end."""
+"""Share of searches that must complete, or the next ones begin at the other end."""
 
 
 @dataclass(frozen=True)
 class GoalDataSettings:
-    """Which searches make a data set of pairs (paper, section 7.2, Table 4)."""
+    """Searches of a data set of pairs (paper, section 7.2, Table 4)."""
 
     train_width: int = 64
     """Width of the search, in the direction of disassembly, whose states are those to learn from."""
@@ -94,14 +94,14 @@ class GoalDataset:
 
     @property
     def held_out(self) -> States:
-        """Every start and target of test and validation pairs once, never to be learned from. Shape (count, parts)."""
+        """Every start and target of test and validation pairs once, never used for training. Shape (count, parts)."""
         kept = (self.test, self.validation)
         return np.unique(np.concatenate([states for pairs in kept for states in (pairs.states, pairs.targets)]), axis=0)
 
 
 @dataclass(frozen=True, eq=False)
 class SearchStates:
-    """States of the searches of a `GoalDataset`, which take far longer to find than to connect."""
+    """States of the searches of a `GoalDataset`; finding them takes far longer than connecting them."""
 
     train: States
     """Of the first search, shape (count, parts)."""
@@ -155,7 +155,7 @@ class SearchStates:
             )
             more.append(states)
             done += count
-            # What lies behind the point where most searches die out is seen from the other end.
+            # States beyond the point where most searches die out are found from the other end.
             died = way is Direction.DISASSEMBLY and through < _THROUGH * count
             way = Direction.ASSEMBLY if died else Direction.DISASSEMBLY
         return cls(first[0], first[1], np.concatenate(more))
@@ -194,14 +194,14 @@ def build_goal_dataset(
 ) -> GoalDataset:
     """Run the searches of the protocol of Table 4 and draw the pairs.
 
-    The paper's training set is what a search of width 64 from the complete structure finds; unseen pairs come from
-    a search of width 128, and both their states are new. All of them have a way from start to target, which uniformly
-    random legal actions did not find: a table of pairs that these solve says little of a policy. Further searches add
-    states, and with them ways, between which `falsework.learn.data.random_walks.RandomWalkGoals` draws tasks.
+    The paper's training set is what a search of width 64 from the complete structure finds; unseen pairs come from a
+    search of width 128, and both their states are new. For all of them a path leads from start to target that uniformly
+    random legal actions did not find: pairs that these solve say little about a policy. Further searches add states,
+    and with them paths, along which `falsework.learn.data.random_walks.RandomWalkGoals` draws tasks.
 
     Args:
         assembly: the structure.
-        task: taking all of it apart, as of `falsework.learn.data.dataset.task_for`.
+        task: complete disassembly, as of `falsework.learn.data.dataset.task_for`.
         settings: widths, numbers of pairs and seed.
         oracle: verdicts; made if not given.
         device: `auto`, `cpu` or `cuda`.
@@ -242,7 +242,7 @@ def build_goal_dataset(
 def _unseen(
     wider: StateGraph, seen: States, count: int, rules: TensorRules, oracle: TensorOracle, rng: np.random.Generator
 ) -> Pairs:
-    """At most `count` pairs of states of a graph that are not among `seen` and that random actions do not solve."""
+    """Return at most `count` pairs of a graph that are not among `seen` and not solved by random actions."""
     try:
         source = PairSource(wider, held_out=seen)
     except InputError:

@@ -23,7 +23,7 @@ from falsework.utils.tensors import put
 
 _WORD = 64
 _TARGETS = 1024
-"""Targets looked at together."""
+"""Targets processed together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,16 +41,16 @@ class Pairs:
         return len(self.states)
 
     def __getitem__(self, rows: slice | Mask | NDArray[np.intp]) -> Pairs:
-        """Some of them."""
+        """Return some of the pairs."""
         return Pairs(self.states[rows], self.targets[rows], self.valid[rows])
 
     def tensors(self, device: torch.device) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """States, targets and valid actions on a device."""
+        """Return states, targets and valid actions on a device."""
         return put(self.states, device), put(self.targets, device), put(self.valid, device)
 
 
 class PairSource:
-    """Draws pairs of states of one graph between which a way runs inside the graph."""
+    """Sampler of pairs of states of one graph that a path in the graph connects."""
 
     def __init__(self, graph: StateGraph, *, held_out: States | None = None) -> None:
         """Prepare a graph, usually one that was searched in the direction of disassembly.
@@ -84,7 +84,7 @@ class PairSource:
         return self._ends
 
     def draw(self, count: int, rng: np.random.Generator) -> Pairs:
-        """Pairs with targets drawn evenly, and starts drawn evenly from those with a way to the target.
+        """Draw pairs: targets uniformly, and starts uniformly from those with a path to the target.
 
         Args:
             count: how many; fewer come back only if a target has no allowed start.
@@ -102,7 +102,7 @@ class PairSource:
         return joined_pairs(pieces, count)
 
     def one_for_each_end(self, rng: np.random.Generator) -> Pairs:
-        """One pair for every state that can be a target and has an allowed start, in random order."""
+        """Draw one pair for every state that can be a target and has an allowed start, in random order."""
         ends = rng.permutation(self._ends)
         pieces = [self._pairs(ends[begin : begin + _TARGETS], 1, rng) for begin in range(0, len(ends), _TARGETS)]
         return joined_pairs(pieces, len(ends))
@@ -128,7 +128,7 @@ class PairSource:
         return Pairs(graph.states[row], graph.states[ends[column]], valid.astype(bool))
 
     def _leads_to(self, ends: NDArray[np.intp]) -> NDArray[np.uint64]:
-        """From which states a way leads to each end: bit `k` of a row says whether it leads to `ends[k]`.
+        """Return the ends that each state leads to: bit `k` of a row is set if a path leads to `ends[k]`.
 
         Returns:
             Shape (states + 1, words); the last row is empty.
@@ -147,7 +147,7 @@ class PairSource:
 def unsolved_at_random(
     pairs: Pairs, rules: TensorRules, oracle: TensorOracle, known: VerdictTable, tries: int, seed: int = 0
 ) -> Mask:
-    """Try pairs by uniformly random legal actions, and tell which of them never came to their target.
+    """Return which pairs uniformly random legal actions do not solve.
 
     Args:
         pairs: states and targets.
@@ -178,7 +178,7 @@ def _solved_at_random(
     known: VerdictTable,
     generator: torch.Generator,
 ) -> torch.Tensor:
-    """Which rollouts of uniformly random legal actions reach their targets by stable states, shape (batch,)."""
+    """Return which rollouts of uniformly random legal actions reach their targets by stable states, shape (batch,)."""
     states, rows = starts.clone(), torch.arange(len(starts), device=starts.device)
     solved = torch.zeros(len(starts), dtype=torch.bool, device=starts.device)
     while len(rows):
@@ -203,7 +203,7 @@ def _solved_at_random(
 
 
 def joined_pairs(pieces: list[Pairs], count: int | None = None) -> Pairs:
-    """Several lots of pairs as one, all of them or the first `count`."""
+    """Concatenate pairs, all of them or the first `count`."""
     columns = ([getattr(piece, name) for piece in pieces] for name in ("states", "targets", "valid"))
     whole = Pairs(*(np.concatenate(column) for column in columns))
     return whole if count is None else whole[:count]

@@ -1,11 +1,11 @@
-"""Tasks without end: random walks inside a state graph, back from a target or on from a start, on one device.
+"""Unlimited tasks from random walks in a state graph, backwards from a target or forwards from a start, on one device.
 
-A table of pairs holds few targets, and a network overfits them. A walk costs a look-up a step, so every batch
-can have pairs of its own: the two ends of the walk, and the first action on the way from one to the other.
+A table of pairs holds few targets, and a network overfits them. A walk costs one look-up per step, so every batch can
+have new pairs: the two ends of the walk, and the first action on the path from one to the other.
 
-Which way to walk matters. A beam keeps few of the states that it comes to. In the direction of disassembly all of them
-have a way back to the complete structure, but on from most of them there is none; in the direction of assembly it is
-the other way round. A walk against the grain ends after a few steps, and makes a task with nothing to learn from.
+The direction of a walk matters. A beam keeps few of the states that it reaches. In the direction of disassembly a path
+leads from all of them back to the complete structure, but from most of them none leads onward; in the direction of
+assembly it is the reverse. A walk in the wrong direction ends after a few steps, and yields a trivial task.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from falsework.search.problem.state_graph import StateGraph
 from falsework.utils.tensors import put
 
 _TRIES = 8
-"""Times that walks without an allowed start are walked again."""
+"""Number of times that walks without an allowed start are repeated."""
 
 
 class GoalSampler(Protocol):
-    """Draws tasks: states, their targets, and actions that are valid on the way."""
+    """Sampler of tasks: states, their targets, and valid actions towards them."""
 
     def draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """So many tasks.
+        """Draw tasks.
 
         Args:
             count: how many.
@@ -44,7 +44,7 @@ class GoalSampler(Protocol):
 
 
 class RandomWalkGoals:
-    """Draws states, targets and first actions of ways inside one graph; a `GoalSampler`."""
+    """Sampler of states, targets and first actions of paths in one graph; a `GoalSampler`."""
 
     def __init__(self, graph: StateGraph, *, device: torch.device, held_out: States | None = None) -> None:
         """Put a graph on a device; it may come from searches in both directions.
@@ -83,13 +83,14 @@ class RandomWalkGoals:
 
     @property
     def ends(self) -> int:
-        """Number of states that a way can begin or end with."""
+        """Number of states that a path can begin or end with."""
         return len(self._ends)
 
     def draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Ways between a state drawn evenly and another, a walk of random length away, and the actions they begin with.
+        """Draw pairs of a random state and the end of a walk from it, with the first action between them.
 
-        The walk leads back or on, in proportion to how far such walks come on average from that state.
+        The walk goes backwards or forwards, with probabilities proportional to the mean length of such walks from that
+        state.
 
         Args:
             count: how many.
@@ -99,7 +100,7 @@ class RandomWalkGoals:
             States and targets, `uint8`, shape (count, parts), and one valid action each, bool, shape (count, 2 parts).
 
         Raises:
-            InputError: no walk meets a state that is allowed.
+            InputError: no walk reaches a state that is allowed.
         """
         found: list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = []
         missing = count
@@ -120,7 +121,7 @@ class RandomWalkGoals:
         return self._states[start], self._states[end], valid.scatter_(1, action[:, None], True)
 
     def _walk(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Rows of starts and targets, and first actions, -1 where no state on the way is allowed. Shape (count,)."""
+        """Return rows of starts and targets, and first actions, -1 where no state is allowed; shape (count,)."""
         device = self._states.device
         begin = self._ends[torch.randint(len(self._ends), (count,), generator=generator, device=device)]
         shares = torch.rand((2, count), generator=generator, device=device, dtype=torch.float64)
@@ -145,12 +146,12 @@ class RandomWalkGoals:
 
 @dataclass(frozen=True, eq=False)
 class _Reach:
-    """How far walks along edges of one direction come from each state of a graph; all of shape (states,)."""
+    """Lengths of walks along edges of one direction from each state of a graph; all of shape (states,)."""
 
     meets: NDArray[np.bool_]
-    """Whether some walk meets a state that is allowed."""
+    """Whether some walk reaches a state that is allowed."""
     mean: NDArray[np.float64]
-    """Steps until a walk that takes every edge with the same chance can go no further, on average."""
+    """Mean number of steps of a walk that takes every edge with the same probability until it can go no further."""
     longest: NDArray[np.int64]
     """Steps at most."""
 
@@ -158,7 +159,7 @@ class _Reach:
     def over(
         cls, levels: list[slice], near: NDArray[np.int32], far: NDArray[np.int32], allowed: NDArray[np.bool_]
     ) -> _Reach:
-        """Follow edges from `near` to `far`, given as slices in an order in which what lies further comes first."""
+        """Follow edges from `near` to `far`, given as slices farthest first."""
         degree = np.bincount(near, minlength=len(allowed))
         meets = np.zeros(len(allowed), dtype=bool)
         mean, longest = np.zeros(len(allowed)), np.zeros(len(allowed), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""The states known to be solvable: what imitation learns from, growing while a policy is trained."""
+"""Set of states known to be solvable, from which imitation learns, and which grows during training."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _CHUNK = 1 << 16
 
 
 class SolvableStates:
-    """A set of states from which the structure is known to come apart, on one device.
+    """Set of states from which the structure is known to be disassemblable, on one device.
 
     States are identified by their 64-bit hashes alone, those of `StateHash`. Among ten million states and a billion
     look-ups, two hashes collide with a probability of one in two thousand, and a collision costs one wrong sample.
@@ -49,7 +49,7 @@ class SolvableStates:
 
     @property
     def states(self) -> torch.Tensor:
-        """States to learn from and to start from, in the order in which they came, shape (count, parts)."""
+        """States to learn from and to start from, in the order of insertion, shape (count, parts)."""
         return self._states
 
     @property
@@ -59,21 +59,21 @@ class SolvableStates:
 
     @property
     def visited(self) -> int:
-        """Number of test states that rollouts have come across, see `record_visits`."""
+        """Number of test states that rollouts have visited, see `record_visits`."""
         return int(self._visited.sum())
 
     @property
     def held_out_visit_rate(self) -> float:
-        """Share of the test states that rollouts have come across."""
+        """Share of the test states that rollouts have visited."""
         return self.visited / max(self.held_out, 1)
 
     def hashes(self, states: torch.Tensor) -> torch.Tensor:
-        """The hash of each state, int64, shape (batch,)."""
+        """Return the hash of each state, int64, shape (batch,)."""
         pieces = [self.rules.hashes(states[begin : begin + _CHUNK]) for begin in range(0, len(states), _CHUNK)]
         return torch.cat(pieces) if pieces else self._no_hashes()
 
     def add(self, states: torch.Tensor) -> int:
-        """Learn that states are solvable; test states are not stored.
+        """Add states known to be solvable; test states are not stored.
 
         Args:
             states: solvable states, repeated or not, shape (count, parts).
@@ -90,7 +90,7 @@ class SolvableStates:
         ordered, order = torch.sort(hashes, stable=True)
         first = torch.ones_like(ordered, dtype=torch.bool)
         first[1:] = ordered[1:] != ordered[:-1]
-        rows = torch.sort(order[first]).values  # in the order in which they came
+        rows = torch.sort(order[first]).values  # in the order of insertion
         states, hashes = states[rows], hashes[rows]
         self._known = torch.sort(torch.cat([self._known, hashes])).values
         storable = ~in_sorted(self._held_out, hashes)
@@ -99,7 +99,7 @@ class SolvableStates:
         return int(storable.sum())
 
     def hold_out(self, states: torch.Tensor) -> None:
-        """Keep states for testing: they are never stored, and dropped if they are.
+        """Hold out states for testing: they are never stored, and removed if they were.
 
         Args:
             states: shape (count, parts).
@@ -112,7 +112,7 @@ class SolvableStates:
         self._stored = self._stored[~in_sorted(self._held_out, self._stored)]
 
     def is_held_out(self, states: torch.Tensor) -> torch.Tensor:
-        """Which states are kept for testing, bool, shape (batch,)."""
+        """Return which states are held out for testing, bool, shape (batch,)."""
         return in_sorted(self._held_out, self.hashes(states))
 
     def record_visits(self, states: torch.Tensor) -> None:
@@ -128,11 +128,11 @@ class SolvableStates:
             self._visited |= torch.zeros_like(self._visited, dtype=torch.int32).index_add_(0, slot, hit) > 0
 
     def contains(self, states: torch.Tensor) -> torch.Tensor:
-        """Which states are stored, bool, shape (batch,)."""
+        """Return which states are stored, bool, shape (batch,)."""
         return in_sorted(self._stored, self.hashes(states))
 
     def valid_actions(self, states: torch.Tensor, mask: torch.Tensor | None = None) -> torch.Tensor:
-        """Legal actions whose successors are known to be solvable.
+        """Return the legal actions whose successors are known to be solvable.
 
         Args:
             states: shape (batch, parts).
@@ -151,27 +151,27 @@ class SolvableStates:
         return valid
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """All that there is to save, for `load`."""
+        """Return the tensors to save, for `load`."""
         return {"states": self._states, "known": self._known, "held_out": self._held_out, "met": self._visited}
 
     def load(self, tensors: dict[str, torch.Tensor]) -> None:
-        """Go back to what `tensors` gave."""
+        """Restore the tensors that `tensors` returned."""
         moved = {name: tensor.to(self.device) for name, tensor in tensors.items()}
         self._states, self._known = moved["states"], moved["known"]
         self._held_out, self._visited = moved["held_out"], moved["met"].bool()
         self._stored = torch.sort(self.hashes(self._states)).values
 
     def held_out_hashes(self) -> torch.Tensor:
-        """Hashes of test states that are known to be solvable, for other processes to know of. Shape (count,)."""
+        """Return the hashes of test states that are known to be solvable, for other processes; shape (count,)."""
         return self._known[in_sorted(self._held_out, self._known)]
 
     def learn_held_out_hashes(self, hashes: torch.Tensor) -> None:
-        """Take over from other processes which test states are solvable; hashes of other states are not for this."""
+        """Add hashes of test states that other processes found solvable; only hashes of test states are valid."""
         fresh = torch.unique(hashes[~in_sorted(self._known, hashes)])
         self._known = torch.sort(torch.cat([self._known, fresh])).values
 
     def sort(self) -> None:
-        """Put the states into the order of their hashes, which does not depend on who found what first."""
+        """Sort the states by their hashes, an order that does not depend on which process found them first."""
         self._states = self._states[torch.argsort(self.hashes(self._states), stable=True)]
 
     def _no_hashes(self) -> torch.Tensor:

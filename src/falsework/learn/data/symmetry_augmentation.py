@@ -14,10 +14,10 @@ from falsework.utils.tensors import in_sorted, put
 
 
 def symmetric_images(states: States, images: NDArray[np.intp]) -> States:
-    """States and their images under all symmetries of the structure, each once.
+    """Return states and their images under all symmetries of the structure, each once.
 
-    A policy that has learned from an image of a state has learned from the state, so what is held out for tests is
-    held out with its images.
+    A policy that has learned from an image of a state has learned from the state, so test states are held out with
+    their images.
 
     Args:
         states: shape (count, parts).
@@ -33,7 +33,7 @@ def symmetric_images(states: States, images: NDArray[np.intp]) -> States:
 
 
 def turned_states(states: torch.Tensor, images: NDArray[np.intp], most: int) -> torch.Tensor:
-    """States, and after them their images under as many symmetries of the structure as give at most so many states.
+    """Return states, then their images under as many symmetries of the structure as `most` allows.
 
     Args:
         states: shape (count, parts).
@@ -53,7 +53,7 @@ def turned_states(states: torch.Tensor, images: NDArray[np.intp], most: int) -> 
 
 
 class SymmetryAugmentation:
-    """Tasks of another source under symmetries drawn at random; a `GoalSampler`."""
+    """Sampler of tasks of another sampler under symmetries drawn at random; a `GoalSampler`."""
 
     def __init__(
         self, tasks: GoalSampler, images: NDArray[np.intp], *, device: torch.device, held_out: States | None = None
@@ -61,10 +61,11 @@ class SymmetryAugmentation:
         """Put the symmetries on a device.
 
         Args:
-            tasks: what is turned.
+            tasks: sampler whose tasks are transformed.
             images: as of `falsework.assembly.symmetry.symmetries`, shape (symmetries, parts).
             device: where tasks are drawn.
-            held_out: states that no task may begin or end with; what would is left as it was. Shape (count, parts).
+            held_out: states that no task may begin or end with; a task that would is left unchanged. Shape (count,
+                parts).
         """
         parts = images.shape[1]
         self._tasks = tasks
@@ -75,7 +76,7 @@ class SymmetryAugmentation:
         self._held_out = torch.sort(hash_states(kept, self._words)).values
 
     def draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """As `GoalSampler`."""
+        """See `GoalSampler`."""
         drawn = self._tasks.draw(count, generator)
         which = torch.randint(len(self._images), (count,), generator=generator, device=self._images.device)
         image = self._images[which]

@@ -22,7 +22,7 @@ from falsework.utils.tensors import choose_device, put
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What one action each did to a batch of states."""
+    """Result of one action in each of a batch of states."""
 
     states: torch.Tensor
     """`uint8`, shape (batch, parts). Of a row that ended unstable: the state that is not proven stable."""
@@ -42,7 +42,7 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Rollouts:
-    """What became of a batch of rollouts."""
+    """Outcome of a batch of rollouts."""
 
     states: torch.Tensor
     """`uint8`, shape (steps + 1, batch, parts). Row `t` of a rollout that ended before is its last state again. If only
@@ -55,7 +55,7 @@ class Rollouts:
     """Target reached. `bool`, shape (batch,)."""
     unstable: torch.Tensor
     """Ended by an action after which stability is not proven; the last state is then that one. `bool`, shape (batch,).
-    What is neither success nor unstable came to a state without a legal action."""
+    A rollout that is neither ended in a state without a legal action."""
 
     @property
     def stuck(self) -> torch.Tensor:
@@ -68,7 +68,7 @@ class Rollouts:
         return self.states[-1]
 
     def passed(self) -> torch.Tensor:
-        """Which of `states` are proven stable and not repetitions of the end. `bool`, shape (steps + 1, batch).
+        """Return which of `states` are proven stable and not repetitions of the end. `bool`, shape (steps + 1, batch).
 
         Only if all states were kept.
         """
@@ -95,7 +95,7 @@ class EnvironmentCounters:
     """In masks, transitions and rewards."""
 
     def to_dict(self) -> dict[str, int | float]:
-        """Plain numbers for reports, with the share of each kind of work in their sum."""
+        """Return plain numbers for reports, with the share of each kind of work in their sum."""
         numbers = asdict(self)
         seconds = {name: value for name, value in numbers.items() if name.startswith("seconds_")}
         total = sum(seconds.values())
@@ -133,7 +133,7 @@ class Environment:
             fixed: parts that are never touched.
 
         Raises:
-            DependencyError: what the device needs is not installed.
+            DependencyError: a package that the device needs is not installed.
             InputError: no such device, fewer than one robot, or a fixed part that does not exist.
         """
         self.assembly = assembly
@@ -172,7 +172,7 @@ class Environment:
         Args:
             states: `uint8` on the device, shape (batch, parts).
             parents: for each a stable state that is one action away, shape (batch, parts); lets the solver on the
-                processor start from what it knows.
+                processor start from its solution.
             needed: rows that need a verdict; the others are returned as stable. All if None. Shape (batch,).
 
         Returns:
@@ -251,7 +251,7 @@ class Environment:
 
 
 def _tensor_oracle(oracle: Oracle, device: torch.device) -> TensorOracle:
-    """The solver on the device, unless the oracle is set to be exact, or is of another kind.
+    """Return the solver on the device, unless the oracle is set to be exact, or is of another kind.
 
     An oracle for the processor, which is the default, says nothing about where rollouts are to be judged: states would
     leave the device at every step, and a GPU would wait for two cores.

@@ -152,7 +152,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         return self._observe(), float(success) - float(failed), success or failed, False, info
 
     def action_masks(self) -> Mask:
-        """Legal actions, shape (2 parts,); under the name that sb3-contrib's MaskablePPO expects."""
+        """Return the legal actions, shape (2 parts,); under the name that sb3-contrib's MaskablePPO expects."""
         return self._mask.copy()
 
     def render(self) -> str | None:  # type: ignore[override]
@@ -197,7 +197,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         return self._checked(states)
 
     def _checked(self, states: States) -> States:
-        """Start states, each with a way to the target as far as the rules go, and something to do."""
+        """Return the start states, checked for a path to the target under the rules and a legal action."""
         between = self._task.contains(states)
         if not between.all():
             row = int(np.argmin(between))

@@ -13,12 +13,12 @@ from falsework.learn.env.environment import Environment, Rollouts, Step
 
 
 class PolicyFunction(Protocol):
-    """Proposes actions and says how good states are; every policy of `falsework.learn.networks.policy` is one."""
+    """Policy and value function; every policy of `falsework.learn.networks.policy` is one."""
 
     def __call__(
         self, states: torch.Tensor, targets: torch.Tensor | None = None, /
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Logits, not masked, shape (batch, 2 parts), and values in [-1, 1], shape (batch,)."""
+        """Return logits, not masked, shape (batch, 2 parts), and values in [-1, 1], shape (batch,)."""
         ...
 
 
@@ -41,7 +41,7 @@ class Move:
     actions: torch.Tensor
     """Shape (going,)."""
     step: Step
-    """What they did."""
+    """Result of the actions."""
 
 
 def choose_actions(
@@ -52,13 +52,13 @@ def choose_actions(
     temperature: float = 1.0,
     generator: torch.Generator | None = None,
 ) -> torch.Tensor:
-    """One legal action a row, the most probable one or one that is drawn.
+    """Return one legal action per row, the most probable one or a sampled one.
 
     Args:
         logits: shape (batch, 2 parts).
         mask: legal actions, at least one a row, shape (batch, 2 parts).
         greedy: take the most probable.
-        temperature: what logits are divided by before drawing.
+        temperature: divisor of the logits before sampling.
         generator: source of randomness, on the device of the logits.
 
     Returns:
@@ -109,7 +109,7 @@ def play(
 def _ask(
     environment: Environment, policy: PolicyFunction, states: torch.Tensor, targets: torch.Tensor | None
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Logits and values, in ever smaller pieces where memory runs out."""
+    """Return logits and values, in smaller and smaller pieces if memory runs out."""
     while True:
         try:
             return evaluate(policy, states, targets, environment.rows_at_once)
@@ -124,7 +124,7 @@ def _ask(
 def evaluate(
     policy: PolicyFunction, states: torch.Tensor, targets: torch.Tensor | None = None, rows_at_once: int = 1 << 13
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Logits and values of many states without gradients, in pieces; shapes as in `PolicyFunction`, `float32`."""
+    """Return logits and values of many states without gradients; shapes as in `PolicyFunction`, `float32`."""
     pieces = [
         policy(states[rows], None if targets is None else targets[rows])
         for rows in (slice(begin, begin + rows_at_once) for begin in range(0, len(states), rows_at_once))
@@ -154,7 +154,7 @@ def roll_out(
         starts: stable, `uint8` on the device, shape (batch, parts).
         targets: shape (batch, parts), or None.
         greedy: take the most probable action; otherwise draw one.
-        temperature: what logits are divided by before drawing.
+        temperature: divisor of the logits before sampling.
         generator: source of randomness for drawing; same state of it, same rollouts.
         keep: `all` states and actions, or only the `ends`, which takes little memory.
 

@@ -16,11 +16,10 @@ _MOST = 1 << 23
 
 
 class VerdictTable:
-    """Remembers verdicts of states on a device; a lookup is a handful of operations on whole batches.
+    """Verdict table on a device; a lookup is a handful of operations on whole batches.
 
-    A hash table with one place for each slot: a new state puts out the one that was there, so memory is bounded and
-    nothing is ever rehashed. States themselves are compared, not hashes, so that what it says was proven of this
-    very state.
+    A hash table with one place for each slot: a new state replaces the previous one, so memory is bounded and nothing
+    is ever rehashed. States themselves are compared, not hashes, so that a verdict was proven for exactly this state.
     """
 
     def __init__(self, rules: TensorRules, *, memory: int = 0) -> None:
@@ -32,7 +31,7 @@ class VerdictTable:
         self._slots = slots
         # Sums of random words, taken from the top bits; which of several states a slot holds is all that depends on it.
         self._words = mix(torch.arange(rules.part_count, device=rules.device), 1)
-        # One place more, where rows write that have nothing to say.
+        # One extra slot, written by rows without a result.
         self._states = torch.zeros((slots + 1, rules.part_count), dtype=torch.uint8, device=rules.device)
         self._verdict = torch.zeros(slots + 1, dtype=torch.int8, device=rules.device)
         self._ticket = torch.zeros(slots + 1, dtype=torch.int64, device=rules.device)
@@ -46,15 +45,15 @@ class VerdictTable:
         *,
         final: bool = True,
     ) -> torch.Tensor:
-        """Which states are proven stable; asks for what is not known, every distinct state once.
+        """Return which states are proven stable; requests each unknown verdict once per distinct state.
 
-        Waits for the device once, to learn how many states have to be asked about.
+        Waits for the device once, to read the number of unknown states.
 
         Args:
             states: shape (batch, parts).
             needed: rows that need a verdict, the others count as stable; all if None. Shape (batch,).
             ask: given states `(asked, parts)` and their rows `(asked,)`, returns a `Verdict` each, `(asked,)`.
-            final: remember what is left open as not stable; otherwise it is not remembered.
+            final: store undecided states as not stable; otherwise they are not stored.
 
         Returns:
             `bool`, shape (batch,).

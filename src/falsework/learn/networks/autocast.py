@@ -13,8 +13,8 @@ from falsework.learn.networks.policy import Policy
 class Network(torch.nn.Module):
     """A policy evaluated in the precision chosen for its device: the only place where precision is lowered.
 
-    The setting is passed to the calls of the network alone. Nothing global is changed, since the solver's iterations do
-    not come to an end in less than float32.
+    The setting is passed to the calls of the network alone. No global setting is changed, since the solver's iterations
+    do not converge in less than float32.
     """
 
     def __init__(self, policy: Policy, precision: str = "float32", *, compiled: bool = False) -> None:
@@ -30,11 +30,11 @@ class Network(torch.nn.Module):
         self.settings = policy.settings
         self._half = precision == "bfloat16"
         call: Any = torch.compile(policy) if compiled else policy
-        # Hidden from torch in a tuple: the compiled module is no second set of weights.
+        # Hidden from torch in a tuple: the compiled module has no second set of weights.
         self._call = (call,)
 
     def forward(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """As `Policy`; both results in float32."""
+        """See `Policy`; both results in float32."""
         with torch.autocast(states.device.type, torch.bfloat16) if self._half else nullcontext():
             logits, value = self._call[0](states, targets)
         return logits.float(), value.float()

@@ -46,7 +46,7 @@ def make_policy(
 
 
 def describe(policy: nn.Module) -> dict[str, Any]:
-    """Kind, sizes and number of weights of a policy, as plain JSON values."""
+    """Return kind, sizes and number of weights of a policy, as plain JSON values."""
     inner = getattr(policy, "_orig_mod", policy)  # what torch.compile wrapped
     assert isinstance(inner, Policy)
     return {
@@ -68,12 +68,12 @@ def transfer(
         device: where the new policy lives.
 
     Raises:
-        InputError: the weights know the parts of their structure by number, or are of another network.
+        InputError: the network identifies parts by number, or the weights are of another network.
     """
     if not settings.transfers:
         raise InputError(
-            f"a policy of kind {settings.kind} that reads the parts by their number fits its own structure only; train "
-            "another kind"
+            f"a policy of kind {settings.kind} that identifies parts by their number fits its own structure only; "
+            "train another kind"
         )
     policy = make_policy(assembly, settings, "cpu")
     try:
@@ -86,7 +86,7 @@ def transfer(
 
 
 def share(policy: Policy, assembly: Assembly) -> Policy:
-    """A policy for another structure that uses the very same weights: training one trains the other.
+    """Make a policy for another structure that shares the weights: training one trains the other.
 
     Raises:
         InputError: as `transfer`.

@@ -1,7 +1,8 @@
-"""The force-torque graph of a structure: what is in balance with what (paper, section 5.4 and figure 8).
+"""Force-torque graph of a structure: the quantities in its equilibrium equations (paper, section 5.4 and figure 8).
 
-Balance of a part says that forces and torques on it add up to zero. The graph has a node for each of these words:
-parts, forces between parts, and the torque of a force at a contact point about the centre of each of the two parts.
+Balance of a part says that forces and torques on it add up to zero. The graph has nodes for the three kinds of
+quantities: parts, forces between parts, and the torque of a force at a contact point about the centre of each of the
+two parts.
 
 - Part: one for each part; held, in the target, mass.
 - Force: one for each distinct contact normal of two parts that touch; the normal.
@@ -9,8 +10,8 @@ parts, forces between parts, and the torque of a force at a contact point about 
 
 Edges run both ways: torque and its part, torque and its force, the two torques of one contact point, force and each of
 its two parts (of two kinds: the normal points into the part, or out of it), and each part to all others; every node has
-one to itself. The graph is built once for a structure. A state changes no edge of it: it switches nodes off, and a node
-is there if all its parts are.
+one to itself. The graph is built once for a structure. A state changes no edge of it: it disables nodes, and a node is
+present if all its parts are.
 """
 
 from __future__ import annotations
@@ -120,15 +121,15 @@ class ForceTorqueGraph:
         return 2 * len(self.point_force)
 
     def torque_parts(self) -> NDArray[np.int32]:
-        """Part about which each torque is, shape (torques,)."""
+        """Return the part about which each torque is, shape (torques,)."""
         return self.force_parts[self.point_force].reshape(-1)
 
     def torque_forces(self) -> NDArray[np.int32]:
-        """Force that exerts each torque, shape (torques,)."""
+        """Return the force that exerts each torque, shape (torques,)."""
         return np.repeat(self.point_force, 2)
 
     def edges(self) -> dict[tuple[str, str, str], NDArray[np.int64]]:
-        """All edges, written out: (from, kind, to) to an array of shape (edges, 2), self loops aside.
+        """Return all edges explicitly: (from, kind, to) to an array of shape (edges, 2), self loops aside.
 
         For pictures and tests; the network works on `grid`.
         """
@@ -149,13 +150,13 @@ class ForceTorqueGraph:
         return {kind: np.ascontiguousarray(pairs, dtype=np.int64) for kind, pairs in every.items()}
 
     def present(self, states: NDArray[np.uint8]) -> dict[str, NDArray[np.bool_]]:
-        """Which nodes are there in each state: `part` (batch, parts), `force` and `torque` likewise."""
+        """Return which nodes are present in each state: `part` (batch, parts), `force` and `torque` likewise."""
         part = states != 0
         force = part[:, self.force_parts].all(axis=2)
         return {"part": part, "force": force, "torque": force[:, self.torque_forces()]}
 
     def grid(self) -> TorqueGrid:
-        """Torque nodes in rows of equal length, each of one force, so that most of the work needs no index.
+        """Arrange torque nodes in rows of equal length, each of one force, so that most of the work needs no index.
 
         The length is the one that wastes least, counting two slots for every row.
         """
@@ -202,7 +203,7 @@ def _clusters(normals: NDArray[np.float64], areas: NDArray[np.float64], angle: f
 
 
 def _spread(points: NDArray[np.float64], count: int) -> NDArray[np.int64]:
-    """Indices of points far from each other, first the one farthest from the middle."""
+    """Return indices of points far from each other, first the one farthest from the middle."""
     size = np.ptp(points, axis=0).max()
     distance = np.linalg.norm(points - points.mean(axis=0), axis=1)
     chosen: list[int] = []

@@ -1,9 +1,9 @@
 """Geometric features of parts and pairs of parts, the input of a policy network.
 
 All of it is invariant to translation and to the unit of length, and made once for a structure. Lengths are in units of
-a typical part, so that a joint looks the same in a small structure and in a large one. Where a part stands in the
-structure is left out, but for its height: a network would learn to know parts by their place, not by what is around
-them, and nothing of that holds for another structure.
+a typical part, so that a joint looks the same in a small structure and in a large one. The position of a part in the
+structure is omitted, except for its height: a network would learn to identify parts by position, not by their
+surroundings, which does not transfer to another structure.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class PartFeatures:
     part: NDArray[np.float32]
     """Shape (parts, PART_FEATURES): height, mass, extents, and how contacts surround the part."""
     pair: NDArray[np.float32]
-    """Shape (parts, parts, PAIR_FEATURES): what part `i` (first index) sees of part `j`."""
+    """Shape (parts, parts, PAIR_FEATURES): part `j` relative to part `i` (first index)."""
     ports: NDArray[np.float32]
-    """Shape (PORTS, parts, parts): share of part `i`'s contact area that it has with part `j`; all of it, and
-    what presses on it towards +x, -x, +y, -y, +z (carries it), -z (rests on it)."""
+    """Shape (PORTS, parts, parts): share of part `i`'s contact area that it has with part `j`; all of it, and the share
+    of contacts that press on it towards +x, -x, +y, -y, +z (carries it), -z (rests on it)."""
     boundary: NDArray[np.bool_]
     """Shape (parts,)."""
 
@@ -114,7 +114,7 @@ class PartFeatures:
 
 
 def _contact_centres(assembly: Assembly) -> NDArray[np.float64]:
-    """Mean of the points of every contact, shape (contacts, 3)."""
+    """Return the mean of the points of every contact, shape (contacts, 3)."""
     contacts = assembly.contacts
     count = np.maximum(np.diff(contacts.start), 1)
     sums = np.stack([np.bincount(contacts.contact_of_point, column, len(contacts)) for column in contacts.points.T])

@@ -1,10 +1,10 @@
 """Attention on the force-torque graph: the network of the paper (section 5.4).
 
-In every layer each node takes, along each kind of edge, an attention-weighted mean of its neighbours, and adds up what
-the kinds bring. The weight of neighbour `j` of node `i` is the softmax over the neighbours of `LeakyReLU(s_j + d_i)`,
-with `s` and `d` linear in the features (graph attention; the product of its vector and matrix is learned as one).
+In every layer each node takes, along each kind of edge, an attention-weighted mean of its neighbours, and sums over the
+kinds. The weight of neighbour `j` of node `i` is the softmax over the neighbours of `LeakyReLU(s_j + d_i)`, with `s`
+and `d` linear in the features (graph attention; the product of its vector and matrix is learned as one).
 
-What makes it fast is that little of that is attention. A torque has one part, one force and one partner, and a force
+It is fast because little of that is attention. A torque has one part, one force and one partner, and a force
 has one part on either side: softmax over one neighbour is 1, so these are plain products of matrices. Real attention is
 needed into forces (from torques) and into parts (from torques, forces of either kind, and parts). Torques lie on a grid
 of rows, each of one force, so that sums over torques are sums over axes; rows and parts, some hundred of them, meet in
@@ -26,7 +26,7 @@ from falsework.learn.networks.policy import Policy
 _SLOPE = 0.2
 """Of LeakyReLU below zero, as usual for graph attention."""
 _CHUNK_BYTES = {"cpu": 2**26, "cuda": 2**30}
-"""RingBuffer for the features of torques of states that are only evaluated; larger batches go in pieces."""
+"""Memory for the features of torques of states that are only evaluated; larger batches are split."""
 
 
 class GraphAttentionPolicy(Policy):
@@ -62,7 +62,7 @@ class GraphAttentionPolicy(Policy):
             nn.init.zeros_(head.bias)
 
     def forward(self, states: Tensor, targets: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """As `Policy`; batches that need no gradient go in pieces that fit into memory."""
+        """See `Policy`; batches that need no gradient go in pieces that fit into memory."""
         kinds = self.numbers(states, targets)
         chunk = max(
             1, _CHUNK_BYTES[states.device.type] // (4 * self.levers[..., 0].numel() * self.settings.channels + 1)
@@ -89,7 +89,7 @@ class GraphAttentionPolicy(Policy):
         return logits, torch.tanh(value).squeeze(-1)
 
     def part_inputs(self, kinds: Tensor) -> tuple[Tensor, Tensor]:
-        """Features of part nodes, shape (batch, parts, 3 or 4), and which are there, shape (batch, parts)."""
+        """Return features of part nodes, shape (batch, parts, 3 or 4), and their presence, shape (batch, parts)."""
         if self.settings.goal_conditioned:
             state, goal = kinds // 3, kinds % 3
             flags = [state >= 2, goal >= 1, goal == 2]
@@ -101,7 +101,7 @@ class GraphAttentionPolicy(Policy):
 
 
 class _Topology(nn.Module):
-    """Who belongs to whom: rows of torques, forces and parts, as constant 0-1 matrices and as numbers."""
+    """Incidence of rows of torques, forces and parts, as constant 0-1 matrices and as indices."""
 
     row_part: Tensor
     """Shape (2 rows, parts): part of each side of a row."""
@@ -131,7 +131,7 @@ class _Topology(nn.Module):
         self.register_buffer("others", ~torch.eye(graph.part_count, dtype=torch.bool), persistent=False)
 
     def masks(self, present: Tensor) -> _There:
-        """Which nodes are there, from which parts are, shape (batch, parts)."""
+        """Return which nodes are present, from the presence of parts, shape (batch, parts)."""
         absent = (~present).to(self.into.dtype)[..., None]
         force = ((self.into + self.out_of) @ absent) == 0
         row = (self.row_force @ force.to(self.into.dtype)) > 0.5
@@ -140,15 +140,15 @@ class _Topology(nn.Module):
     def attention(
         self, relation: str, says: Tensor, asks: Tensor, features: Tensor, there: Tensor, matrix: Tensor
     ) -> Tensor:
-        """What nodes hear from the many that belong to them.
+        """Return the attention-weighted messages to nodes with several neighbours.
 
         Args:
             relation: `row_part`, `row_force`, `out_of` or `into`.
-            says: share of a score that the sender knows, shape (batch, rows or forces, ..., heads).
-            asks: share that the receiver knows, shape (batch, receivers, heads).
+            says: part of a score that depends on the sender, shape (batch, rows or forces, ..., heads).
+            asks: part that depends on the receiver, shape (batch, receivers, heads).
             features: of the senders, shape (batch, rows or forces, ..., channels).
-            there: which senders are, shape (batch, rows or forces, ..., 1).
-            matrix: what is done with the mean, shape (heads, channels, channels / heads).
+            there: which senders are present, shape (batch, rows or forces, ..., 1).
+            matrix: linear map of the mean, shape (heads, channels, channels / heads).
 
         Returns:
             Shape (batch, receivers, channels); zero for a receiver without senders.
@@ -195,7 +195,7 @@ class _Norm(nn.LayerNorm):
         return super().forward(features) if features.device.type == "cpu" else self.by_products(features)
 
     def by_products(self, features: Tensor) -> Tensor:
-        """The same in the type of the features."""
+        """Return the same in the type of the features."""
         count = features.shape[-1]
         mean = features.new_full((count, count), 1.0 / count)
         off = features - features @ mean
@@ -204,15 +204,15 @@ class _Norm(nn.LayerNorm):
 
 
 class _Layer(nn.Module):
-    """One round of messages along all kinds of edges; normed before, added to what came in."""
+    """One round of message passing along all kinds of edges, with pre-normalisation and a residual connection."""
 
     def __init__(self, channels: int, heads: int, last: bool) -> None:
         super().__init__()
         c, h = channels, heads
         self.heads = heads
         self.norm_part, self.norm_force, self.norm_torque = (_Norm(c) for _ in range(3))
-        # To itself; the bias serves the node. Then what senders and receivers say for the weights of attention, and
-        # what is done with the mean, head by head.
+        # Self loop, with the bias of the node; then the sender and receiver terms of the attention scores, and the
+        # linear # map of the mean, head by head.
         self.part_self = nn.Linear(c, c)
         self.torque_sends = nn.Linear(c, h if last else 2 * h, bias=False)
         self.force_sends = nn.Linear(c, 2 * h, bias=False)
@@ -241,7 +241,7 @@ class _Layer(nn.Module):
         return part + elu(change), force, torque
 
     def _between_parts(self, p: Tensor, asks: Tensor, topology: _Topology, there: _There) -> Tensor:
-        """Attention of every part to all others that are there."""
+        """Compute the attention of every part to all other present parts."""
         says = self.part_sends(p).transpose(1, 2)
         score = leaky_relu(says[:, :, None, :] + asks.transpose(1, 2)[..., None], _SLOPE).float()
         seen = there.part[:, None, None, :] & topology.others
@@ -251,7 +251,7 @@ class _Layer(nn.Module):
 
 
 class _Inward(nn.Module):
-    """The half of a layer that leads into forces and torques, which the last layer does not need."""
+    """The half of a layer with messages into forces and torques, which the last layer does not need."""
 
     def __init__(self, channels: int, heads: int) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The paper's baseline: layers of perceptrons that see a state as a plain vector."""
+"""Multilayer perceptron over the state as a plain vector, the paper's baseline."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from falsework.learn.networks.policy import Policy
 
 
 class MlpPolicy(Policy):
-    """Three layers of 64 tanh by default; knows parts by their number and nothing of geometry."""
+    """Multilayer perceptron without geometry, by default three layers of 64 tanh units."""
 
     def __init__(self, assembly: Assembly, settings: PolicySettings) -> None:
         """Make the layers for the parts of an assembly."""
@@ -29,6 +29,6 @@ class MlpPolicy(Policy):
             nn.init.zeros_(head.bias)
 
     def forward(self, states: Tensor, targets: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """As `Policy`."""
+        """See `Policy`."""
         x = self.trunk(self.classes(states, targets).flatten(1).to(self.action_head.weight.dtype))
         return self.action_head(x).float(), torch.tanh(self.value_head(x).float()).squeeze(-1)

@@ -1,20 +1,20 @@
-"""Attention between the parts of a structure: the network of policies above 20 parts and of transfer.
+"""Transformer over the parts of a structure: the default network above 20 parts, and for transfer.
 
-Each part is a token: what it is in the state (removed, installed, held, boundary; by its value in the target), how much
-of its contacts is with neighbours in each of these, and its own geometry. Parts attend to each other with a bias for
-each pair that a small network makes from the geometry of the pair (offset, contact, normal, area, hops in the contact
-graph). Nothing knows a part by its number, so the network is equivariant to renumbering
-parts, invariant to translation and to the unit of length, and its weights fit any structure. Removed parts stay in as
-tokens: a gap is worth knowing of.
+Each part is a token: its condition in the state (removed, installed, held, boundary; by its value in the target), the
+share of its contacts with neighbours in each condition, and its own geometry. Parts attend to each other with a bias
+for each pair that a small network makes from the geometry of the pair (offset, contact, normal, area, hops in the
+contact graph). No input identifies a part by number, so the network is equivariant to renumbering parts, invariant to
+translation and to the unit of length, and its weights fit any structure. Removed parts remain as tokens, since gaps are
+informative.
 
 The bias depends on the structure and the weights alone, so one array of shape (heads, parts, parts) serves the whole
 batch, and there are no masks by state: every layer is four products of matrices and one fused attention.
 
 Cost, for `L` layers, `m` parts, `c` channels and `e c` hidden ones: `L (2 m c^2 (4 + 2 e) + 4 m^2 c)` operations a
-state forward, three times that with the backward pass. For 62 parts, 4 layers, 128 channels, `e = 2`: 73 and 219
-MFLOP. 200,000 states a second are then 44 TFLOP/s, a twentieth of what an H200 does in bfloat16. What limits it is
-memory: some 75 passes over the activations of a token in each layer, forward and backward together, are
-62 x 128 x 2 byte x 75 x 4 = 4.8 MB a state, of which 4.8 TB/s carry a million a second at the very best.
+state forward, three times that with the backward pass. For 62 parts, 4 layers, 128 channels, `e = 2`: 73 and 219 MFLOP.
+200,000 states a second are then 44 TFLOP/s, a twentieth of what an H200 does in bfloat16. The bottleneck is memory
+bandwidth: some 75 passes over the activations of a token in each layer, forward and backward together, are 62 x 128 x 2
+byte x 75 x 4 = 4.8 MB a state, of which 4.8 TB/s carry a million a second at the very best.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from falsework.learn.networks.policy import Policy
 
 
 class PartTransformerPolicy(Policy):
-    """Transformer over parts with a bias of attention from the geometry of pairs."""
+    """Transformer over parts with an attention bias from the geometry of pairs."""
 
     part_features: Tensor
     pair_features: Tensor
@@ -67,7 +67,7 @@ class PartTransformerPolicy(Policy):
             nn.init.zeros_(head.bias)
 
     def forward(self, states: Tensor, targets: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """As `Policy`."""
+        """See `Policy`."""
         sizes = self.settings
         batch, parts = states.shape
         kinds = self.classes(states, targets).to(self.ports.dtype)
@@ -88,10 +88,10 @@ class PartTransformerPolicy(Policy):
 
 
 def _attention_for_any_batch(x: Tensor) -> AbstractContextManager[object]:
-    """Kernels of attention for batches of all sizes, as rollouts have them that end one by one.
+    """Select attention kernels for batches of any size, as in rollouts that end one by one.
 
     On a GPU the first choice of torch is cuDNN, which makes a plan for every new size of batch: 40 ms, of which a
-    rollout would wait at each of its steps. Batches that are learned from have one size, so there it may choose.
+    rollout would wait at each of its steps. Training batches have one size, so cuDNN may be chosen there.
     """
     if not x.is_cuda or torch.is_grad_enabled():
         return nullcontext()
@@ -99,7 +99,7 @@ def _attention_for_any_batch(x: Tensor) -> AbstractContextManager[object]:
 
 
 class _Block(nn.Module):
-    """Attention and a feed-forward layer, each normed before and added to what came in."""
+    """Attention and a feed-forward layer, each with pre-normalisation and a residual connection."""
 
     def __init__(self, channels: int, sizes: PolicySettings) -> None:
         super().__init__()

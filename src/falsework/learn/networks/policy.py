@@ -1,7 +1,7 @@
 """Policies: networks that propose the next action from any state of a structure (paper, section 5.4).
 
-A policy is a `torch.nn.Module` called as `policy(states, targets=None) -> (logits, value)`; its logits know nothing of
-the rules, which come as a mask (`falsework.search.device.rules`).
+A policy is a `torch.nn.Module` called as `policy(states, targets=None) -> (logits, value)`; its logits ignore the
+rules, which are applied as a mask (`falsework.search.device.rules`).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from falsework.learn.config.policy import PolicySettings
 class Policy(nn.Module):
     """Base of all networks: the parts of the structure, and the encoding of states.
 
-    What belongs to the structure is kept in buffers that `state_dict` leaves out, so that the weights of a network
-    that knows no part by its number load into the network of any other structure.
+    Data of the structure are kept in buffers that `state_dict` omits, so that the weights of a network that does not
+    identify parts by number load into the network of any other structure.
     """
 
     fixed: Tensor
@@ -32,7 +32,7 @@ class Policy(nn.Module):
         self.keep("fixed", torch.tensor(assembly.boundary.tolist(), dtype=torch.bool))
 
     def keep(self, name: str, tensor: Tensor) -> None:
-        """Register what belongs to the structure, not to the weights."""
+        """Register a tensor that belongs to the structure, not to the weights."""
         self.register_buffer(name, tensor, persistent=False)
 
     @property
@@ -41,12 +41,12 @@ class Policy(nn.Module):
         return 12 if self.settings.goal_conditioned else 4
 
     def numbers(self, states: Tensor, targets: Tensor | None) -> Tensor:
-        """Class of every part: removed 0, installed 1, held 2, boundary 3; of two states, 3 times that plus the target.
+        """Return the class of every part: removed 0, installed 1, held 2, boundary 3; times 3 plus the goal, if any.
 
         Args:
             states: uint8, shape (batch, parts).
-            targets: uint8, shape (batch, parts); for a policy of two states, None is the empty structure. A policy
-                of one state takes no notice of it.
+            targets: uint8, shape (batch, parts); for a goal-conditioned policy, None is the empty structure. Other
+                policies ignore it.
 
         Returns:
             Shape (batch, parts), int32.
@@ -60,12 +60,12 @@ class Policy(nn.Module):
         return number
 
     def classes(self, states: Tensor, targets: Tensor | None) -> Tensor:
-        """The same one-hot, shape (batch, parts, kinds_of_part), bool."""
+        """Return the same one-hot, shape (batch, parts, kinds_of_part), bool."""
         numbers = self.numbers(states, targets)
         return numbers[..., None] == torch.arange(self.kinds_of_part, device=states.device, dtype=numbers.dtype)
 
     def forward(self, states: Tensor, targets: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Logits of all actions and an estimate of success.
+        """Return logits of all actions and an estimate of success.
 
         Args:
             states: uint8, shape (batch, parts).

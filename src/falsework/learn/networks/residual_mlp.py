@@ -1,8 +1,8 @@
-"""Residual layers over a state as a plain vector: little geometry, little cost, and so very many rollouts a second.
+"""Residual network over the state as a plain vector: no geometry, little cost, and therefore many rollouts per second.
 
 A policy for one structure need not know why a part is where it is; it can learn from millions of rollouts which actions
-end well. This network knows every part by its number, costs a handful of matrix products a state, and so sees an order
-of magnitude more rollouts in the same time than networks that attend to geometry. It does not transfer.
+end well. This network identifies every part by its number, costs a handful of matrix products a state, and so sees an
+order of magnitude more rollouts in the same time than networks that attend to geometry. It does not transfer.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from falsework.learn.networks.policy import Policy
 
 
 class ResidualMlpPolicy(Policy):
-    """Layers of a norm and two matrices, each added to what came in."""
+    """Residual blocks of a norm and two matrices."""
 
     def __init__(self, assembly: Assembly, settings: PolicySettings) -> None:
         """Make the layers for the parts of an assembly."""
@@ -35,7 +35,7 @@ class ResidualMlpPolicy(Policy):
             nn.init.zeros_(head.bias)
 
     def forward(self, states: Tensor, targets: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """As `Policy`."""
+        """See `Policy`."""
         x = self.state_in(self.classes(states, targets).flatten(1).to(self.state_in.weight.dtype))
         for layer in self.layers:
             x = x + layer(x)

@@ -37,10 +37,10 @@ class TrainingBudget:
             minutes: time for everything, unless `steps` says how many.
             steps: steps of the optimizer in place of a time.
             shards: processes, of which the first has the clock.
-            device: for what they exchange.
+            device: for exchanged tensors.
         """
         self.before = 0.0
-        """Seconds spent in earlier pieces of this run."""
+        """Seconds spent in earlier sessions of this run."""
         self.stopped = False
         """A signal has asked this process to stop."""
         self._budget, self._steps = 60.0 * minutes, steps
@@ -50,7 +50,7 @@ class TrainingBudget:
 
     @property
     def seconds(self) -> float:
-        """Seconds spent on this run so far, of earlier pieces too; by the clock of this process."""
+        """Seconds spent on this run so far, earlier sessions included; by the clock of this process."""
         return self.before + time.perf_counter() - self._begun
 
     def progress(self, steps: int) -> float:
@@ -84,18 +84,18 @@ class TrainingBudget:
         return summed([float(self.stopped)], self._shards, self._device)[0] > 0
 
     def state_dict(self) -> dict[str, float]:
-        """Return what a checkpoint needs."""
+        """Return the state for a checkpoint."""
         return {"seconds": self.seconds, "slope": self._slope}
 
     def load_state_dict(self, state: dict[str, float]) -> None:
-        """Go on after an interruption."""
+        """Restore the state after an interruption."""
         self.before = float(state["seconds"])
         self._begun = time.perf_counter()
         self._last, self._slope, self._took = 0.0, float(state["slope"]), 0
 
     @contextlib.contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Let the first SIGINT or SIGTERM ask for a stop in good order; a second one acts as ever."""
+        """Let the first SIGINT or SIGTERM ask for a stop in good order; a second one has its default effect."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return

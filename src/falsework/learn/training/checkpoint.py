@@ -43,11 +43,11 @@ class Run:
     policy: policies.Policy
     """Policy with the trained weights, in evaluation mode."""
     metadata: dict[str, Any]
-    """What `run.json` says."""
+    """Contents of `run.json`."""
 
 
 def describe_structure(assembly: Assembly, source: Mapping[str, Any]) -> dict[str, Any]:
-    """What a run says of its structure: enough to load it again and to notice if it is another one.
+    """Return the description of a structure in a run: enough to reload it and to detect another one.
 
     Args:
         assembly: the structure.
@@ -102,7 +102,7 @@ def read_run(folder: Path) -> dict[str, Any]:
     try:
         content = parse_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise InputError(f"{folder} is no run: it has no {FILE}; falsework train makes one") from None
+        raise InputError(f"{folder} is not a run: it has no {FILE}; falsework train makes one") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path} is damaged ({error}); train again") from None
     found = content.get("format") if isinstance(content, dict) else None
@@ -124,7 +124,7 @@ def settings_of(metadata: Mapping[str, Any]) -> TrainSettings:
 
 
 def load_structure_of(folder: Path, metadata: Mapping[str, Any]) -> Assembly:
-    """The structure that a run was trained for, loaded from where the run says it is.
+    """Load the structure that a run was trained for from its recorded source.
 
     Raises:
         InputError: it is not there any more, or is another one by now.
@@ -164,7 +164,7 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
     """Read a trained policy and the structure that it is for.
 
     Args:
-        folder: what `falsework train --out` named.
+        folder: folder of the run.
         device: where the policy is to live.
         assembly: the structure if it is at hand; it must be the one of the run.
 
@@ -207,14 +207,14 @@ def load_weights(policy: torch.nn.Module, path: Path) -> None:
 
 
 class CheckpointFile:
-    """The one file from which an interrupted training continues; a new one replaces the old only once it is whole."""
+    """Checkpoint from which an interrupted training continues; a new one replaces the old only when it is complete."""
 
     def __init__(self, folder: Path) -> None:
-        """Look after the checkpoint of the run in `folder`."""
+        """Use the checkpoint of the run in `folder`."""
         self.path = folder / CHECKPOINT
 
     def exists(self) -> bool:
-        """Whether there is one."""
+        """Return whether there is a checkpoint."""
         return self.path.is_file()
 
     def save(self, tensors: Mapping[str, torch.Tensor], state: Mapping[str, Any]) -> str:
@@ -241,7 +241,7 @@ class CheckpointFile:
         return ""
 
     def load(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-        """Tensors on the processor, and the JSON values.
+        """Read the tensors, on the processor, and the JSON values.
 
         Raises:
             InputError: there is none, it is damaged, or of another version.

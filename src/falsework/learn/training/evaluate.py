@@ -45,20 +45,20 @@ class Success:
 class GoalBlindPolicy:
     """Policy without goals as a baseline for goals.
 
-    What the target keeps, it keeps only because the rules forbid to touch it (`Rules.mask` with targets).
+    It keeps the parts of the target only because the rules protect them (`Rules.mask` with targets).
     """
 
     def __init__(self, policy: PolicyFunction) -> None:
-        """Wrap a policy of one state."""
+        """Wrap a policy without goals."""
         self._policy = policy
 
     def __call__(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """As `PolicyFunction`; ignores the targets."""
+        """See `PolicyFunction`; ignores the targets."""
         return self._policy(states)
 
 
 def sample(states: NDArray[Any], count: int, seed: int = 0) -> NDArray[Any]:
-    """At most `count` rows, always the same ones, in the order in which they are given; all if it is 0."""
+    """Return a fixed sample of at most `count` rows, in the given order; all if it is 0."""
     if count <= 0 or len(states) <= count:
         return states
     return states[np.sort(np.random.default_rng(seed).permutation(len(states))[:count])]
@@ -76,7 +76,7 @@ def greedy_success(
 
     Args:
         environment: rules and verdicts.
-        policy: what is evaluated.
+        policy: policy to evaluate.
         states: stable, shape (count, parts).
         targets: shape (count, parts), or None.
         shards: processes that share the states.
@@ -92,7 +92,7 @@ def greedy_success(
 
 
 def throughput(environment: Environment, seconds: float, shards: ProcessGroup = ProcessGroup()) -> dict[str, Any]:
-    """Steps of the environment a second over all processes, and what share of the time went into what."""
+    """Return the steps of the environment per second over all processes, and the share of the time by kind of work."""
     counters = environment.counters.to_dict()
     steps, asked = summed([float(counters["steps"]), float(counters["states_asked"])], shards, environment.device)
     shares = {name: round(float(value), 4) for name, value in counters.items() if name.startswith("share_")}
@@ -119,7 +119,7 @@ def evaluate(
 
     Args:
         environment: rules and verdicts.
-        policy: what is evaluated.
+        policy: policy to evaluate.
         sets: states, and targets if there are any, of shape (count, parts).
         most: states of each set, a fixed sample; 0: all.
         search: search where the most probable actions fail, so that every state gets a proven plan if one is found.
@@ -129,7 +129,7 @@ def evaluate(
 
     Returns:
         For each set `states` and `success`; with search for `test` also `search`: the `share` of states with a proven
-        plan, who decided how many, and seconds.
+        plan, counts by deciding stage, and seconds.
     """
     from falsework.learn.algorithms.policy_search import solve_all
 

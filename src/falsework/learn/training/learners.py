@@ -37,7 +37,7 @@ def make_learner(
     """Make the learner of a phase.
 
     Args:
-        run: what is trained.
+        run: training run.
         environment: rules and verdicts.
         policy: trained in place.
         solved: states known to be solvable.
@@ -68,7 +68,7 @@ def make_learner(
 
 
 def share_solved(solved: SolvableStates, known: int, shards: ProcessGroup) -> None:
-    """Tell all processes what each has found solvable since it knew `known` states."""
+    """Exchange the states that each process has found solvable since it had `known` states."""
     if shards.size > 1:
         solved.add(gather_rows(solved.states[known:], shards))
         solved.learn_held_out_hashes(gather_rows(solved.held_out_hashes(), shards))
@@ -89,6 +89,6 @@ def gather_local(local: dict[str, torch.Tensor], shards: ProcessGroup, device: t
 
 
 def local_of(tensors: dict[str, torch.Tensor], shards: ProcessGroup) -> dict[str, torch.Tensor] | None:
-    """Return what `gather_local` kept for this process; None if there were more or fewer of them."""
+    """Return the state that `gather_local` stored for this process; None if there were more or fewer of them."""
     ranks = {int(name.split(".")[1]) for name in tensors if name.startswith("process.")}
     return below(f"process.{shards.rank}.", tensors) if len(ranks) == shards.size else None

@@ -15,7 +15,7 @@ TENSORBOARD = "tensorboard"
 
 
 class Writer(Protocol):
-    """Takes numbers by name, again and again."""
+    """Destination of named metrics."""
 
     def write(self, step: int, values: Mapping[str, float]) -> None:
         """Note numbers that belong to a step."""
@@ -30,7 +30,7 @@ class Progress:
     """`progress.jsonl`: one JSON object a line, each flushed at once."""
 
     def __init__(self, folder: Path, resumed_at: int | None = None) -> None:
-        """Begin a new file, or go on after the step at which the checkpoint was taken.
+        """Begin a new file, or continue after the step of the checkpoint.
 
         Args:
             folder: of the run.
@@ -42,7 +42,7 @@ class Progress:
         self.path.write_text(text, encoding="utf-8")
 
     def write(self, step: int, values: Mapping[str, Any]) -> None:
-        """As `Writer`."""
+        """See `Writer`."""
         try:
             with self.path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps({"step": step, **values}, allow_nan=False, default=str) + "\n")
@@ -50,7 +50,7 @@ class Progress:
             warnings.warn(f"cannot write {self.path}: {error.strerror}; training continues", stacklevel=2)
 
     def close(self) -> None:
-        """As `Writer`."""
+        """See `Writer`."""
 
 
 class TensorBoard:
@@ -70,13 +70,13 @@ class TensorBoard:
         self._writer = SummaryWriter(str(folder / TENSORBOARD), purge_step=purge, flush_secs=10)
 
     def write(self, step: int, values: Mapping[str, Any]) -> None:
-        """As `Writer`."""
+        """See `Writer`."""
         for name, value in values.items():
             if isinstance(value, (int, float)) and not isinstance(value, bool):
                 self._writer.add_scalar(name, value, step)
 
     def close(self) -> None:
-        """As `Writer`."""
+        """See `Writer`."""
         self._writer.close()
 
 
@@ -84,7 +84,7 @@ class WeightsAndBiases:
     """The same numbers for Weights & Biases."""
 
     def __init__(self, folder: Path, configuration: Mapping[str, Any]) -> None:
-        """Begin or go on with a run named like the folder.
+        """Begin or continue a run named like the folder.
 
         Raises:
             DependencyError: wandb is not installed.
@@ -97,11 +97,11 @@ class WeightsAndBiases:
         self._run = wandb.init(project="falsework", id=name, name=name, resume="allow", config=dict(configuration))
 
     def write(self, step: int, values: Mapping[str, Any]) -> None:
-        """As `Writer`."""
+        """See `Writer`."""
         self._run.log(dict(values), step=step)
 
     def close(self) -> None:
-        """As `Writer`."""
+        """See `Writer`."""
         self._run.finish()
 
 
@@ -153,7 +153,7 @@ class Journal:
 
 
 def read_progress(folder: Path) -> list[dict[str, Any]]:
-    """Lines of `progress.jsonl`; one that an interruption cut off is left out, and so is a file that is not there."""
+    """Return the lines of `progress.jsonl` without one that an interruption cut off; none if there is no file."""
     path = folder / PROGRESS
     if not path.is_file():
         return []

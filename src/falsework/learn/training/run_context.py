@@ -1,4 +1,4 @@
-"""Context of a training run: what its data, its learners and its loop share."""
+"""Context of a training run, shared by its data, its learners and its loop."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ class RunContext:
     report: Callable[[str], None] | None = None
     """Called with progress messages while data is searched for."""
     note: Callable[[str], None] = lambda text: None
-    """Called with what went wrong that does not matter much."""
+    """Called with warnings."""
 
     @cached_property
     def task(self) -> Task:
-        """Taking the whole structure apart, by the criterion of the oracle."""
+        """Disassembly of the whole structure, under the criterion of the oracle."""
         task = task_for(self.assembly, self.settings.robots, self.settings.removable_only_if_clear)
         return task.judged_by(self.oracle)

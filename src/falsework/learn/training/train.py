@@ -36,13 +36,13 @@ def train(
     report: Report | None = None,
     dataset: Dataset | None = None,
 ) -> TrainResult:
-    """Train a policy for one structure, and leave a run behind that `load_run` reads.
+    """Train a policy for one structure, and write a run that `load_run` reads.
 
     Under `torchrun` all processes call this alike; the first one writes.
 
     Args:
         assembly: the structure.
-        settings: what to do; with `resume`, only `minutes` and `steps` of it count, where they are given.
+        settings: of the run; with `resume`, only `minutes` and `steps` of it count, where they are given.
         folder: of the run; None keeps nothing but what is returned.
         source: where the structure can be loaded from again; a built-in of the name of the assembly if not given.
         device: `auto`, `cpu` or `cuda`.
@@ -70,7 +70,7 @@ def train(
 def _begin(
     folder: Path | None, assembly: Assembly, settings: TrainSettings, device: torch.device, resume: bool
 ) -> TrainSettings:
-    """Settings filled in, those of the run that is resumed if so."""
+    """Return the resolved settings, those of the run if it is resumed."""
     if folder is None:
         if resume:
             raise InputError("there is nothing to resume without the folder of a run; name it")
@@ -79,7 +79,7 @@ def _begin(
         if (folder / FILE).exists():
             raise InputError(f"{folder} holds a run already; continue it with --resume, or choose another folder")
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InputError(f"{folder} is there and is no run; choose another folder")
+            raise InputError(f"{folder} exists and is not a run; choose another folder")
         return settings.resolved(assembly.part_count, device.type)
     metadata = read_run(folder)
     check_structure(folder, metadata, assembly)
@@ -103,7 +103,7 @@ def _threads(settings: TrainSettings, device: torch.device) -> Iterator[None]:
 
 @contextmanager
 def _repeatable(settings: TrainSettings) -> Iterator[None]:
-    """Where a run is to depend on the seed alone, use only kernels that always add up in the same order."""
+    """Use deterministic kernels only, if the run is to depend on the seed alone."""
     if not settings.steps:
         yield
         return

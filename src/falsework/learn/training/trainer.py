@@ -54,7 +54,7 @@ class TrainResult:
     steps: int
     """Steps of the optimizer."""
     seconds: float
-    """All of it, data and earlier pieces included."""
+    """Total time, data and earlier sessions included."""
     data_seconds: float
     train: Success
     """Greedy success on a sample of the paper's training set."""
@@ -63,18 +63,18 @@ class TrainResult:
     test: Success
     """Greedy success on a sample of the test set, tried once, at the end."""
     solved: int
-    """States that were learned from."""
+    """Number of states learned from."""
     held_out_visit_rate: float
     """Share of the held-out states, symmetric images included, that rollouts visited while training."""
     interrupted: bool
     processes: int
     device: str
     throughput: dict[str, Any]
-    """Of the environment, in this piece of the run."""
+    """Of the environment, in this session."""
     policy: policies.Policy
     """With the weights that were evaluated, as `load_run` reads them."""
     curve: tuple[dict[str, float], ...] = ()
-    """What `progress.jsonl` says, of this piece of the run."""
+    """Contents of `progress.jsonl` for this session."""
     notes: tuple[str, ...] = ()
     first: bool = True
     """This process is the one that reports."""
@@ -148,7 +148,7 @@ class Trainer:
         self._asked = Network(self._best, settings.precision)
 
     def run(self, begun: float, *, resume: bool, logs: Sequence[str], dataset: Dataset | None) -> TrainResult:
-        """Data, blocks, result."""
+        """Collect data, train in blocks, and return the result."""
         self.budget.before = time.perf_counter() - begun
         saved = None
         if resume and self._checkpoint is not None and self._checkpoint.exists():
@@ -228,7 +228,7 @@ class Trainer:
         return replace(result, notes=tuple(self.notes))
 
     def _phase_is_over(self, progress: float) -> bool:
-        """Whether the next phase begins."""
+        """Return whether the next phase begins."""
         phase = self.settings.phases[self._phase]
         if phase is self.settings.phases[-1] or not isinstance(phase, ImitationPhase):
             return False
@@ -255,7 +255,7 @@ class Trainer:
         )
 
     def _next_phase(self, learner: Learner, progress: float) -> Learner:
-        """Begin the next phase with the weights that the last one arrived at."""
+        """Begin the next phase with the final weights of the last one."""
         learner.export_policy(self._best)
         self._phase += 1
         self._phase_begun, self._phase_steps = progress, self.steps
@@ -297,7 +297,7 @@ class Trainer:
         return ", ".join(text for text in (f"step {self.steps}", loss, f"{len(self._solved)} states", tested) if text)
 
     def _save(self, learner: Learner) -> None:
-        """Write a checkpoint, in all processes together; a disk that is full is worth a note, not the run."""
+        """Write a checkpoint, in all processes together; a full disk causes a note, and does not end the run."""
         if self._checkpoint is None:
             return
         local = gather_local(learner.local_state_dict(), self.shards, self.device)

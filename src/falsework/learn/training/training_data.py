@@ -39,14 +39,14 @@ class TrainingData:
     tasks: GoalSampler | None
     """Draws more of both, with valid actions, where there are targets."""
     held_out: torch.Tensor
-    """States that are not to be learned from: those of the test and the validation set with their images under the
+    """States never used for training: those of the test and the validation set with their images under the
     symmetries of the structure, shape (count, parts)."""
     curve: Sets
     """Fixed samples of training and validation states, for the curve."""
     test: Sets
     """A fixed sample of test states, for the end."""
     seconds: float
-    """What it took to get them."""
+    """Time to collect the data."""
 
 
 def collect_training_data(
@@ -56,10 +56,10 @@ def collect_training_data(
     dataset: Dataset | None = None,
     enough: Callable[[], bool] | None = None,
 ) -> TrainingData:
-    """Search for states, or read those that an earlier piece of the run found.
+    """Search for states, or read those that an earlier session found.
 
     Args:
-        run: what is trained; states are kept in its folder.
+        run: training run; states are kept in its folder.
         kept: read them if they are there.
         dataset: states to use instead.
         enough: called between searches for goals; true if no time is left for more, alike in all processes.
@@ -139,7 +139,7 @@ def collect_training_data(
 
 
 def find_pairs(run: RunContext, searched: SearchStates | None = None) -> GoalDataset:
-    """Pairs of states and targets that a run with targets learns from and is tested on; always the same ones."""
+    """Find the pairs of states and targets for training and testing with goals; always the same ones."""
     return build_goal_dataset(
         run.assembly,
         run.task,
@@ -156,7 +156,7 @@ def _target_searches(settings: TrainSettings) -> GoalDataSettings:
 
 
 def _keep(run: RunContext, path: Path | None, save: Callable[[Path], None]) -> None:
-    """Keep data in the folder of a run, if it has one; a full disk is worth a note, not the run."""
+    """Keep data in the folder of a run, if it has one; a full disk causes a note, and does not end the run."""
     if path is None or not run.shards.is_main_process:
         return
     try:

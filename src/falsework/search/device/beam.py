@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _REPORTED_STATES = 64
-"""States handed back as deepest and as rejected, at most."""
+"""Largest number of states reported as deepest and as rejected."""
 _SAMPLES_PER_CLUSTER = 4
 """Candidates a cluster that the centres are found from; all are assigned to clusters afterwards."""
 _CHUNK_BYTES = 1 << 28
-"""States written down at once where they are only looked at, in bytes."""
+"""Memory for states expanded at once where they are only read, in bytes."""
 
 
 @dataclass(eq=False)
@@ -117,7 +117,7 @@ class DeviceBeam(LevelSearch):
 
         Args:
             task: rules between start and target.
-            oracle: verdicts on tensors; it says too which moves need one, see `Task.judged_by`.
+            oracle: verdicts on tensors; it also determines which moves need one, see `Task.judged_by`.
             settings: width, direction, diversity and seed; levels are always judged whole (`lookahead` is 0).
             device: where the search lives.
             shards: the processes that search together; all must be given the same task and settings.
@@ -141,7 +141,7 @@ class DeviceBeam(LevelSearch):
         self._side = torch.cuda.Stream(self.device) if self.device.type == "cuda" else None
         self._candidates = self._verdicts = 0
         self._refused = torch.zeros(3, dtype=torch.int64, device=self.device)
-        """Not stable, and of these undecided, and sliding."""
+        """Numbers of states that are not stable, and of these undecided and sliding."""
         self._rejected = np.empty((0, task.part_count), dtype=np.uint8)
         self._host: list[Level] = []
         origin = self._rules.origin()
@@ -202,7 +202,7 @@ class DeviceBeam(LevelSearch):
         return self._verdicts
 
     def result(self, *, interrupted: bool = False) -> SearchResult:
-        """As `LevelSearch.result`."""
+        """See `LevelSearch.result`."""
         (_, undecided, sliding), limit = self._refused.tolist(), ""
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:
@@ -267,14 +267,14 @@ class DeviceBeam(LevelSearch):
             differ += ((one != two).any(dim=1) & repeats[rows]).sum()
         distinct, collisions = torch.stack([count - repeats.sum(), differ]).tolist()
         if collisions:
-            # Two states share a word of 64 bits: compare all states themselves, once in the life of a universe.
+            # Two states share a word of 64 bits: compare all states themselves; practically never.
             states = self._rules.follow(level.states[parent], action)
             _, group = torch.unique(states, dim=0, return_inverse=True)
             distinct = int(group.max()) + 1
             order = torch.sort(group, stable=True).indices
             repeats[1:] = group[order][1:] == group[order][:-1]
         place = torch.cumsum(~repeats, dim=0) - 1
-        # Repeats write to a place that is cut off, since a list of unknown length would have to be waited for.
+        # Repeats write to a slot that is cut off, since a list of unknown length would need a synchronisation.
         first = torch.empty(distinct + 1, dtype=torch.int64, device=self.device)
         first.scatter_(0, torch.where(repeats, distinct, place), order)
         return first[:distinct], torch.empty_like(place).scatter_(0, order, place)

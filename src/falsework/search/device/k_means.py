@@ -35,7 +35,7 @@ class Centers:
     scaled: torch.Tensor
     """Whole numbers as float32, shape (clusters, dimensions)."""
     scale: int
-    """What a unit is."""
+    """Length of a unit."""
 
     def nearest(self, points: torch.Tensor) -> torch.Tensor:
         """Return the nearest centre of each point, the first of several.
@@ -59,7 +59,7 @@ class Centers:
 
 
 def find_centers(points: torch.Tensor, words: torch.Tensor, clusters: int) -> Centers:
-    """Lloyd's algorithm from seeds drawn in rounds.
+    """Find cluster centres by Lloyd's algorithm from seeds drawn in rounds.
 
     The seeds are those of k-means++ with a round of draws in place of each single one: points are drawn with
     probability about proportional to the squared distance from the seeds of earlier rounds (priority sampling:

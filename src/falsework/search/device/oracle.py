@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 class TensorOracle(Protocol):
     """Stability oracle for batches of states on a device.
 
-    One whose attribute `holds_keep_stable` is true, as of `Stability`, is not asked about parts that become held.
+    If its attribute `holds_keep_stable` is true, as of `Stability`, holds are not checked.
     """
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
-        """Verdicts, each with a proof found in float64.
+        """Return verdicts, each with a proof found in float64.
 
         Args:
             states: `uint8`, contiguous, shape (batch, parts).
@@ -48,13 +48,13 @@ class HostOracle:
         self._oracle = oracle
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
-        """As `TensorOracle`."""
+        """See `TensorOracle`."""
         verdicts = self._oracle.judge(states.cpu().numpy(), parents=parents.cpu().numpy())
         return put(verdicts.verdict, states.device)
 
 
 class DeviceOracle:
-    """GPU solver; states that it leaves open go to the CPU solvers."""
+    """GPU solver; states that it leaves undecided go to the CPU solvers."""
 
     def __init__(self, oracle: Stability, device: torch.device) -> None:
         """Copy the problem to the device.
@@ -64,7 +64,7 @@ class DeviceOracle:
             device: a CUDA device.
 
         Raises:
-            DependencyError: what the solver needs is not installed.
+            DependencyError: a package that the solver needs is not installed.
             InputError: no such device.
         """
         from falsework.stability.gpu.solver import GpuSolver
@@ -74,7 +74,7 @@ class DeviceOracle:
         self._settle: Callable[[States, NDArray[np.float64]], Verdicts] | None = oracle.settle
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
-        """As `TensorOracle`."""
+        """See `TensorOracle`."""
         return self.begin(states)()
 
     def begin(self, states: torch.Tensor) -> Callable[[], torch.Tensor]:
@@ -93,16 +93,16 @@ class DeviceOracle:
         return finish
 
     def without_fallback(self) -> DeviceOracle:
-        """Return the same solver alone: nothing waits, and the few states that it leaves open stay so."""
+        """Return the same solver alone: no waiting, and the few undecided states remain undecided."""
         alone = copy(self)
         alone._settle = None
         return alone
 
 
 def without_fallback(oracle: TensorOracle) -> TensorOracle:
-    """Return an oracle for states that may be given up, such as those of rollouts that are learned from.
+    """Return an oracle for states that may stay undecided, such as those of training rollouts.
 
-    On a GPU, states that stand by a hair are left open. They are some in ten thousand of dome-72, and the exact solver
+    On a GPU, marginally stable states stay undecided. They are a few in ten thousand of dome-72, and the exact solver
     needs a sixth of a second for each, while thousands of others wait.
     """
     return oracle.without_fallback() if isinstance(oracle, DeviceOracle) else oracle

@@ -1,4 +1,4 @@
-"""Many narrow beam searches in parallel, for as many different paths through a structure.
+"""Many narrow beam searches in parallel, which take many different paths through a structure.
 
 The final states of a beam descend from the few that passed its bottleneck, however wide it is, so many beams give more
 diverse paths than one wide beam. In parallel they share batches of verdicts and kernel launches, so that another beam
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import torch
 
 _SPARE = 4
-"""Candidates looked at for each state that is kept, since some fall."""
+"""Candidates checked for each state that is kept, since some are unstable."""
 _NUMBERS = 1 << 23
 """Parts of all states of a level of searches that run together, at most; there are fewer candidates than that, which
 take some 150 bytes each while they are sorted."""
@@ -40,12 +40,12 @@ _OWNER_BITS = 20
 
 @dataclass(frozen=True, eq=False)
 class ParallelBeamResult:
-    """What some searches found."""
+    """Result of parallel searches."""
 
     states: States
     """Stable states, those of one search after those of another, shape (count, parts)."""
     found: NDArray[np.bool_]
-    """Which searches came through to their goal, shape (searches,)."""
+    """Whether each search reached its goal, shape (searches,)."""
 
 
 @dataclass(eq=False)
@@ -62,7 +62,7 @@ class ParallelLevel:
     """Number that the order of successors depends on, such as a hash or a score, shape (count,)."""
 
     def take(self, rows: torch.Tensor) -> ParallelLevel:
-        """Some of the states."""
+        """Return some of the states."""
         return ParallelLevel(self.states[rows], self.owner[rows], self.parent[rows], self.value[rows])
 
 
@@ -78,16 +78,16 @@ def next_level(
     width: int,
     spare: int,
 ) -> ParallelLevel:
-    """Judge the first candidates of each search and keep the first that are stable.
+    """Check the first candidates of each search and keep the first that are stable.
 
     Args:
-        rules: what an action does.
+        rules: effects of actions.
         level: states that the candidates come from.
         candidates: parent, action and value of each, in the order in which each search prefers them, those of one
             search together, and no state twice in one search; shape (candidates,).
         stable: verdicts.
         width: states that each search keeps.
-        spare: candidates judged for each state that is kept, since some fall.
+        spare: candidates checked for each state that is kept, since some are unstable.
     """
     parent, action, value = candidates
     looked = place_in_group(level.owner[parent]) < spare * width
@@ -100,7 +100,7 @@ def next_level(
 
 
 def with_ancestors(levels: list[ParallelLevel], chosen: list[torch.Tensor]) -> list[ParallelLevel]:
-    """States chosen at each level, and those that they were come to by.
+    """Return the states chosen at each level, and their ancestors.
 
     Args:
         levels: from the origins on.
@@ -131,12 +131,12 @@ def parallel_beam_search(
 
     Args:
         task: rules between start and target.
-        oracle: verdicts on tensors; a state that slides, or that it leaves open, is not kept.
+        oracle: verdicts on tensors; a state that slides, or stays undecided, is not kept.
         count: searches.
         width: states that each keeps a level.
         direction: end to begin at.
         seed: of the choices; each search makes its own.
-        keep: states to hand back of each search, drawn evenly, with all states on one way from the origin to each of
+        keep: states to return for each search, drawn uniformly, with all states on one path from the origin to each of
             them; None for all.
         device: where to search; the states are the same on each, as far as the verdicts are.
 
@@ -174,7 +174,7 @@ class _Beams:
         self._dead = not task.contains(task.origin(direction)[None])[0]
 
     def run(self, owners: torch.Tensor) -> list[ParallelLevel]:
-        """All levels of some searches, as far as the last of them came."""
+        """Run some searches and return all levels, up to the deepest."""
         origin = self._rules.origin().expand(len(owners), -1).contiguous()
         levels = [ParallelLevel(origin, owners, owners - owners[0], self._rules.hashes(origin))]
         while len(levels) <= self._steps and not self._dead:
@@ -188,7 +188,7 @@ class _Beams:
         return levels
 
     def some(self, levels: list[ParallelLevel], keep: int) -> list[ParallelLevel]:
-        """States of each search drawn evenly, `keep` on average, and those that they were come to by."""
+        """Return uniformly drawn states of each search, `keep` on average, and their ancestors."""
         torch = import_torch()
         first = levels[0].owner[0]
         share = keep / torch.bincount(torch.cat([level.owner for level in levels]) - first)
@@ -197,7 +197,7 @@ class _Beams:
         return with_ancestors(levels, [rows.nonzero()[:, 0] for rows in drawn])
 
     def _candidates(self, level: ParallelLevel, number: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Successors of the states of a level, those of each search in random order."""
+        """Return the successors of the states of a level, those of each search in random order."""
         torch = import_torch()
         parent, action, hashes = self._rules.children(level.states, level.value, self._rules.moves(level.states))
         asks = self._rules.needs_verdict(action)
@@ -221,5 +221,5 @@ class _Beams:
         return stable
 
     def _words(self, hashes: torch.Tensor, owner: torch.Tensor, salt: int) -> torch.Tensor:
-        """Random words of states, other ones in each search."""
+        """Return random words of states, different in each search."""
         return mix(hashes ^ mix(owner, self._seed), salt)

@@ -1,4 +1,4 @@
-"""Rules of a task on tensors: what `Task` says of arrays, for beams and rollouts that stay on their device."""
+"""Rules of a task on tensors, as `Task` on arrays, for beams and rollouts that stay on their device."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class TensorRules:
     """Legal moves between the states of one task in one direction, on one device.
 
-    The rules are those of `Task`. A task knows one goal; here every row of a batch may have a goal of its own, as
-    policies do that are conditioned on it. Goals of rows are for tasks without missing parts.
+    The rules are those of `Task`. A task has one goal; here every row of a batch may have its own, for goal-conditioned
+    policies. Goals of rows are for tasks without missing parts.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class TensorRules:
         self._ways = WaysOut(task.clearance, task.part_count, device)
 
     def origin(self) -> torch.Tensor:
-        """State that the search begins with, shape (1, parts)."""
+        """Return the state that the search begins with, shape (1, parts)."""
         return self._origin[None].clone()
 
     def complete(self, count: int = 1) -> torch.Tensor:
@@ -73,7 +73,7 @@ class TensorRules:
         return state.expand(count, -1).clone()
 
     def moves(self, states: torch.Tensor, goals: torch.Tensor | None = None) -> torch.Tensor:
-        """Actions that the rules allow from each state, stability aside, as `Task.moves`.
+        """Return actions that the rules allow from each state, stability aside, as `Task.moves`.
 
         Args:
             states: between the origin and the goals, `uint8`, shape (batch, parts).
@@ -90,7 +90,7 @@ class TensorRules:
         goes = goal == self._into
         give = held & self._touchable & goes
         if goals is not None or self._keeps:
-            # A robot that holds a part to the end is lost for the rest: the last robot must stay free.
+            # A robot that holds a part to the end is not available for the rest: the last robot must stay free.
             kept = (goal == HELD) & self._loose
             last = (held & kept).sum(dim=1) + 1 >= self.task.robots
             waiting = (goes & (states != self._into)).any(dim=1)
@@ -110,7 +110,7 @@ class TensorRules:
         return mask
 
     def goals(self, states: torch.Tensor) -> torch.Tensor:
-        """Goals that None stands for: that of the task, with boundary and fixed parts as they are in each state.
+        """Return the default goals: that of the task, with boundary and fixed parts as in each state.
 
         Args:
             states: shape (batch, parts).
@@ -134,7 +134,7 @@ class TensorRules:
     def contains(self, states: torch.Tensor, goals: torch.Tensor | None = None) -> torch.Tensor:
         """Return which states may lead to their goal under the rules, as `Task.create` checks. Shape (batch,).
 
-        No part has to go backwards, no fixed part has to change, and robots suffice in both.
+        No part has to reverse its order of conditions, no fixed part has to change, and robots suffice in both.
         """
         goals = self.goals(states) if goals is None else goals
         forward = (self._stage[goals.long()] >= self._stage[states.long()]).all(dim=1)
@@ -179,7 +179,7 @@ class TensorRules:
         return ~(fixes & self.task.holds_keep_stable)
 
     def moved_value(self, actions: torch.Tensor) -> torch.Tensor:
-        """Value that each move gives its part, `uint8`, shape (batch,)."""
+        """Return the value that each move gives its part, `uint8`, shape (batch,)."""
         return import_torch().where(actions < self.part_count, *self._values)
 
     def follow(self, states: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
@@ -193,7 +193,7 @@ class TensorRules:
         return hash_states(states, self._words)
 
     def hashes_after(self, states: torch.Tensor, hashes: torch.Tensor, actions: torch.Tensor, parent: torch.Tensor):
-        """Hashes of the states that moves lead to, without writing these down.
+        """Return the hashes of the states that moves lead to, without expanding these.
 
         Args:
             states: shape (level, parts).
@@ -212,7 +212,7 @@ class TensorRules:
     def children(
         self, states: torch.Tensor, hashes: torch.Tensor, moves: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Every state one move away from some others, not written down; some may be equal.
+        """Return every state one move away from some others, not expanded; some may be equal.
 
         Args:
             states: shape (level, parts).
@@ -227,7 +227,7 @@ class TensorRules:
         return parent, action, self.hashes_after(states, hashes, action, parent)
 
     def _missing_allowed(self, states: torch.Tensor, offset: int) -> torch.Tensor:
-        """How many missing parts may be present `offset` assembly steps after each state, shape (batch,)."""
+        """Return how many missing parts may be present `offset` assembly steps after each state, shape (batch,)."""
         stage = 2 * (states == REMOVED).sum(dim=1) + (states == HELD).sum(dim=1)
         start = self.task.start
         done = stage - int(2 * (start == REMOVED).sum() + (start == HELD).sum())
@@ -235,7 +235,7 @@ class TensorRules:
 
 
 class WaysOut:
-    """Ways out of each part, as two matrix products of small whole numbers, which are exact in any precision."""
+    """Exit directions of each part, as two matrix products of small integers, which are exact in any precision."""
 
     def __init__(self, clearance: Clearance | None, parts: int, device: torch.device) -> None:
         """Copy a clearance table to the device; without one, every part can leave."""
@@ -248,7 +248,7 @@ class WaysOut:
             self._owner = put((owner[:, None] == np.arange(parts)).astype(np.float32), device)
 
     def can_leave(self, states: torch.Tensor) -> torch.Tensor:
-        """Which parts have a free way out. Shape (batch, parts)."""
+        """Return which parts have a free exit direction. Shape (batch, parts)."""
         if self._clearance is None:
             return import_torch().ones_like(states, dtype=import_torch().bool)
         if self._blockers is None:
@@ -258,7 +258,7 @@ class WaysOut:
 
 
 def hash_states(states: torch.Tensor, words: torch.Tensor) -> torch.Tensor:
-    """Hashes of states.
+    """Return the hashes of states.
 
     Args:
         states: `uint8`, shape (batch, parts).

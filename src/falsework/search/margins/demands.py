@@ -1,4 +1,4 @@
-"""Margins that every state of a plan must keep, and an oracle that asks for them."""
+"""Margins that every state of a plan must keep, and an oracle that checks them."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ _KINDS: dict[str, str] = {
     "placement": "length",
 }
 _CORNERS = 8
-"""Horizontal directions that are asked about, each so far out that their polygon goes round the circle demanded: where
-all of them stand, under `equilibrium` every direction does."""
+"""Horizontal directions that are checked, each so far out that their polygon encloses the required circle: if a state
+is stable at all of them, under `equilibrium` it is in every direction."""
 _DRAWS = 8
-"""Random placements in each of which every state must stand."""
+"""Random placements in each of which every state must be stable."""
 
 
 @dataclass(frozen=True)
 class Demands:
-    """Margins that every state of a plan must keep; None where nothing is demanded."""
+    """Margins that every state of a plan must keep; None where nothing is required."""
 
     friction: float | None = None
-    """Factor of safety: states stand at the friction of the structure divided by it."""
+    """Factor of safety: states are stable at the friction of the structure divided by it."""
     tilt: float | None = None
     """Tilt of the ground in any direction, rad."""
     horizontal: float | None = None
@@ -52,7 +52,7 @@ class Demands:
     load: float | None = None
     """Force downwards on any installed part at its centre of mass, such as a worker's or a gripper's, N."""
     placement: float | None = None
-    """Error of placement in m; states stand in each of some random placements with contacts found anew."""
+    """Error of placement in m; states are stable in each of some random placements with contacts found anew."""
 
     @classmethod
     def parse(cls, text: str, option: str = "--margin") -> Demands:
@@ -72,7 +72,7 @@ class Demands:
         if given.get("friction", 1.0) < 1.0:
             raise InputError(f"{option} friction={given['friction']:g}: a factor of safety is at least 1")
         if given.get("tilt", 0.0) >= np.radians(80):
-            raise InputError(f"{option} tilt: {np.degrees(given['tilt']):g} degrees is no tilt of a ground; give less")
+            raise InputError(f"{option} tilt: {np.degrees(given['tilt']):g} degrees is too steep; give less")
         return cls(**given)
 
     @classmethod
@@ -91,7 +91,7 @@ class Demands:
         return cls(**{key: float(number) for key, number in value.items()})
 
     def to_dict(self) -> dict[str, float]:
-        """Return what is demanded, in SI units."""
+        """Return the required margins, in SI units."""
         return {key: value for key, value in vars(self).items() if value is not None}
 
     def __bool__(self) -> bool:
@@ -106,14 +106,14 @@ class Demands:
         )
 
     def variants(self, assembly: Assembly, seed: int = 0) -> list[tuple[str, Assembly]]:
-        """Return the structures in which states must stand too, each with what demands it.
+        """Return the structures in which states must be stable too, each with the margin that requires it.
 
         Args:
             assembly: the structure.
             seed: of random placements.
 
         Raises:
-            InputError: parts that make no assembly once they are off their places.
+            InputError: displaced parts that make no assembly.
         """
         found: list[tuple[str, Assembly]] = []
         if self.friction is not None and self.friction > 1.0:
@@ -143,10 +143,9 @@ class Demands:
 class DemandingStability(Stability):
     """Stability oracle for searches in which states must keep margins.
 
-    `judge`, which searches ask, counts a state that does not keep them as sliding, or as unstable where a velocity
-    proves it; `check` proves states as they are.
-    Pushes and loads on single parts are asked about near the parts in which a state differs from its parent, which
-    keeps the margins; `keeps` asks about all of them.
+    `judge`, which searches call, counts a state that does not keep them as sliding, or as unstable where a velocity
+    proves it; `check` proves states as they are. Pushes and loads on single parts are checked near the parts in which a
+    state differs from its parent, which keeps the margins; `keeps` checks all of them.
     """
 
     def __init__(
@@ -195,7 +194,7 @@ class DemandingStability(Stability):
         return found == Verdict.STABLE
 
     def broken(self, state: States) -> str:
-        """Return the first demand that a state does not keep, with the load that breaks it; empty if it keeps all."""
+        """Return the first margin that a state does not keep, with the load that violates it; empty if it keeps all."""
         for name, oracle in self._variants:
             if not oracle.stable(state[None])[0]:
                 return str(Demands(**{name: getattr(self.demands, name)}))
@@ -207,14 +206,14 @@ class DemandingStability(Stability):
         return ""
 
     def _ask(self, states: States, parents: States | None, *, everywhere: bool) -> NDArray[np.int8]:
-        """Return `STABLE` where all demands are kept, `UNSTABLE` where it is proven that one is not, else `SLIDES`."""
+        """Return `STABLE` if all margins are kept, `UNSTABLE` if it is proven that one is not, else `SLIDES`."""
         found = np.full(len(states), Verdict.STABLE, np.int8)
         for name, oracle in self._variants:
             rows = np.flatnonzero(found == Verdict.STABLE)
             if not len(rows):
                 break
             verdicts = oracle.judge(states[rows], parents=None if parents is None else parents[rows])
-            # Tilts and accelerations are asked about a little further out than demanded: no proof that they fail.
+            # Tilts and accelerations are checked a little further out than required: no proof that they fail.
             failed = np.where(verdicts.unstable & (name == "friction"), Verdict.UNSTABLE, Verdict.SLIDES)
             found[rows] = np.where(verdicts.stable, Verdict.STABLE, failed)
         if self.demands.push is None and self.demands.load is None:

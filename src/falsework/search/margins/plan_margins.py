@@ -20,25 +20,25 @@ MEASURED: tuple[Measured, ...] = get_args(Measured)
 
 @dataclass(frozen=True, eq=False)
 class PlanMargins:
-    """Margins that a plan was made to keep, and those that were measured of each of its states."""
+    """Required margins of a plan, and the measured margins of each of its states."""
 
     demands: Demands
     measured: dict[str, tuple[float | None, ...]]
     """By kind, one entry a state in the order of the plan, SI units: `friction` the least coefficient, `tilt` in rad,
     `horizontal` in shares of gravity, `push` in N; None where there is no bound."""
     maximised: Measured | None = None
-    """Margin whose weakest step was made as strong as could be found."""
+    """Margin whose weakest step was maximised."""
     bound: float | None = None
     """No plan has a weakest step stronger than this, in the units of `measured`; None where none is known."""
 
     @classmethod
     def of(cls, oracle: Stability, states: States, demands: Demands, also: Measured | None = None) -> PlanMargins:
-        """Measure the margins that are demanded, and one more.
+        """Measure the required margins, and one more.
 
         Args:
             oracle: of the structure.
             states: of the plan, shape (states, parts).
-            demands: what the plan was made to keep.
+            demands: margins required of the plan.
             also: another margin to measure.
         """
         kinds = [kind for kind in MEASURED if kind == also or getattr(demands, kind) is not None]
@@ -118,7 +118,7 @@ class PlanMargins:
         return cls(demands, {kind: tuple(values) for kind, values in measured.items()}, maximised, bound)
 
     def overstated(self, oracle: Stability, states: States) -> tuple[int, str] | None:
-        """Return the first state that does not stand at a recorded margin, and what is wrong; None if all do.
+        """Return the first state that is not stable at a recorded margin, and the reason; None if all are.
 
         Args:
             oracle: of the structure.

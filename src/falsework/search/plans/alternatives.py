@@ -1,4 +1,4 @@
-"""Plans that differ: how different two are, and how to choose some that differ as much as they can."""
+"""Diverse plans: distances between plans, and selection of the most different ones."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Alternatives:
         return cls(tuple(routes), order, states)
 
     def keep(self, rows: Sequence[int]) -> Alternatives:
-        """Some of the routes."""
+        """Return some of the routes."""
         chosen = np.ix_(rows, rows)
         return Alternatives(
             tuple(self.routes[k] for k in rows), self.order_distance[chosen], self.state_distance[chosen]
@@ -60,7 +60,7 @@ class Alternatives:
 
 
 def order_distance(a: Route, b: Route) -> float:
-    """Kendall distance: share of pairs of removed parts that leave in opposite order, between 0 and 1."""
+    """Return the Kendall distance: share of pairs of removed parts in opposite order, between 0 and 1."""
     rank_a, rank_b = a.removal_rank(), b.removal_rank()
     removed = np.flatnonzero((rank_a >= 0) & (rank_b >= 0))
     pairs = len(removed) * (len(removed) - 1) // 2
@@ -73,7 +73,7 @@ def order_distance(a: Route, b: Route) -> float:
 
 
 def state_distance(a: Route, b: Route) -> float:
-    """Jaccard distance of the sets of states on the way, between 0 and 1."""
+    """Return the Jaccard distance of the sets of states of the routes, between 0 and 1."""
     # Levels are the same in all plans of a task, so equal states stand in the same row.
     common = int((a.states == b.states).all(axis=1).sum())
     return 1.0 - common / (2 * len(a.states) - common)
@@ -109,7 +109,7 @@ def choose_alternatives(
         InputError: `count` below one.
     """
     if count < 1:
-        raise InputError(f"{count} alternatives is no number of plans; ask for at least 1")
+        raise InputError(f"{count} alternatives is not a number of plans; ask for at least 1")
     rng = np.random.default_rng(seed)
     routes = list({route.states.tobytes(): route for route in given}.values())[:count]
     if not routes:
@@ -142,12 +142,12 @@ def choose_alternatives(
 
 
 def _spread(alternatives: Alternatives) -> tuple[float, float]:
-    """Least distance, and the sum of all where that is equal; rounded, so that improvement comes to an end."""
+    """Return the least distance, and the sum of all as a tie-break; rounded, so that improvement terminates."""
     return round(alternatives.least_distance, 6), round(float(alternatives.distance.sum()), 6)
 
 
 class _Farthest:
-    """Finds the route of a graph that is farthest from given ones."""
+    """Solver for the route of a graph that is farthest from given ones."""
 
     def __init__(self, graph: StateGraph, rng: np.random.Generator) -> None:
         useful = graph.solvable[graph.target] & graph.reachable[graph.source]
@@ -157,7 +157,7 @@ class _Farthest:
         self._gains: dict[bytes, NDArray[np.float32]] = {}
 
     def from_all(self, routes: Sequence[Route]) -> Route | None:
-        """Route that is farthest from the nearest of `routes`, or None where every route tried is one of them."""
+        """Return the route farthest from the nearest of `routes`, or None where every route tried is one of them."""
         gains = np.stack([self._gain(route) for route in routes]).astype(np.float64)
         weight = np.full(len(routes), 1.0 / len(routes))
         best, best_distance = None, 0.0
@@ -173,7 +173,7 @@ class _Farthest:
         return best or self._random_other(routes)
 
     def _random_other(self, routes: Sequence[Route]) -> Route | None:
-        """Any other route; needed only in graphs so small that the farthest ones are taken."""
+        """Return any other route; needed only in graphs so small that the farthest ones are taken."""
         known = {route.states.tobytes() for route in routes}
         for _ in range(_TRIES):
             route = self._graph.sample_route(self._rng)
@@ -182,7 +182,7 @@ class _Farthest:
         return None
 
     def _gain(self, route: Route) -> NDArray[np.float32]:
-        """What each edge adds to the distance from `route`, shape (edges,)."""
+        """Return the contribution of each edge to the distance from `route`, shape (edges,)."""
         key = route.states.tobytes()
         if key in self._gains:
             return self._gains[key]

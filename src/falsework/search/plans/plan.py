@@ -29,7 +29,7 @@ class PartDeadline:
 
     part: int
     after_steps: int
-    """Steps of assembly that are done without it."""
+    """Number of assembly steps before it is needed."""
     after_parts: int
     """Parts that are placed before it."""
 
@@ -37,7 +37,7 @@ class PartDeadline:
 def needs_of(
     actions: NDArray[np.int64], direction: Direction, parts: int, missing: tuple[int, ...]
 ) -> tuple[PartDeadline, ...]:
-    """When each missing part goes in, the first first; parts that no action inserts are left out.
+    """Return when each missing part is inserted, in this order; parts that no action inserts are omitted.
 
     Args:
         actions: of the plan, shape (steps,).
@@ -84,7 +84,7 @@ class Plan:
     friction: float
     robots: int
     claim: StabilityCriterion = field(default_factory=StabilityCriterion)
-    """What stable means here: cone, gravity, tolerance, bound on forces."""
+    """Stability criterion of the verdicts: cone, gravity, tolerance, bound on forces."""
     direction: Direction = Direction.DISASSEMBLY
     fixed: tuple[int, ...] = ()
     """Parts that the task excluded from all actions."""
@@ -93,22 +93,22 @@ class Plan:
     removable_only_if_clear: bool = False
     """Whether every part that is removed has a free straight exit."""
     support: bool = False
-    """Whether parts are let go without being removed, and may be held again."""
+    """Whether parts may be released without being removed, and held again."""
     props: tuple[Prop, ...] = ()
-    """Props, which are the last parts: places where the plan has one at some time."""
+    """Props of the plan, which are the last parts."""
     prop_limit: int = 0
-    """Props that may stand at a time."""
+    """Props that may be in place at a time."""
     source: Mapping[str, Any] | None = None
     """Where the structure came from: `built_in` or `path` (relative to the file of the plan), and the options of
-    `load_structure` that were given; None if it was not said."""
+    `load_structure` that were given; None if unknown."""
     forces: NDArray[np.float64] | None = None
     """Contact forces `(n, t1, t2)` of each state in N, the proof under `equilibrium`, shape (steps + 1, points, 3)."""
     displacement: NDArray[np.float64] | None = None
     """Proof of each state under `contact`: displacements of the parts in m and rad, shape (steps + 1, parts, 6)."""
     replay: PlanReplay | None = None
-    """How the plan went when it was replayed in the order of assembly; None if it was not."""
+    """Result of the replay in the order of assembly; None if there was none."""
     margins: PlanMargins | None = None
-    """Margins that its states keep; None if none were asked for."""
+    """Margins that its states keep; None if none were required."""
 
     @classmethod
     def of(
@@ -124,9 +124,9 @@ class Plan:
         Args:
             route: states and actions.
             assembly: the structure.
-            task: what the route was found for.
+            task: task of the route.
             verdicts: of the states of the route, with forces if the plan is to carry its proofs.
-            claim: what the verdicts mean by stable.
+            claim: stability criterion of the verdicts.
 
         Raises:
             PlanError: a state that the verdicts do not call stable.
@@ -175,7 +175,7 @@ class Plan:
 
     @property
     def needs(self) -> tuple[PartDeadline, ...]:
-        """When each missing part is needed, the first needed first; parts that the plan does not touch are left out."""
+        """When each missing part is needed, in order; parts that the plan does not touch are omitted."""
         return needs_of(self.actions, self.direction, len(self.boundary), self.missing)
 
     def describe(self, step: int) -> str:

@@ -1,4 +1,4 @@
-"""Checks a plan against its structure: the rules, and the stability of every state."""
+"""Plan check: the rules, and the stability of every state."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class PlanReport:
     checked: int
     """States found good, from the first on."""
     reason: str = ""
-    """What is wrong with the first bad state; empty if all are good."""
+    """Error of the first bad state; empty if all are good."""
     residual: float = 0.0
     """Largest residual of a good state, a share of gravity."""
     claim: StabilityCriterion = field(default_factory=StabilityCriterion)
-    """What stable means here: the caller's criterion, cone, gravity, tolerance and force bound."""
+    """Stability criterion of the check: the caller's criterion, cone, gravity, tolerance and force bound."""
     verdict: Verdicts | None = None
     """Verdict on the first bad state, with the velocity that proves it unstable; None if it broke a rule."""
     seconds: float = 0.0
@@ -76,10 +76,10 @@ def check_identity(plan: Plan, assembly: Assembly) -> None:
 
 
 def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str] | None:
-    """First state that the rules do not allow, and why; None if all are allowed.
+    """Return the first state that the rules do not allow, and why; None if all are allowed.
 
     Args:
-        plan: what to check.
+        plan: plan to check.
         assembly: needed to check that removed parts have a way out; that is left out without it.
     """
     states, parts, boundary = plan.states, len(plan.boundary), plan.boundary
@@ -113,11 +113,11 @@ def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str]
 
 
 def weaker_claim(claimed: StabilityCriterion, asked: StabilityCriterion) -> str:
-    """Why a plan that claims this much is no answer to what is asked; empty if it is.
+    """Return why the claim of a plan is weaker than required; empty if it is not.
 
     Args:
-        claimed: what the plan says that its verdicts mean.
-        asked: what the caller means by stable.
+        claimed: criterion that the plan claims.
+        asked: criterion of the caller.
     """
     if claimed.criterion != asked.criterion and asked.criterion == "contact":
         return "the plan claims equilibrium only; plan again, or check it with --criterion equilibrium"
@@ -139,16 +139,16 @@ def validate_plan(
 ) -> PlanReport:
     """Check the rules and the stability of a plan by a solver, state by state up to the first bad one.
 
-    The caller decides what stable means. What the plan says of its own tolerance, gravity, force bound and criterion
-    is a claim: a plan that claims less than the caller requires is refused.
+    The caller sets the stability criterion. Tolerance, gravity, force bound and criterion in the plan are claims: a
+    plan that claims less than the caller requires is refused.
 
-    Under `equilibrium` the exact solver decides. Under `contact` a displacement is looked for anew, from rest and
-    without a parent, and accepted by the certificate checker, which shares nothing with the solvers.
+    Under `equilibrium` the exact solver decides. Under `contact` a displacement is computed anew, from rest and without
+    a parent, and verified by the certificate checker, which shares no code with the solvers.
 
     Args:
-        plan: what to check.
+        plan: plan to check.
         assembly: the structure.
-        settings: what stable means.
+        settings: stability criterion.
         demands: margins that every state must keep; those that the plan was made to keep if not given.
         progress: called with the number of states checked and of all states.
 
@@ -187,7 +187,7 @@ def validate_plan(
 def _weak(
     plan: Plan, assembly: Assembly, settings: StabilitySettings, demands: Demands | None
 ) -> tuple[int, str] | None:
-    """First state that does not keep the margins that are demanded or recorded, and what is wrong."""
+    """Return the first state that does not keep the required or recorded margins, and the reason."""
     if demands is None and plan.margins is not None:
         demands = plan.margins.demands
     if plan.margins is None and not demands:
@@ -205,9 +205,9 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
     """Check the rules and, by the displacements or forces in the plan, the stability; needs no solver.
 
     Args:
-        plan: what to check.
+        plan: plan to check.
         assembly: the structure.
-        settings: what stable means.
+        settings: stability criterion.
 
     Raises:
         PlanError: the plan is for another structure, carries no proofs, or not one for each part or contact point.
@@ -256,7 +256,7 @@ def _place(plan: Plan, row: int) -> str:
 
 
 def _follow(plan: Plan) -> States:
-    """States that the actions of a plan lead to, each from the state before."""
+    """Return the states that the actions of a plan lead to, each from the state before."""
     if plan.support:
         return SupportMoves(_task_of(plan)).follow(plan.states[:-1], plan.actions)
     step = apply_actions if plan.direction is Direction.DISASSEMBLY else undo_actions
@@ -264,7 +264,7 @@ def _follow(plan: Plan) -> States:
 
 
 def _task_of(plan: Plan) -> Task:
-    """Task of a plan with holding again, without a rule on exits."""
+    """Return the task of a plan with repeated holds, without a rule on exits."""
     start, target = plan.states[[0, -1]] if plan.direction is Direction.DISASSEMBLY else plan.states[[-1, 0]]
     return Task.create(
         plan.boundary,

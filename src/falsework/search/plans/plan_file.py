@@ -37,14 +37,14 @@ MOVES = {
     "release": (Direction.ASSEMBLY, False, HELD, INSTALLED),
 }
 """Word of a step: direction, whether the action index is above `parts`, value of the part before, and after. With
-holding again, parts are held and released in both directions."""
+repeated holds, parts are held and released in both directions."""
 
 
 _SHARE = 0.1
 """Shares of gravity in 1 m/s2, rounded down."""
 _PROOF_WORDS = {"contact": "displacement", "equilibrium": "forces"}
 _PROOF_ARRAYS = {"contact": ("displacements", "parts"), "equilibrium": ("forces", "points")}
-"""Entry of the file that holds the proofs, and what its first axis counts."""
+"""Entry of the file that holds the proofs, and the items along its first axis."""
 _KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
 
 
@@ -148,7 +148,7 @@ def plan_from_dict(data: Any, source: str = "the plan") -> Plan:
 
 
 def _from_version_1(data: dict[str, Any]) -> dict[str, Any]:
-    """A plan of version 1 as one of version 2; what is malformed stays so, for the reader to say."""
+    """Convert a plan of version 1 to version 2; malformed entries are left for the reader to report."""
     # Version 1 gave residuals and tolerance in m/s2, of which a tenth is about a share of gravity.
     stability, start, steps = data.get("stability"), data.get("start"), data.get("steps")
     if isinstance(stability, dict):
@@ -167,7 +167,7 @@ def _scaled(record: Any) -> Any:
 
 
 class _Reader(Reader):
-    """Checks all of a plan that can be checked without the structure."""
+    """Reader of plans that checks everything that can be checked without the structure."""
 
     kind, form, command = "plan", FORMAT, "falsework plan"
 
@@ -188,7 +188,7 @@ class _Reader(Reader):
         )
         names = structure["parts"]
         if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-            self._fail("structure.parts is no list of names")
+            self._fail("structure.parts is not a list of names")
         if not all(isinstance(structure[key], str) for key in ("name", "identity")):
             self._fail("structure.name and structure.identity must be texts")
         parts, props = len(names), self._props(structure.get("props", []), len(names))
@@ -266,7 +266,7 @@ class _Reader(Reader):
         return fields
 
     def _props(self, value: Any, parts: int) -> tuple[Prop, ...]:
-        """Read where props stand; whether that is possible is for the structure to say."""
+        """Read the places of props, without checking them against the structure."""
         found = []
         for number, entry in enumerate(self._list(value, "structure.props"), 1):
             place = f"structure.props, prop {number}"
@@ -281,7 +281,7 @@ class _Reader(Reader):
         return tuple(found)
 
     def _source_of(self, value: Any) -> dict[str, Any]:
-        """Where the structure came from; whether it is there is for others to find out."""
+        """Read the source of the structure, without checking that it exists."""
         kinds = {
             "built_in": str, "path": str, "unit": str, "density": (int, float), "friction": (int, float),
             "boundary": list, "ground": bool, "interfaces": str, "loads": list, "earthquake": list,
@@ -324,7 +324,7 @@ class _Reader(Reader):
             way, above, old, new = MOVES[word] if isinstance(word, str) and word in MOVES else (None, False, 0, 0)
             turned = way is not direction and not (support and (is_prop[part] or not above))
             if way is None or turned or (is_prop[part] and not above):
-                self._fail(f"{place} does {word!r}", f"that is no action of {direction.value}")
+                self._fail(f"{place} does {word!r}", f"that is not an action of {direction.value}")
             if boundary[part] or state[part] != old:
                 found = "boundary" if boundary[part] else ("removed", "installed", "held")[int(state[part])]
                 self._fail(f"{place} cannot {word} part {part}, which is {found}")
@@ -348,7 +348,7 @@ class _Reader(Reader):
 
     def _state(self, value: Any, boundary: NDArray[np.bool_], place: str) -> States:
         if not isinstance(value, list) or not all(type(entry) is int for entry in value):
-            self._fail(f"{place} is no list of 0, 1, 2")
+            self._fail(f"{place} is not a list of 0, 1, 2")
         if len(value) != len(boundary):
             self._fail(f"{place} has {len(value)} values for {len(boundary)} parts")
         try:
@@ -358,7 +358,7 @@ class _Reader(Reader):
 
     def _parts(self, value: Any, parts: int, place: str) -> list[int]:
         if not isinstance(value, list) or not all(type(part) is int and 0 <= part < parts for part in value):
-            self._fail(f"{place} is no list of part numbers from 0 to {parts - 1}")
+            self._fail(f"{place} is not a list of part numbers from 0 to {parts - 1}")
         if len(set(value)) != len(value):
             self._fail(f"{place} names a part twice")
         return value
@@ -375,13 +375,13 @@ class _Reader(Reader):
         return PlanReplay(stands, self._number(value["moved"], "replay.moved"), part, falls_at)
 
     def _packed(self, value: Any, name: str, counted: str, states: int) -> NDArray[np.float64]:
-        """Proofs of all states: forces of points, or displacements of parts."""
+        """Return the proofs of all states: forces of points, or displacements of parts."""
         self._keys(value, {counted, "zlib_base64"}, name)
         count, width = self._count(value[counted], f"{name}.{counted}"), 6 if name == "displacements" else 3
         try:
             packed = base64.b64decode(value["zlib_base64"], validate=True)
             wanted = states * count * width * 8
-            # One byte more than wanted shows that there is too much, without unpacking a bomb.
+            # One extra byte reveals oversized data without unpacking all of it.
             data = zlib.decompressobj().decompress(packed, wanted + 1)
         except (TypeError, ValueError, OverflowError, zlib.error):
             self._fail(f"{name}.zlib_base64 cannot be unpacked")

@@ -29,14 +29,14 @@ class PlanReplay:
 
     @classmethod
     def of(cls, replay: Replay) -> PlanReplay:
-        """Summary of a replay."""
+        """Return the summary of a replay."""
         resting = np.flatnonzero(replay.stands == 1)
         most = int(resting[np.argmax(replay.moved[resting])]) if len(resting) else -1
         return cls(replay.good, replay.largest, int(replay.part[most]) if most >= 0 else -1, replay.falls_at)
 
 
 def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:
-    """Return what decides whether the replay of a route succeeds; None for an oracle that replays nothing."""
+    """Return the replayer for the routes of a search; None for an oracle without replays."""
     replayer: AnyReplayer | None = getattr(oracle, "replayer", None)
     if replayer is None or not settings.robust:
         return replayer

@@ -1,4 +1,4 @@
-"""The structure that a plan was made for, found from what the plan says of its source."""
+"""Structure of a plan, loaded from the source that the plan records."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def structure_of_plan(
         file: where the plan was read from; a path in the plan is relative to its folder, or without a file, to the
             current folder.
         structure: structure to take instead, by name, by path, or as it is.
-        options: as for `load_structure`; they replace what the plan says.
+        options: as for `load_structure`; they override those of the plan.
 
     Raises:
         PlanError: neither names a structure, or the named one is gone.

@@ -11,7 +11,7 @@ import numpy as np
 from falsework.errors import InputError
 
 _AT_ONCE = 16
-"""States judged between two looks at the clock, at first ..."""
+"""States checked between two checks of the time, at first ..."""
 _LEAST, _MOST = 4, 8192
 _SLICE = 0.02
 """... and then as many as take about so many seconds."""
@@ -30,8 +30,7 @@ def check_deadline(deadline: float | None) -> None:
 class DeadlineExceeded(KeyboardInterrupt):
     """Deadline exceeded in the middle of a batch of verdicts.
 
-    Searches take it like an interruption from the keyboard: they stop where they are, in good order, and hand back
-    what they have.
+    Searches treat it like an interruption from the keyboard: they stop cleanly and return their results so far.
     """
 
 
@@ -50,7 +49,7 @@ class Deadline:
         self.reserve = 0.0
         """Seconds before the deadline at which to stop searching, since a plan that is found must still be proved."""
         self.spent: dict[str, float] = {}
-        """Seconds by what they went into."""
+        """Seconds by kind of work."""
 
     @property
     def limited(self) -> bool:
@@ -74,7 +73,7 @@ class Deadline:
 
     @contextmanager
     def timed(self, what: str) -> Iterator[None]:
-        """Put the seconds that a piece of work takes to the account of `what`."""
+        """Add the seconds of a piece of work to the account `what`."""
         begun = time.perf_counter()
         try:
             yield
@@ -82,7 +81,7 @@ class Deadline:
             self.add(what, time.perf_counter() - begun)
 
     def add(self, what: str, seconds: float) -> None:
-        """Put seconds to the account of `what`."""
+        """Add seconds to the account `what`."""
         self.spent[what] = self.spent.get(what, 0.0) + seconds
 
 
@@ -90,13 +89,13 @@ class AdaptiveBatchSize:
     """Batch size between two checks of the deadline, adapted to the time that a state takes."""
 
     def __init__(self, *, limited: bool) -> None:
-        """Begin small where there is a deadline; take all at once where there is none."""
+        """Begin small if there is a deadline; otherwise take all at once."""
         self.batch = _AT_ONCE if limited else _MOST
         self._limited = limited
 
     @contextmanager
     def measure(self) -> Iterator[None]:
-        """Learn from the time that a batch of this size takes."""
+        """Adapt to the time that a batch of this size took."""
         begun = time.perf_counter()
         yield
         if self._limited:

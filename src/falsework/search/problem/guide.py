@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Guide(Protocol):
-    """Action heuristic: higher scores are tried sooner. Any callable will do, a trained policy too."""
+    """Action heuristic: higher scores are tried sooner. Any callable can be used, such as a trained policy."""
 
     def __call__(self, states: States, actions: Mask, direction: Direction, /) -> NDArray[np.floating]:
         """Score the actions of some states; a search adds up the scores along a path.
@@ -51,7 +51,7 @@ class SupportGuide:
         self._share = np.divide(area, whole, out=np.zeros_like(area), where=whole > 0).astype(np.float32)
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float32]:
-        """As `Guide`."""
+        """See `Guide`."""
         support = (states != REMOVED).astype(np.float32) @ self._share
         if direction is Direction.DISASSEMBLY:
             support = -support
@@ -66,7 +66,7 @@ class NoveltyGuide:
     """
 
     def __init__(self, base: Guide | None, routes: Sequence[Route], weight: float = 4.0) -> None:
-        """Differ from `routes`, with `weight` against the scores of `base`."""
+        """Prefer actions unlike `routes`, with `weight` relative to the scores of `base`."""
         ranks = [route.removal_rank() for route in routes]
         self._base = base
         self._removed = np.array([rank >= 0 for rank in ranks])
@@ -74,7 +74,7 @@ class NoveltyGuide:
         self._weight = weight / max(len(routes), 1)
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float64]:
-        """As `Guide`."""
+        """See `Guide`."""
         parts = states.shape[1]
         score = np.zeros(actions.shape)
         if self._base is not None:
@@ -88,23 +88,23 @@ class NoveltyGuide:
 class MemoizedGuide:
     """Memoized heuristic; all new queries of a call are evaluated together.
 
-    A network takes hardly longer for many states than for one. What was learned first is forgotten first.
+    A network takes hardly longer for many states than for one. The oldest entries are evicted first.
     """
 
     def __init__(self, base: Guide, limit: int = 20_000) -> None:
-        """Nothing is known yet.
+        """Begin empty.
 
         Args:
-            base: is asked.
-            limit: number of answers that are kept.
+            base: heuristic to evaluate.
+            limit: number of cached scores.
         """
         self.calls = 0
-        """Times that the other guide was asked."""
+        """Number of evaluations of the base heuristic."""
         self._base, self._limit = base, limit
         self._answers: dict[bytes, NDArray[np.floating]] = {}
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.floating]:
-        """As `Guide`."""
+        """See `Guide`."""
         questions = np.concatenate([states, np.packbits(actions, axis=1)], axis=1)
         keys = [direction.value.encode() + question.tobytes() for question in questions]
         new = {key: row for row, key in enumerate(keys) if key not in self._answers}

@@ -34,7 +34,7 @@ class StateHash:
         return cls(words)
 
     def __call__(self, states: States) -> Hashes:
-        """Hashes of states `(batch, parts)`, shape (batch,)."""
+        """Return the hashes of states `(batch, parts)`, shape (batch,)."""
         hashes = np.empty(len(states), dtype=np.uint64)
         part = np.arange(len(self.words))
         for begin in range(0, len(states), _CHUNK_STATES):

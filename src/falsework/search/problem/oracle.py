@@ -28,14 +28,14 @@ class CountingOracle:
     """Oracle wrapper that queries in batches of bounded size and counts."""
 
     def __init__(self, oracle: Oracle, *, batch: int = 1024) -> None:
-        """Batches are bounded so that an interruption never has to wait for a whole level."""
+        """Bound the batches, so that an interruption never has to wait for a whole level."""
         self.oracle = oracle
         self.asked = 0
         self.rejected = 0
         self.undecided = 0
         self.sliding = 0
         self.forbidden: set[bytes] = set()
-        """States that a replay of a plan fell in: counted as sliding without being asked about."""
+        """States at which a replay failed: counted as sliding without a verdict."""
         self.seconds = 0.0
         self._batch = batch
 

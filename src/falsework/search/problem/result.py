@@ -53,14 +53,14 @@ class Route:
 def beam_failure(
     width: int, exhaustive: bool, undecided: int, sliding: int = 0, doubt: str = ""
 ) -> tuple[Outcome, str]:
-    """Return the outcome of a beam that died, and the limit that it met, if any.
+    """Return the outcome of a beam that died out, and the limit that it met, if any.
 
     Args:
         width: states that it keeps a level.
-        exhaustive: it never had to leave one out.
+        exhaustive: it never omitted one.
         undecided: states that could be proved neither stable nor unstable.
         sliding: states in equilibrium for which no displacement was found.
-        doubt: why the rules of the task may forbid too much; see `Task.doubt`.
+        doubt: why the rules of the task may be too strict; see `Task.doubt`.
     """
     if not exhaustive:
         return Outcome.NOT_FOUND, f"the beam has a width of {width}; a wider one may find a plan"
@@ -132,7 +132,7 @@ class SearchResult:
     deepest: States
     """Some of the deepest states, shape (count, parts)."""
     rejected: States
-    """States one step further than `deepest` that are not stable, shape (count, parts): where the search broke off."""
+    """States one step further than `deepest` that are not stable, shape (count, parts): where the search stopped."""
     counters: SearchCounters
     seconds: float
     interrupted: bool = False
@@ -143,7 +143,7 @@ class SearchResult:
     """Rejected states for which neither verdict could be proved; above 0 they forbid a proof of impossibility."""
     sliding: int = 0
     """Rejected states that slide under the criterion `contact`: forces in equilibrium exist, and no displacement was
-    found that brings them about. Above 0 they forbid a proof of impossibility too."""
+    found that produces them. Above 0 they forbid a proof of impossibility too."""
     notes: tuple[str, ...] = field(default=())
 
     @property
@@ -153,7 +153,7 @@ class SearchResult:
 
 
 def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
-    """Judge the start and the target of a task; the failed search if one of them is not stable, else None."""
+    """Return the failed search if the start or the target of a task is not stable, else None."""
     ends = np.stack([task.start, task.target])
     verdicts = oracle.judge(ends)
     if verdicts.stable.all():

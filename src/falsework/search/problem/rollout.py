@@ -17,7 +17,7 @@ targets, shape (batch, parts). Returns shape (batch, 2 parts)."""
 Stable = Callable[[NDArray[np.int64], States, States], Mask]
 """Stability of states: their tasks, shape (batch,), states and parents, shapes (batch, parts), to shape (batch,)."""
 Stop = Callable[[int], bool]
-"""Whether the rollouts of a task need not go on."""
+"""Whether the rollouts of a task can stop."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +29,9 @@ class Rollout:
     states: States
     """Shape (steps + 1, parts)."""
     reached: bool
-    """Whether the last state is the target. Without verdicts on the way, that proves nothing yet."""
+    """Whether the last state is the target. Without verdicts on the path, that proves nothing yet."""
     unstable: bool
-    """Whether the last state was found not to stand."""
+    """Whether the last state was found not to be stable."""
 
 
 def roll_out(
@@ -53,7 +53,8 @@ def roll_out(
         owner: number of the task of each rollout, ascending, shape (rollouts,).
         score: scores actions, such as the logarithms of their probabilities.
         rng: draws actions from the probabilities; those with the highest score are taken if not given.
-        stable: asked after every action that needs a verdict; without it rollouts go to their ends unasked.
+        stable: asked after every action that needs a verdict; without it rollouts continue to their ends without
+            verdicts.
         next_best: after an action that leads to an unstable state take the next best one; otherwise the rollout ends.
         stop: asked before every step for every task that still runs.
 

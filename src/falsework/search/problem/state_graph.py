@@ -32,12 +32,12 @@ def criterion_of(task: Task) -> Criterion:
 
 
 def read_criterion(path: Path | str, header: dict[str, Any], remedy: str) -> Criterion:
-    """Take the criterion out of the header of a file of states; files from before there was a choice have none.
+    """Take the criterion out of the header of a file of states; files of older versions have none.
 
     Args:
         path: of the file.
         header: as read; `criterion` is removed.
-        remedy: what to do if the file is damaged.
+        remedy: remedy for a damaged file.
 
     Raises:
         InputError: an unknown criterion.
@@ -107,7 +107,7 @@ class StateGraph:
 
     @property
     def criterion(self) -> Criterion:
-        """What stable means for its states."""
+        """Stability criterion of its states."""
         return criterion_of(self.task)
 
     @cached_property
@@ -117,7 +117,7 @@ class StateGraph:
 
     @cached_property
     def index(self) -> StateIndex:
-        """Finds states in this graph."""
+        """Index of the states of this graph."""
         return StateIndex(self.states)
 
     @cached_property
@@ -185,7 +185,7 @@ class StateGraph:
         return int(self.index.find(state[None])[0])
 
     def _spread(self, origin: States, near: NDArray[np.int32], far: NDArray[np.int32], *, downwards: bool) -> Mask:
-        """Mark what is connected to `origin`, level by level, along edges from `near` to `far`."""
+        """Mark the nodes connected to `origin`, level by level, along edges from `near` to `far`."""
         marked = np.zeros(len(self.states), dtype=bool)
         if self._has(origin):
             marked[self._position(origin)] = True
@@ -265,7 +265,7 @@ def _check(graph: StateGraph, path: Path | str) -> None:
     elif not graph.task.contains(states).all() or (np.diff(graph.level) < 0).any():
         damage = "states break the rules or are out of order"
     elif graph.source.shape != (edges,) or graph.source.dtype != np.int32:
-        damage = "edges are no list of numbers"
+        damage = "edges are not a list of numbers"
     elif any(array.shape != (edges,) or array.dtype != np.int32 for array in (graph.action, graph.target)):
         damage = "edges have different lengths"
     elif edges and (
@@ -276,7 +276,7 @@ def _check(graph: StateGraph, path: Path | str) -> None:
     ):
         damage = "edges point outside the states"
     elif (graph.level[graph.target] != graph.level[graph.source] + 1).any():
-        damage = "an edge is no legal action"
+        damage = "an edge is not a legal action"
     else:
         for begin in range(0, edges, 64 * _CHUNK_STATES):
             rows = slice(begin, begin + 64 * _CHUNK_STATES)

@@ -1,4 +1,4 @@
-"""Moves where a part may be let go and held again, and where props may be placed."""
+"""Moves with repeated holds and props."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from falsework.search.problem.task import Direction, Task
 
 
 class SupportMoves:
-    """Moves of a task with holding again: an action changes whether a part is held, or whether it is there.
+    """Moves of a task with repeated holds: an action changes whether a part is held, or whether it is present.
 
-    Action `i` holds part `i` or lets it go, and `parts + i` takes it away; in assembly that puts it there. A held part
-    can be let go without being removed, and held again later; a robot that takes over a part's hold does so before the
-    other lets go, since each is a step of its own. A prop needs no robot: it is there, which is written as held, or it
-    is not. It stands under a part that is there.
+    Action `i` holds or releases part `i`, and `parts + i` removes it; in assembly it inserts it. A held part can be
+    released without being removed, and held again later; a robot that takes over a hold does so before the other
+    releases, since each is a step of its own. A prop needs no robot: it is present, which is written as held, or
+    absent. It can be placed under a present part only.
     """
 
     def __init__(self, task: Task) -> None:
@@ -42,7 +42,7 @@ class SupportMoves:
         return ((states == HELD) & self._counted).sum(axis=-1)
 
     def standing(self, states: States) -> NDArray[np.int64]:
-        """Return the number of props that stand, shape (batch,)."""
+        """Return the number of props in place, shape (batch,)."""
         return (states[..., self._props] != REMOVED).sum(axis=-1)
 
     def removed(self, states: States) -> NDArray[np.int64]:
@@ -55,7 +55,7 @@ class SupportMoves:
         free = (self.held(states) < task.robots)[:, None]
         held = self._holdable & (states == HELD)
         change = held | (self._holdable & (states == INSTALLED) & free)
-        bare = np.ones_like(held)  # parts that no prop stands under, which a robot may then take away
+        bare = np.ones_like(held)  # parts without a prop below, which a robot may then remove
         if len(props):
             under, there = np.asarray(task.props), states[:, props] != REMOVED
             for prop in range(len(props)):

@@ -1,4 +1,4 @@
-"""Routes with holding again: states, and the actions read off them."""
+"""Routes with repeated holds: states, and the actions derived from them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from falsework.search.problem.result import Route
 
 
 class SupportRoute(Route):
-    """Route in which parts may be let go and held again.
+    """Route in which parts may be released and held again.
 
-    Action `i` holds part `i`, or lets it go where it is held; `parts + i` removes it, or places it where it is a prop.
+    Action `i` holds part `i`, or releases it if it is held; `parts + i` removes it, or places it if it is a prop.
     """
 
     @classmethod

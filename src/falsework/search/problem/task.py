@@ -71,24 +71,24 @@ class Task:
     fixed: tuple[int, ...] = ()
     """Parts that are never touched."""
     missing: tuple[int, ...] = ()
-    """Parts not delivered yet, which assembly does without for as long as possible."""
+    """Parts not delivered yet, which assembly defers as long as possible."""
     postponed: tuple[int, ...] = ()
-    """Entry `k`: assembly steps to be done before the `k + 1`-th missing part goes in. Ascending."""
+    """Entry `k`: assembly steps to be done before the `k + 1`-th missing part is inserted. Ascending."""
     clearance: Clearance | None = None
     """Where given, a part is removed only if it can leave."""
     identity: str = ""
     """Hash of the structure, so that saved searches are not mixed up."""
     neighbours: Mask | None = None
-    """Which movable parts are in contact, shape (parts, parts); a search that knows it learns from failures."""
+    """Which movable parts are in contact, shape (parts, parts); a search that has it learns from failures."""
     holds_keep_stable: bool = False
     """Whether a stable state stays stable when a part of it is held: a theorem under the criterion `equilibrium`,
     wrong under `contact`. Where it does, holds need no verdict; see `judged_by`."""
     support: bool = False
-    """Whether a held part may be let go without being removed, and held again."""
+    """Whether a held part may be released without being removed, and held again."""
     props: tuple[int, ...] = ()
     """Part above each prop; the props are the last parts of the structure, and no robot holds them."""
     prop_limit: int = 0
-    """Props that may stand at a time."""
+    """Props that may be in place at a time."""
 
     @classmethod
     def create(
@@ -121,7 +121,7 @@ class Task:
             identity: hash of the structure.
             support: let parts be held again.
             props: part above each prop; the last parts of the structure are props, absent from start and target.
-            prop_limit: props that may stand at a time.
+            prop_limit: props that may be in place at a time.
 
         Raises:
             InputError: fewer than one robot, missing parts with support, or a part number out of range, doubled, or of
@@ -133,7 +133,7 @@ class Task:
         fixed = _part_numbers(fixed, boundary, "fixed", boundary_allowed=True)
         missing = _part_numbers(missing, boundary, "missing", boundary_allowed=False)
         if missing and support:
-            raise InputError("plans with holding again take no missing parts; leave out one of the two")
+            raise InputError("plans with repeated holds take no missing parts; leave out one of the two")
         if start is None:
             start = complete_state(boundary)
             start[len(boundary) - len(props) :] = REMOVED
@@ -190,7 +190,7 @@ class Task:
 
     @cached_property
     def doubt(self) -> str:
-        """Why looking at every state would not prove that there is no plan, in words; empty if it would."""
+        """Reason why an exhaustive search would not prove that there is no plan; empty if it would."""
         if self.prop_limit:
             return f"props were tried at {len(self.props)} places, one under a part; they may help at others"
         if self.clearance is None:
@@ -198,15 +198,15 @@ class Task:
         return self.clearance.doubt((self.start != REMOVED) & (self.target == REMOVED))
 
     def postpone(self, postponed: Sequence[int]) -> Task:
-        """Return the same task with other lower bounds on when missing parts go in."""
+        """Return the same task with other lower bounds on when missing parts are inserted."""
         return replace(self, postponed=tuple(int(steps) for steps in postponed))
 
     def origin(self, direction: Direction) -> States:
-        """State that a search in `direction` begins with, shape (parts,)."""
+        """Return the state that a search in `direction` begins with, shape (parts,)."""
         return self.start if direction is Direction.DISASSEMBLY else self.target
 
     def goal(self, direction: Direction) -> States:
-        """State that a search in `direction` must reach, shape (parts,)."""
+        """Return the state that a search in `direction` must reach, shape (parts,)."""
         return self.target if direction is Direction.DISASSEMBLY else self.start
 
     def steps_done(self, states: States) -> NDArray[np.int64]:
@@ -240,7 +240,7 @@ class Task:
     def dead_ends(self, states: States, direction: Direction) -> Mask:
         """Return states from which the goal is certainly out of reach, stability aside. Shape (batch,).
 
-        In assembly parts only ever get in the way: one that is still to come and has no way in now never will.
+        In assembly parts only ever block more: a part still to be inserted that has no free direction now never will.
         """
         if self.clearance is None or direction is Direction.DISASSEMBLY:
             return np.zeros(len(states), dtype=bool)
@@ -262,7 +262,7 @@ class Task:
         return ~(self.fixes(actions, direction) & self.holds_keep_stable)
 
     def moved_value(self, actions: NDArray[np.integer], direction: Direction) -> NDArray[np.uint8]:
-        """Value that each move gives its part, shape (batch,)."""
+        """Return the value that each move gives its part, shape (batch,)."""
         holds = np.asarray(actions) < self.part_count
         if direction is Direction.DISASSEMBLY:
             return np.where(holds, HELD, REMOVED).astype(np.uint8)
@@ -274,7 +274,7 @@ class Task:
         return step(states, actions)
 
     def to_dict(self) -> dict[str, object]:
-        """Return all that tells this task from another, as plain JSON values."""
+        """Return all that distinguishes this task from another, as plain JSON values."""
         return {
             "identity": self.identity,
             "boundary": np.flatnonzero(self.boundary).tolist(),
@@ -293,7 +293,8 @@ class Task:
         hold, remove = mask[:, : self.part_count], mask[:, self.part_count :]
         hold &= self.target != INSTALLED
         remove &= self.target == REMOVED
-        # A robot that holds a part to the end is lost for the rest: the last robot must stay free for removals.
+        # A robot that holds a part to the end is not available for the rest: the last robot must stay free for
+        # removals.
         kept = (self.target == HELD) & ~self.boundary
         busy = (kept & (states == HELD)).sum(axis=1)
         waiting = ((self.target == REMOVED) & (states != REMOVED)).any(axis=1)

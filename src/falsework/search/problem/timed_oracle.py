@@ -15,7 +15,7 @@ from falsework.stability.verdict import Verdict, Verdicts
 
 
 class TimedOracle:
-    """An oracle that looks at the clock between small batches; anything that searches can be stopped with it."""
+    """Oracle that checks the deadline between small batches, so that any search can be stopped."""
 
     def __init__(
         self,
@@ -24,14 +24,14 @@ class TimedOracle:
         between: Callable[[], None] | None = None,
         replayer: DeadlineReplayer | None = None,
     ) -> None:
-        """Ask `oracle` until `clock` has run out; call `between` before each batch.
+        """Query `oracle` until `clock` has run out; call `between` before each batch.
 
-        States that `replayer` has ruled out are said to slide, whatever `oracle` says of them.
+        States that `replayer` has excluded count as sliding, whatever the verdict of `oracle`.
         """
         self.asked = 0
-        """States asked about."""
+        """Number of states checked."""
         self.limited = clock.limited
-        """Whether an answer is waited for until a deadline, so that batches must be small."""
+        """Whether there is a deadline, so that batches must be small."""
         self.holds_keep_stable = bool(getattr(oracle, "holds_keep_stable", False))
         self.replayer = replayer
         """Replays the routes of searches; None where there is no history to take into account."""
@@ -40,10 +40,10 @@ class TimedOracle:
         self._between = between or (lambda: None)
 
     def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """As `falsework.search.problem.oracle.Oracle`.
+        """See `falsework.search.problem.oracle.Oracle`.
 
         Raises:
-            TimeUp: the clock has run out.
+            DeadlineExceeded: the deadline has passed.
         """
         verdicts = Verdicts.blank(len(states))
         pace = AdaptiveBatchSize(limited=self.limited)
@@ -62,7 +62,7 @@ class TimedOracle:
         return verdicts
 
     def rules_out(self, states: States) -> Mask:
-        """Which states replays have ruled out, shape (batch,)."""
+        """Return which states replays have excluded, shape (batch,)."""
         known = () if self.replayer is None else self.replayer.ruled_out
         return np.array([bool(known) and state.tobytes() in known for state in states], dtype=bool)
 

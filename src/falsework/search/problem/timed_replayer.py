@@ -17,7 +17,7 @@ from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 
 _PIECE = 8
-"""Steps replayed between two looks at the clock."""
+"""Steps replayed between two checks of the time."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,8 @@ class _Progress:
 class DeadlineReplayer:
     """Replayer that checks the deadline between steps and replays no sequence twice.
 
-    Searches use it like a `Replayer`. They rule the state out in which a sequence falls, which makes no sense of the
-    two ends, since every sequence has them: where an end falls, its neighbour is ruled out.
+    Searches use it like a `Replayer`. They exclude the state in which a sequence fails. Every sequence has the two
+    ends, so if an end fails, its neighbour is excluded.
     """
 
     def __init__(self, replayer: Replayer, clock: Deadline, between: Callable[[], None] = lambda: None) -> None:
@@ -72,11 +72,11 @@ class DeadlineReplayer:
         self.unfinished: States | None = None
         """The last sequence whose replay the clock cut short, in the order of assembly."""
         self.fallen: States | None = None
-        """Of the sequences that fall the one that comes farthest."""
+        """Failing sequence that gets farthest."""
         self.fell_after = 0
-        """Steps of it that come to rest."""
+        """Number of its steps that come to rest."""
         self.ruled_out: set[bytes] = set()
-        """States between the ends in which sequences fell."""
+        """States between the ends at which sequences failed."""
         self._replayer = replayer
         self._clock = clock
         self._between = between
@@ -100,7 +100,7 @@ class DeadlineReplayer:
         """Replay as `Replayer.replay`, without histories unless a single state is replayed.
 
         Raises:
-            TimeUp: the clock ran out; `unfinished` then is this sequence.
+            DeadlineExceeded: the deadline passed; `unfinished` then is this sequence.
         """
         sequence = np.asarray(states, dtype=np.uint8)
         if history is not None or len(sequence) < 2:
@@ -121,14 +121,14 @@ class DeadlineReplayer:
         """Replay a step as `Replayer.step`.
 
         Raises:
-            TimeUp: the clock ran out.
+            DeadlineExceeded: the deadline passed.
         """
         self._look()
         with self._clock.timed("replays"):
             return self._replayer.step(history, before, after)
 
     def as_time_allows(self, states: States) -> Replayed:
-        """Replay a sequence, or as much of it as the clock leaves time for.
+        """Replay a sequence, or as much of it as the deadline allows.
 
         Args:
             states: in the order of assembly, shape (steps + 1, parts).
@@ -149,7 +149,7 @@ class DeadlineReplayer:
             self._between()
             if self._clock.passed:
                 break
-            first = max(progress.reached - 1, 0)  # the last state that rests, whose history is known
+            first = max(progress.reached - 1, 0)  # the last state at rest, whose history is known
             rows = slice(first, first + _PIECE + 1)
             with self._clock.timed("replays"):
                 found = self._replayer.replay(states[rows], progress.history)
@@ -169,7 +169,7 @@ class DeadlineReplayer:
         return progress
 
     def _note(self, states: States, row: int) -> None:
-        """Remember that a sequence falls in state `row`."""
+        """Record that a sequence fails in state `row`."""
         if self.fallen is None or row - 1 > self.fell_after:
             self.fallen, self.fell_after = states, max(row - 1, 0)
         inner = _inner(row, len(states))
@@ -178,5 +178,5 @@ class DeadlineReplayer:
 
 
 def _inner(row: int, count: int) -> int | None:
-    """State to rule out where a sequence of `count` states falls in state `row`; None if it has nothing but ends."""
+    """Return the state to exclude if a sequence of `count` states fails in state `row`; None if it has only ends."""
     return min(max(row, 1), count - 2) if count > 2 else None

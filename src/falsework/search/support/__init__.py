@@ -1,1 +1,1 @@
-"""Plans with holding again: searches over states in which parts are held, let go and held again, and props placed."""
+"""Plans with repeated holds and props: searches over states in which parts are held, released and held again."""

@@ -1,4 +1,4 @@
-"""Beam search with holding again: sets of present parts level by level, holds changed between them where need be."""
+"""Beam search with repeated holds: sets of present parts level by level, with changes of holds where needed."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ if TYPE_CHECKING:
     from falsework.stability.contact.replay import History
 
 _RETREATS = (8, 16, 32, 8, 16, 32)
-"""Levels that a beam which died goes back, one after the other, before it gives up."""
+"""Levels by which a beam that died out backtracks, one after the other, before it gives up."""
 _DISORDER = 0.3
 """Spread of the random preference for each part in a trial; each further trial adds as much."""
 _NEW_HOLDS = 8
-"""Other holds that are found for a level before the next level is tried again."""
+"""Number of other holds to find for a level before the next level is tried again."""
 _REJECTED = 64
-"""States that are not stable which a result names where the beam died."""
+"""Number of unstable states that a result reports where the beam died out."""
 _MOST_AT_GOAL = 10_000
-"""Other holds of the parts of the goal that are looked at on the way to its own."""
+"""Largest number of other holds of the parts of the goal that are examined on the path to its own."""
 _MOST_AT_ONCE = 8
-"""Candidates that are judged together at most; the first ones mostly stand."""
+"""Largest number of candidates checked together; the first ones are mostly stable."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """States that lead on from one in which a robot is free, one move each, to the next such state."""
+    """Path of states, one move each, from a state with a free robot to the next such state."""
 
     origin: bytes
     states: tuple[States, ...]
@@ -56,9 +56,9 @@ class _Way:
 class SupportBeam:
     """Beam over the sets of present parts; each comes with holds that keep one robot free.
 
-    From a level to the next a part is removed, or in assembly placed, with what is held now, or with one hold or prop
-    changed. Only where nothing gets through are other holds looked for, by letting parts go and holding others, a few
-    at a time. Where that does not help either, the beam goes back some levels and prefers other parts at random. In the
+    From a level to the next a part is removed, or in assembly placed, with the present holds, or with one hold or prop
+    changed. Only if none of these is stable are other holds searched for, by releasing parts and holding others, a few
+    at a time. If that does not help either, the beam backtracks some levels and prefers other parts at random. In the
     order of assembly, states come with their contact history, and those that do not come to rest are dropped.
     """
 
@@ -97,7 +97,7 @@ class SupportBeam:
         self._seconds = 0.0
 
     def forbid(self, state: States) -> None:
-        """Rule a state out, such as one in which the replay of a route falls, and begin anew; verdicts are kept."""
+        """Exclude a state, such as one in which the replay of a route fails, and restart; verdicts are kept."""
         self.judge.forbidden.add(state.tobytes())
         self._known.pop(state.tobytes(), None)
         origin = self.task.origin(self.direction).tobytes()
@@ -107,7 +107,7 @@ class SupportBeam:
         self._taste[:] = 0.0
 
     def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Search until the goal is reached, the beam has died too often, or `stop` or the keyboard ends it.
+        """Search until the goal is reached, the beam has died out too often, or `stop` or the keyboard ends it.
 
         Args:
             progress: called after every level.
@@ -152,7 +152,7 @@ class SupportBeam:
         )
 
     def _advance(self) -> bool:
-        """Find the next level, changing holds where need be; False where there is none."""
+        """Find the next level, changing holds if needed; return False if there is none."""
         level = self._levels[-1]
         if len(self._levels) > self._moves.removals:
             return False
@@ -178,7 +178,7 @@ class SupportBeam:
         return True
 
     def _other_holds(self, ring: list[bytes], seen: set[bytes]) -> list[bytes]:
-        """Return some more states with the same parts and other holds that can be reached; none if none is left."""
+        """Return more reachable states with the same parts and other holds; none if none is left."""
         ways = self._sorted(w for key in seen for w in self._within(key) if w.states[-1].tobytes() not in seen)
         fresh = []
         for way in self._stable(ways):
@@ -192,7 +192,7 @@ class SupportBeam:
         return fresh
 
     def _across(self, key: bytes) -> Iterator[_Way]:
-        """Yield the ways from a state to those with one part less, or in assembly more, and a robot free."""
+        """Yield the paths from a state to those with one part fewer, or in assembly more, and a robot free."""
         moves, state = self._moves, _array(key)
         for action, after in self._after(state, presence=True):
             if self._free(after):
@@ -216,7 +216,7 @@ class SupportBeam:
                             yield self._way(key, action, *between, after)
 
     def _within(self, key: bytes) -> Iterator[_Way]:
-        """Yield the ways from a state to those with the same parts, other holds or props, and a robot free."""
+        """Yield the paths from a state to those with the same parts, other holds or props, and a robot free."""
         state, moves = _array(key), self._moves
         for action, after in self._after(state, presence=False):
             if self._free(after):
@@ -229,7 +229,7 @@ class SupportBeam:
             yield self._way(key, action, after)
 
     def _after(self, state: States, *, presence: bool) -> Iterator[tuple[int, States]]:
-        """Yield the actions of robots on a state and what they lead to: those on presence, or those on holds."""
+        """Yield the actions of robots on a state and their results: those on presence, or those on holds."""
         parts, last = self._moves.parts, self._moves.parts - len(self.task.props)
         legal = self._moves.legal(state[None], self.direction)[0]
         actions = np.flatnonzero(legal[parts : parts + last]) + parts if presence else np.flatnonzero(legal[:parts])
@@ -237,7 +237,7 @@ class SupportBeam:
         yield from zip(actions.tolist(), after, strict=True)
 
     def _props(self, state: States, above: int | None = None) -> Iterator[tuple[int, States]]:
-        """Yield what placing a prop, or taking one away, leads to; of a prop under a part where that is given."""
+        """Yield the results of placing or removing a prop, only of that under a part if one is given."""
         parts, count = self._moves.parts, len(self.task.props)
         if not count:
             return
@@ -249,7 +249,7 @@ class SupportBeam:
             yield action, self._moves.follow(state[None], np.array([action]))[0]
 
     def _presence(self, state: States) -> bytes:
-        """Return the parts that are there, props left aside."""
+        """Return the parts that are present, without props."""
         return np.packbits(state[: len(state) - len(self.task.props)] != REMOVED).tobytes()
 
     def _free(self, state: States) -> bool:
@@ -257,7 +257,7 @@ class SupportBeam:
         return int(self._moves.held(state)) < self.task.robots
 
     def _way(self, origin: bytes, action: int, *states: States) -> _Way:
-        """Return a way with its score: free robots first, then few props, then the guide, then few moves."""
+        """Return a path with its score: free robots first, then few props, then the guide, then few moves."""
         before, part = _array(origin), action % self._moves.parts
         mask = np.zeros((1, 2 * self._moves.parts), dtype=bool)
         mask[0, action] = True
@@ -270,7 +270,7 @@ class SupportBeam:
         return sorted(ways, key=lambda way: -way.score)
 
     def _stable(self, ways: list[_Way], found: Collection[bytes] = ()) -> Iterator[_Way]:
-        """Yield the ways whose states all stand, judged in growing batches, but none to parts that are `found`."""
+        """Yield the paths whose states are all stable, checked in growing batches, except to parts that are `found`."""
         begin, count = 0, 1
         while begin < len(ways):
             batch = [way for way in ways[begin : begin + count] if self._presence(way.states[-1]) not in found]
@@ -279,7 +279,7 @@ class SupportBeam:
             begin, count = begin + count, min(2 * count, _MOST_AT_ONCE)
 
     def _ask(self, ways: list[_Way]) -> None:
-        """Judge the states of some ways that are not known, those last in the ways first."""
+        """Check the unknown states of some paths, the last of each path first."""
         for place in (-1, -2, -3):
             asked: dict[bytes, tuple[States, States]] = {}
             for way in ways:
@@ -297,7 +297,7 @@ class SupportBeam:
             self._wrong = [*self._wrong, *states[~stable]][:_REJECTED]
 
     def _stands(self, way: _Way) -> bool:
-        """Return whether all states of a way, which have been judged, stand with their contact history too."""
+        """Return whether all states of a checked path are stable with their contact history too."""
         if not all(self._known.get(state.tobytes(), False) for state in way.states):
             return False
         if self._histories is None:
@@ -306,7 +306,7 @@ class SupportBeam:
         return self._pending is not None
 
     def _take(self, way: _Way) -> bytes:
-        """Note how the states of a way, the last that `_stable` yielded, were reached; return the last of them."""
+        """Record how the states of the path last yielded by `_stable` were reached; return the last state."""
         before = way.origin
         if self._histories is not None and self._pending is not None:
             fresh = [k for k, state in enumerate(way.states) if state.tobytes() not in self.parent]
@@ -318,7 +318,7 @@ class SupportBeam:
         return before
 
     def _retreat(self) -> bool:
-        """Go back and prefer other parts; False once every retreat was tried."""
+        """Backtrack and prefer other parts; return False once every retreat was tried."""
         if self._trials == len(_RETREATS):
             return False
         back = _RETREATS[self._trials]
@@ -328,7 +328,7 @@ class SupportBeam:
         return True
 
     def _to_goal(self) -> SupportRoute | None:
-        """Let go, or hold, what the goal still lacks, once all parts are there or gone; None where no way is found."""
+        """Release or hold parts as in the goal, once all parts are placed or removed; None if no path is found."""
         goal = self.task.goal(self.direction).tobytes()
         seen, ways, count = set(self._levels[-1]), [], 0
         ring = list(self._levels[-1])

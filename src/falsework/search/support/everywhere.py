@@ -1,4 +1,4 @@
-"""Search through every state that holding again leads to: the shortest plan, or a proof that there is none."""
+"""Exhaustive search with repeated holds: the shortest plan, or a proof that there is none."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ STATE_LIMIT = 200_000
 
 
 class SupportEverywhere:
-    """Breadth-first search from the start through all stable states, whatever is held, let go and held again.
+    """Breadth-first search from the start through all stable states that repeated holds can reach.
 
-    Nothing is left out and no state is visited twice, so where it ends without the target there is no plan. Steps are
+    Nothing is omitted and no state is visited twice, so if it ends without the target there is no plan. Steps are
     counted as two for each part to be removed, which every plan needs at least.
     """
 
@@ -60,7 +60,7 @@ class SupportEverywhere:
         self._seconds = 0.0
 
     def forbid(self, state: States) -> None:
-        """Rule a state out, such as one in which the replay of a route falls, and begin anew; that proves no more."""
+        """Exclude a state, such as one in which a replay fails, and restart; the search then proves nothing."""
         self.judge.forbidden.add(state.tobytes())
         self.parent = {self.task.start.tobytes(): b""}
         self._ring = self._deepest = self.task.start[None]
@@ -126,11 +126,11 @@ class SupportEverywhere:
         )
 
     def _level(self, states: States) -> int:
-        """Return the most parts that are removed in some states."""
+        """Return the largest number of parts removed in some states."""
         return int(self._moves.removed(states).max())
 
     def _advance(self) -> None:
-        """Find the next ring: an interruption in the middle of it leaves the search as it was."""
+        """Find the next ring; an interruption leaves the search unchanged."""
         ring, wrong = self._next(self._ring, self.judge, self._refused)
         if len(ring) and self._level(ring) >= self._level(self._deepest):
             self._deepest, self._last = ring[self._moves.removed(ring) == self._level(ring)], wrong

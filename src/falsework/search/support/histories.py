@@ -1,4 +1,4 @@
-"""Contact histories of the states of a beam with holding again, in the order of assembly."""
+"""Contact histories of the states of a beam with repeated holds, in the order of assembly."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class WayHistories:
-    """Contact history of each state, along the way by which it was reached first."""
+    """Contact history of each state, along the path by which it was reached first."""
 
     def __init__(self, replayer: AnyReplayer, parent: Mapping[bytes, bytes]) -> None:
         """Begin with nothing.
@@ -43,14 +43,14 @@ class WayHistories:
         return found
 
     def keep(self, states: Sequence[States], histories: Sequence[History]) -> None:
-        """Remember the histories of states that were reached for the first time."""
+        """Store the histories of states that were reached for the first time."""
         for state, history in zip(states, histories, strict=True):
             self._known.setdefault(state.tobytes(), history)
         while len(self._known) > self._most:
             self._known.popitem(last=False)
 
     def _of(self, state: bytes) -> History | None:
-        """Return the history of a state, along its way from the last state whose history is known."""
+        """Return the history of a state, along its path from the last state whose history is known."""
         way = [state]
         while way[-1] not in self._known and self._parent[way[-1]]:
             way.append(self._parent[way[-1]])

@@ -1,4 +1,4 @@
-"""Planner with holding again: narrow beams with and without it, wider ones, and every state."""
+"""Planner with repeated holds: narrow beams with and without them, wider beams, and exhaustive search."""
 
 from __future__ import annotations
 
@@ -23,18 +23,19 @@ from falsework.search.support.everywhere import STATE_LIMIT, SupportEverywhere
 _WIDENING = 4
 """Each round of beams is so many times wider than the last."""
 _FEW_PARTS, _FEW_STATES = 16, 5_000
-"""Up to so many parts, so many states are all looked at before a beam is widened: small structures are then decided."""
+"""Up to this number of parts, so many states are searched exhaustively before a beam is widened, which decides small
+structures."""
 _MOST_FALLS = 64
-"""Routes whose replay falls before a search is given up."""
+"""Number of routes with a failing replay before a search is given up."""
 
 _Search = SupportBeam | SupportEverywhere | Planner
 
 
 class SupportPlanner:
-    """Planner of a task with holding again; it runs, stops and runs on like `Planner`.
+    """Planner of a task with repeated holds; it runs, stops and resumes like `Planner`.
 
-    A plan in which every part is held once is a plan here too, so narrow beams for one are among the first. That no
-    plan exists is said only by `SupportEverywhere`, which leaves nothing out.
+    A plan in which every part is held once is a plan here too, so narrow beams for one are among the first. Only
+    `SupportEverywhere`, which is exhaustive, can prove that no plan exists.
     """
 
     def __init__(
@@ -45,14 +46,14 @@ class SupportPlanner:
         Args:
             task: rules between start and target, with `Task.support`.
             oracle: decides stability.
-            settings: how hard to look.
+            settings: effort of the search.
             guide: scores actions.
 
         Raises:
             InputError: more than one plan is asked for.
         """
         if settings.alternatives > 1:
-            raise InputError("plans with holding again have no alternatives yet; ask for one plan")
+            raise InputError("plans with repeated holds have no alternatives yet; ask for one plan")
         self.task = task.judged_by(oracle)
         self.settings = settings
         self.routes: list[Route] = []
@@ -114,7 +115,7 @@ class SupportPlanner:
         return replace(result, counters=self.counters, seconds=self._seconds, interrupted=interrupted)
 
     def _searches(self) -> list[Callable[[], _Search]]:
-        """Return the searches in the order in which they are tried, each yet to be made."""
+        """Return factories of the searches in the order in which they are tried."""
         task, oracle, guide, settings = self.task, self._oracle, self._guide, self.settings
 
         def once() -> Planner:
@@ -125,7 +126,7 @@ class SupportPlanner:
             return lambda: SupportBeam(task, oracle, direction, guide=guide, width=width, seed=settings.seed)
 
         widths = [_WIDENING**k for k in range(1 + int(np.log(settings.width) / np.log(_WIDENING) + 1e-9))]
-        # The other end is looked from once a wider beam from the first failed: of most structures it costs more.
+        # The other end is tried after a wider beam from the first failed: for most structures it costs more.
         ranks = sorted((i + j, j, i) for i in range(len(widths)) for j in range(len(settings.directions)))
         beams = [beam(settings.directions[j], widths[i]) for _, j, i in ranks]
         if (STAGE[task.target] >= STAGE[task.start]).all():
@@ -135,7 +136,7 @@ class SupportPlanner:
         return [*beams, lambda: SupportEverywhere(task, oracle, state_limit=STATE_LIMIT)]
 
     def _take(self, route: Route) -> None:
-        """Take over a route whose replay stands; else rule the state out in which it falls."""
+        """Accept a route whose replay succeeds; else exclude the state in which it fails."""
         if isinstance(self._running, Planner):
             self.replays.update(self._running.replays)
         if self._replayer is not None and route.states.tobytes() not in self.replays:
@@ -144,7 +145,7 @@ class SupportPlanner:
                 row, last = found.falls_at or 0, len(route.states) - 1
                 if self.fallen is None or row > self.fallen[1]:
                     self.fallen = route, row
-                # Both ends belong to every route, so where one falls the state beside it is ruled out.
+                # Both ends belong to every route, so if one fails, the state next to it is excluded.
                 self._forbidden.append(route.states[::-1][min(max(row, 1), max(last - 1, 0))])
                 self._falls += 1
                 if isinstance(self._running, SupportBeam | SupportEverywhere):
@@ -154,13 +155,13 @@ class SupportPlanner:
         self.routes, self.done = [route], True
 
     def _failed(self, result: SearchResult) -> None:
-        """Give a search up, and go on to the next; what is proven ends them all."""
+        """Give up a search and continue with the next; a proof ends all of them."""
         if result.found:
             limit = f"{self._falls} plans were found whose states are stable, and the replay of each fails"
             result = replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit)
-        if isinstance(self._running, Planner):  # which says nothing of plans with holding again
+        if isinstance(self._running, Planner):  # which proves nothing about plans with repeated holds
             result = replace(result, outcome=Outcome.NOT_FOUND)
-        # Whatever is wanting to a proof, where every state was looked at no other search finds a plan.
+        # Even without a proof, no other search finds a plan after an exhaustive one.
         proved = isinstance(self._running, SupportEverywhere) and not self._running.gave_up and not self._falls
         if proved or self._failure is None or _share(result) >= _share(self._failure):
             self._failure = result
@@ -174,10 +175,10 @@ def _share(result: SearchResult) -> float:
 
 
 def planner_for(task: Task, oracle: Oracle, settings: PlannerSettings, *, guide: Guide) -> Planner | SupportPlanner:
-    """Return the planner for a task: with holding again where that is allowed and can make a difference.
+    """Return the planner for a task: with repeated holds if they are allowed and can make a difference.
 
-    A single robot lets a part go that it has not removed only to be where it was before, so from and to states in which
-    nothing is held, and without props, whatever it can do with holding again it can do without.
+    A single robot that releases a part without removing it returns to the state before the hold. So between states in
+    which nothing is held, and without props, repeated holds allow it nothing more.
     """
     nothing_held = not held_count(np.stack([task.start, task.target]), task.boundary).any()
     if not task.support or (task.robots == 1 and not task.prop_limit and nothing_held):

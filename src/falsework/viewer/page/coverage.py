@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 
 def visited_states(guide: PolicyGuide, oracle: Stability, start: States, robots: int, rollouts: int = 32) -> States:
-    """Stable states on the ways that a policy takes from one state, the first way greedily, the others at random.
+    """Return the stable states on rollouts of a policy from one state, the first greedy, the others sampled.
 
     Args:
-        guide: asks the policy.
-        oracle: ends a way where the state does not stand.
-        start: where all begin, shape (parts,).
+        guide: evaluates the policy.
+        oracle: ends a rollout at a state that is not stable.
+        start: start of all rollouts, shape (parts,).
         robots: parts that can be held.
-        rollouts: number of ways.
+        rollouts: number of rollouts.
 
     Returns:
         Shape (count, parts), each state once.

@@ -1,4 +1,4 @@
-"""Disruptions on site, marked by clicks, and the replanning request that they make."""
+"""Disruptions on site, marked by clicks, and the replanning request made of them."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ class Disruption:
     robots: int = 2
 
     def toggled(self, tool: ClickMode, part: int, assembly: Assembly) -> Disruption:
-        """Return the same with one mark set, or taken away where it was set.
+        """Return the same with one mark set, or removed if it was set.
 
         Raises:
-            InputError: the part is boundary, which nothing can happen to.
+            InputError: the part is boundary, which cannot be marked.
         """
         if tool is ClickMode.LOOK:
             return self
@@ -58,7 +58,7 @@ class Disruption:
         }[tool]
         marked: frozenset[int] = getattr(self, field)
         changed = replace(self, **{field: marked ^ {part}})
-        if tool is ClickMode.MISSING:  # what is missing is not there, and the other way round
+        if tool is ClickMode.MISSING:  # a missing part is not already there, and vice versa
             return replace(changed, there=changed.there - changed.missing)
         if tool is ClickMode.THERE:
             return replace(changed, missing=changed.missing - changed.there)
@@ -70,7 +70,7 @@ class Disruption:
         return not (self.missing or self.there or self.fixed or self.target)
 
     def on(self, state: States) -> States:
-        """State as it is on site: without what is missing, with what is there already. Shape (parts,)."""
+        """Return the state on site, without missing parts and with parts already there; shape (parts,)."""
         site = state.copy()
         site[list(self.missing)] = REMOVED
         for part in self.there:
@@ -83,8 +83,8 @@ class Disruption:
 
         Args:
             assembly: the structure.
-            state: where the plan has come to, shape (parts,).
-            direction: whether parts are being added or taken away.
+            state: state that the plan has reached, shape (parts,).
+            direction: whether parts are being added or removed.
         """
         missing = self.missing
         if direction is Direction.ASSEMBLY:
@@ -93,7 +93,7 @@ class Disruption:
             target[list(self.target)] = REMOVED
             missing = frozenset(part for part in missing if target[part] != REMOVED)
         else:
-            # What is taken apart cannot wait for a delivery: a missing part is simply gone.
+            # Disassembly cannot wait for a delivery: a missing part is simply absent.
             site, missing = self.on(state), frozenset()
             target = empty_state(assembly.boundary)
             kept = [part for part in self.target if site[part] != REMOVED]

@@ -1,4 +1,4 @@
-"""Tab of the page that shows the state graph, and what of it the policy covers."""
+"""Tab of the page with the state graph and its coverage by the policy."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ def add_graph_tab(gui: Any, model: ViewerState, guard: Callable[[Any, Callable[[
 
     Args:
         gui: `viser.GuiApi`, within the tab.
-        model: what is shown; it has a graph.
-        guard: takes an event and what to do, and tells what is wrong if something is.
+        model: state of the viewer; it has a graph.
+        guard: runs an action for an event, and reports errors.
     """
     graph = model.graph
     assert graph is not None

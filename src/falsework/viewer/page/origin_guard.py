@@ -1,4 +1,4 @@
-"""Guard of the viewer's web server: only requests that name the served address open the page and steer it."""
+"""Guard of the viewer's web server: only requests that name the served address can open and control the page."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class OriginGuard:
             self._names |= {socket.gethostname().lower(), socket.getfqdn().lower()}
 
     def refusal(self, hosts: list[str], origins: list[str]) -> str | None:
-        """Why a request is refused, in a line, or None if it is not.
+        """Return why a request is refused, in one line, or None if it is accepted.
 
         Args:
             hosts: all `Host` headers.
@@ -85,7 +85,7 @@ def start_server(viser: Any, host: str, port: int, guard: OriginGuard) -> Any:
 
         return plain(*arguments, process_request=checked, **options)
 
-    with _SERVING, contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner where results belong
+    with _SERVING, contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner to standard output
         sockets.serve = serve  # type: ignore[assignment]
         try:
             made = viser.ViserServer(host=host, port=port, verbose=False)

@@ -62,7 +62,7 @@ class Page:
         """Start to serve.
 
         Args:
-            model: what is shown.
+            model: state of the viewer.
             host: address to listen at.
             port: port to listen at; the next free one is taken if it is not free.
             allowed_hosts: names other than `host` under which browsers may open the page.
@@ -116,11 +116,11 @@ class Page:
             pass
 
     def refresh(self) -> None:
-        """Bring scene and words up to date with the model."""
+        """Update scene and texts from the model."""
         with self._lock, self.server.atomic():
             self._show_proof()
             self._say()
-            self._draw()  # marks what slides, if either of the others asked
+            self._draw()  # marks sliding parts, if either of the others requested the proof
 
     def _draw(self) -> None:
         model = self.model
@@ -129,7 +129,7 @@ class Page:
         self.scene.show_arms(model.arms, model.arm_poses())
         self._gantt.show(model.arms, model.seconds)
 
-    # What the page is made of.
+    # Elements of the page.
 
     def _arrange(self) -> None:
         gui, scene = self.server.gui, self.server.scene
@@ -149,7 +149,7 @@ class Page:
         middle = np.array([0.0, 0.0, 0.42 * self.scene.height])
         camera = self.server.initial_camera
         far = 1.0
-        if self.model.arms is not None:  # arms reach farther than what they build
+        if self.model.arms is not None:  # arms reach beyond the structure
             box = bounds_with_arms(self.model.arms, bounds_of(self.model.assembly))
             far = max(0.8 * float(np.linalg.norm(np.ptp(box, axis=0))) * self.scene.scale / SIZE, 1.0)
         camera.position = np.array([0.97, -1.30, 0.86]) * far * SIZE + middle + aside * far
@@ -204,10 +204,10 @@ class Page:
             with tabs.add_tab("Graph"):
                 add_graph_tab(gui, model, self._guard)
 
-    # What happens when something is touched.
+    # Handlers of the controls.
 
     def _guard(self, event: Any, act: Callable[[], object]) -> None:
-        """Act, and say in one line what is wrong if something is; the page goes on."""
+        """Run an action, and report an error in one line; the page continues."""
         if self._quiet:
             return
         try:
@@ -328,7 +328,7 @@ class Page:
                 self._play_button.label = "Play"
             time.sleep(max(1 / FRAMES - (time.perf_counter() - begun), 0.005))
 
-    # What is written.
+    # Texts.
 
     def _shown(self) -> list[str]:
         return [kind for kind, toggle in self._toggles.items() if toggle.value]

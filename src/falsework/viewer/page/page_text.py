@@ -12,11 +12,11 @@ from falsework.viewer.timeline import NO_ROBOT
 
 
 def where_text(model: ViewerState, *, ask: bool) -> str:
-    """Return the step and what it does, in Markdown.
+    """Return the step and its action, in Markdown.
 
     Args:
-        model: what is shown.
-        ask: say also whether the state is stable; it is said anyway where no plan has proven it.
+        model: state of the viewer.
+        ask: state also whether the state is stable; stated in any case where no plan has proven it.
     """
     steps = len(model.timeline)
     position = model.step
@@ -24,7 +24,7 @@ def where_text(model: ViewerState, *, ask: bool) -> str:
     lines = [f"step {position} of {steps}{doing}" if steps else f"**{model.assembly.name}**"]
     if model.clock is not None:
         lines[0] = f"{model.seconds:.1f} s of {model.clock.makespan:.1f} s, {lines[0]}"
-    # A plan has proven its states; what is marked on top has not been asked about yet.
+    # A plan has proven its states; states changed by marks have no verdict yet.
     if ask or not model.disruption.empty or not steps:
         lines.append(f"*{model.proof().words}*")
     return "<br/>".join(lines)
@@ -37,7 +37,7 @@ def marked_text(model: ViewerState) -> str:
 
 
 def about_text(model: ViewerState) -> str:
-    """Return a table of what is known of the part that was clicked, in HTML."""
+    """Return a table of facts about the part that was clicked, in HTML."""
     if model.selected is None:
         return "<div style='margin:0.5em 1em;color:#666'>Click a part to learn about it.</div>"
     rows = "".join(
@@ -52,7 +52,7 @@ def legend_text(model: ViewerState, shown: Collection[str]) -> str:
     """Return the legend of the colours in use, in HTML.
 
     Args:
-        model: what is shown.
+        model: state of the viewer.
         shown: kinds of arrows that are.
     """
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]

@@ -1,8 +1,8 @@
 """Parts, arrows and arms as nodes of a viser scene: few merged meshes with incremental updates.
 
-A node a part would be thousands of draw calls. Instead the parts that stand by themselves are merged by the order in
+One node per part would need thousands of draw calls. Instead the parts that are not held are merged by the order in
 which they leave, some dozens to a mesh, so that a step changes one or two meshes and a jump mostly shows and hides
-them; all other parts are merged by colour. Parts on their way are nodes of their own, since they move every frame.
+them; all other parts are merged by colour. Moving parts are nodes of their own, since they change every frame.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class ViserScene:
 
         Args:
             scene: `viser.SceneApi`.
-            timeline: what is shown.
+            timeline: timeline to show.
         """
         assembly = timeline.assembly
         self._scene = scene
@@ -94,7 +94,7 @@ class ViserScene:
         pale: Iterable[int] = (),
         labels: Mapping[int, str] | None = None,
     ) -> int:
-        """Bring the parts up to date.
+        """Update the parts.
 
         Args:
             look: how they are seen.
@@ -128,10 +128,10 @@ class ViserScene:
         return sent
 
     def show_arrows(self, arrows: Mapping[str, Arrows], moved: Mapping[int, Array], color: str = MOTION) -> None:
-        """Bring arrows up to date.
+        """Update the arrows.
 
         Args:
-            arrows: by what they show; kinds that are left out are hidden.
+            arrows: by kind; kinds that are left out are hidden.
             moved: vertices of parts a little later in their motion, metres.
             color: of these.
         """
@@ -166,7 +166,7 @@ class ViserScene:
             self._keep("/motion", key, node)
 
     def show_arms(self, arms: Arms | None, arm_poses: ArmPoses | None) -> None:
-        """Bring the arms, and the parts that they carry, up to date.
+        """Update the arms, and the parts that they carry.
 
         Args:
             arms: the robots; None if there are none any more.

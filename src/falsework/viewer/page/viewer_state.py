@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from falsework.search.problem.state_graph import StateGraph
 
 _PROOFS = 64
-"""Proofs of states that are remembered."""
+"""Number of proofs of states that are cached."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class NewPlan:
 
     found: bool
     words: str
-    """Who decided, how long it took, and how the plan differs from the old one; or why there is none."""
+    """Deciding stage, time taken, and differences from the old plan; or why there is none."""
     seconds: float
     decided_by: str
     plan: Plan | None = None
@@ -71,7 +71,7 @@ class ViewerState:
             graph: state graph to show beside it.
             arms: robots that carry the plan out, in the same order as the timeline.
             oracle: decides stability.
-            criterion: what stable means, where no oracle is handed in.
+            criterion: stability criterion, where no oracle is given.
             deadline: seconds that a new plan may take; None for as long as it takes.
         """
         self.timeline = timeline
@@ -192,13 +192,13 @@ class ViewerState:
 
     @property
     def pale(self) -> Sequence[int]:
-        """Absent parts that are shown all the same, palely, so that they can be clicked."""
+        """Absent parts that are drawn palely, so that they can be clicked."""
         if self.tool is ClickMode.LOOK:
             return ()
         return [int(part) for part in np.flatnonzero(self.site == REMOVED) if part not in self.disruption.missing]
 
     def labels(self, appearance: Appearance) -> dict[int, str]:
-        """Return short words at parts: who holds them, which one is selected, and what is marked."""
+        """Return short words at parts: holder, selection and marks."""
         labels = {
             int(part): f"R{appearance.holder[part] + 1}" for part in np.flatnonzero(appearance.holder != NO_ROBOT)
         }
@@ -216,7 +216,7 @@ class ViewerState:
         return labels
 
     def click(self, origin: NDArray[np.float64], ray: NDArray[np.float64]) -> int | None:
-        """Click along a ray: select the part that it hits, and set or take away its mark if a tool is chosen.
+        """Handle a click along a ray: select the part that it hits, and toggle its mark if a tool is chosen.
 
         Returns:
             The part, or None if the ray hits nothing.
@@ -229,7 +229,7 @@ class ViewerState:
             opacity = appearance.opacity.copy()
             opacity[list(self.disruption.missing)] = 1.0
             opacity[list(self.pale)] = 1.0
-            if self.tool is ClickMode.THERE:  # what stands already needs no such mark
+            if self.tool is ClickMode.THERE:  # a part that is present already needs no such mark
                 opacity[self.state != REMOVED] = 0.0
             part = pick(self.assembly, replace(appearance, opacity=opacity), origin, ray)
             if part is not None:
@@ -239,7 +239,7 @@ class ViewerState:
             return part
 
     def click_part(self, part: int) -> None:
-        """Select a part, and set or take away its mark if a tool is chosen.
+        """Select a part, and toggle its mark if a tool is chosen.
 
         Raises:
             InputError: the part cannot be marked.
@@ -249,7 +249,7 @@ class ViewerState:
             self.disruption = self.disruption.toggled(self.tool, part, self.assembly)
 
     def clear_marks(self) -> None:
-        """Forget what is marked; the number of robots stays."""
+        """Clear the marks; the number of robots stays."""
         with self.lock:
             self.disruption = Disruption(robots=self.disruption.robots)
 
@@ -309,7 +309,7 @@ class ViewerState:
             return {} if known is None else known.marks
 
     def action_probabilities(self) -> NDArray[np.float64]:
-        """Probability that the policy takes the action that concerns each part in the state shown; shape (parts,).
+        """Return the probability of the action that concerns each part in the state shown; shape (parts,).
 
         NaN where no action is legal; all NaN without a policy.
         """
@@ -328,7 +328,7 @@ class ViewerState:
             return chance_of_parts(np.exp(scores[0]))
 
     def visited(self, rollouts: int = 32) -> States:
-        """Return states that the policy comes through from the start, greedily and at random. Shape (count, parts)."""
+        """Return states that the policy visits from the start, greedily and at random. Shape (count, parts)."""
         from falsework.viewer.page.coverage import visited_states
 
         assert self._guide is not None or self.policy is not None
@@ -340,7 +340,7 @@ class ViewerState:
         """Plan anew from the state as it is marked, and show the new plan if there is one.
 
         Raises:
-            InputError: what is marked makes no sense; the message says what to do.
+            InputError: the marks contradict each other or the state; the message says what to do.
         """
         from falsework.replanning.replanner import Replanner
 
@@ -365,7 +365,7 @@ class ViewerState:
             self.timeline = Timeline.of(answer.plan, self.assembly)
             self.plan = answer.plan
             self.go_to(0)
-            # What has been planned around is no longer marked: the states of the new plan show it.
+            # Disruptions in the new plan are no longer marked: the states of the new plan show it.
             self.disruption = Disruption(fixed=self.disruption.fixed, robots=self.disruption.robots)
         return NewPlan(True, words, seconds, decided, answer.plan)
 

@@ -26,9 +26,9 @@ Pixels = NDArray[np.uint8]
 """Shape (height, width, 3)."""
 
 CELL = Camera(width=480, height=300, zoom=0.97)
-"""How each state of a contact sheet is seen."""
+"""Camera for each state of a contact sheet."""
 WHOLE = Camera(width=1200, height=800, zoom=0.94)
-"""How one state is seen."""
+"""Camera for a single state."""
 _LINE = 26
 """Pixels for a line of text."""
 _ARROW = 0.006
@@ -62,8 +62,8 @@ def draw(
     Args:
         assembly: the structure.
         look: how its parts are seen.
-        camera: how to look at them.
-        bounds: what the picture shows, shape (2, 3); the structure if not given.
+        camera: view of them.
+        bounds: box that the picture shows, shape (2, 3); the structure if not given.
         arrows: drawn as well; the parts become pale and see-through so that they are seen.
         extra: other meshes, such as arms.
         samples: pixels are averaged over `samples` squared.
@@ -94,13 +94,14 @@ def contact_sheet(
     """Return some states of a timeline with their steps, and the legend.
 
     Args:
-        timeline: what is shown, in its order.
+        timeline: timeline to show, in its order.
         places: states to show; chosen evenly if not given.
         frames: how many to choose.
         columns: pictures in a row.
-        camera: how to look at each.
+        camera: view of each.
         title: a line above.
-        proofs: verdicts on states, by place; what slides is marked, and what does not stand is written above.
+        proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
+            above.
 
     Raises:
         InputError: no frames, no columns, or a state that is not there.
@@ -145,18 +146,18 @@ def one_state(
     marks: Mapping[int, str] | None = None,
     samples: int = 3,
 ) -> Pixels:
-    """Return the picture of one place of a timeline, with what is done there and the legend.
+    """Return the picture of one place of a timeline, with its action and the legend.
 
     Args:
-        timeline: what is shown.
+        timeline: timeline to show.
         place: where; between whole numbers parts are on their way.
-        camera: how to look at it.
+        camera: view of it.
         arrows: drawn as well.
         key: the legend, colour and words; of the timeline if not given.
         arms: robots that carry the plan out.
         time: of their schedule, seconds; None shows them one after the other.
         chances: probability of the action that concerns each part, NaN where none does, shape (parts,).
-        bounds: what the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
+        bounds: box that the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
         words: the line above; the step if not given.
         marks: colours of parts that stand out, such as those that slide.
         samples: pixels are averaged over `samples` squared.
@@ -220,16 +221,16 @@ def check_places(timeline: Timeline, places: Sequence[int]) -> None:
     """
     for position in places:
         if not 0 <= position <= len(timeline):
-            raise InputError(f"step {position} is not there; the plan has steps 0 (the beginning) to {len(timeline)}")
+            raise InputError(f"step {position} does not exist; the plan has steps 0 (the beginning) to {len(timeline)}")
 
 
 def bounds_with_ways(timeline: Timeline) -> NDArray[np.float64]:
-    """Lowest and highest coordinates of the structure and of its parts at the end of their ways, shape (2, 3)."""
+    """Return the bounds of the structure and of its parts at the end of their paths, shape (2, 3)."""
     box = bounds_of(timeline.assembly)
     if len(timeline) == 0:
         return box
     floor = box[0, 2]
-    # Half of the way shows all that matters: farther out a part is nearly invisible.
+    # Half of the path suffices: farther out a part is nearly invisible.
     shift = 0.5 * TRAVEL * diagonal(timeline.assembly) * timeline.ways
     boxes = np.array([mesh.bounds + shift[part] for part, mesh in enumerate(timeline.assembly.meshes)])
     wide = np.stack([np.minimum(box[0], boxes[:, 0].min(axis=0)), np.maximum(box[1], boxes[:, 1].max(axis=0))])

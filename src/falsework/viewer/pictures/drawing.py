@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _FLAT = 1e-3
-"""How much a normal may lean along the axis of a two-dimensional structure."""
+"""Largest component of a normal along the axis of a two-dimensional structure."""
 _MARGIN = 12.0
 _TEXT = 13.0
 _LINE = 24.0
@@ -46,7 +46,7 @@ def flat_axis(assembly: Assembly) -> int:
 
 
 def outlines(assembly: Assembly, axis: int) -> list[list[Array]]:
-    """Closed lines around each part, seen along an axis; holes are lines of their own.
+    """Return closed lines around each part, seen along an axis; holes are lines of their own.
 
     Args:
         assembly: a structure that is flat along the axis.
@@ -82,13 +82,14 @@ def drawing(
     """Return the line drawings of some states, with the legend, as SVG.
 
     Args:
-        timeline: what is shown.
+        timeline: timeline to show.
         places: states to show.
         columns: drawings in a row.
         width: of each, pixels.
         arrows: drawn into each.
         key: the legend, colour and words; of the timeline if not given.
-        proofs: verdicts on states, by place; what slides is marked, and what does not stand is written above.
+        proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
+            above.
 
     Raises:
         InputError: the structure is not two-dimensional, or a state is not there.

@@ -30,13 +30,13 @@ _KEY_FROM = 5.0
 _DOTS = 100
 """Pixels an inch."""
 KEY = "high: carries a part; low: moves without one; pale: holds a part at its place; gap: waits"
-"""How the bars are read."""
+"""Legend of the bars."""
 _ALPHA = {"moves": 1.0, "carries": 1.0, "holds": 0.35}
 
 
 @dataclass(frozen=True)
 class Bar:
-    """What one arm does for a while."""
+    """Activity of one arm during an interval."""
 
     robot: int
     begin: float
@@ -47,7 +47,7 @@ class Bar:
 
 
 def bars_of(plan: RobotPlan) -> list[Bar]:
-    """Return what the arms of a plan do; between two bars of an arm it waits.
+    """Return the activities of the arms of a plan; between two bars of an arm it waits.
 
     A plan without a schedule is shown one motion after the other.
     """

@@ -29,7 +29,7 @@ EDGE, USELESS, ROUTE, SEEN = "#b9bbbf", "#d8dadd", ROBOTS[1], ROBOTS[0]
 
 
 def places_of(graph: StateGraph) -> Array:
-    """Column and row of every state: columns by steps of assembly, rows such that actions cross little.
+    """Return column and row of every state: columns by steps of assembly, rows ordered to reduce crossings.
 
     Returns:
         Shape (states, 2); rows are spread about 0.
@@ -78,13 +78,13 @@ def graph_figure(
     visited: States | None = None,
     title: str = "",
 ) -> Any:
-    """Figure of a state graph for Matplotlib.
+    """Return a Matplotlib figure of a state graph.
 
     Args:
-        graph: what is drawn.
+        graph: graph to draw.
         assembly: its structure; a graph of few states of a two-dimensional one gets small pictures of them.
         route: states of a plan, drawn as a thick line, shape (steps + 1, parts).
-        visited: states that a policy came through, drawn in blue, shape (count, parts).
+        visited: states that a policy visits, drawn in blue, shape (count, parts).
         title: a line above.
 
     Raises:

@@ -72,7 +72,7 @@ class ColoredSolid:
     color: Sequence[float]
     """Red, green, blue in 0..1."""
     opacity: float = 1.0
-    """Below 1 what is behind shines through; of several such solids behind each other only the nearest shows."""
+    """Below 1 solids behind show through; of several such solids behind each other only the nearest shows."""
 
 
 def render(
@@ -81,8 +81,8 @@ def render(
     """Return the picture of some solids.
 
     Args:
-        solids: what to show.
-        camera: how to look at it.
+        solids: solids to show.
+        camera: view of it.
         bounds: lower and upper corner of the box that the picture shows, shape (2, 3), metres; the same for several
             pictures keeps their scale.
         floor: let a floor under the box catch shadows.
@@ -142,9 +142,9 @@ class _Eye:
         """Return red, green, blue times opacity, and opacity, shape (height, width, 4), and the depth at each pixel.
 
         Args:
-            surface: what to draw.
+            surface: surface to draw.
             floor: draw the floor, and white where there is nothing; otherwise nothing is drawn there.
-            behind: only what is nearer than this is drawn, shape (height, width).
+            behind: only surfaces nearer than this are drawn, shape (height, width).
         """
         width, height = self._size
         floor = floor and bool(abs(self._view[2, 2]) > _LEVEL)  # a level camera sees the floor as a line
@@ -192,7 +192,7 @@ def _lay_over(image, veil):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True)
 def _average(image, samples):  # pragma: no cover - compiled
-    """Mean over squares of pixels, without opacity."""
+    """Return the mean over squares of pixels, without opacity."""
     height, width = image.shape[0] // samples, image.shape[1] // samples
     mean = np.zeros((height, width, 3))
     for row in range(height * samples):

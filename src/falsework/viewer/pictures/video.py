@@ -42,13 +42,14 @@ def frames_of(
     """Yield pictures of a video, one after the other.
 
     Args:
-        timeline: what is shown, in its order.
+        timeline: timeline to show, in its order.
         seconds: length of a step; a plan with a schedule plays by its own clock instead.
         rate: pictures a second.
         speed: seconds of a schedule that pass in a second.
-        camera: how to look at it.
+        camera: view of it.
         arms: robots that carry the plan out.
-        proofs: verdicts on states, by place; what slides is marked, and what does not stand is written above.
+        proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
+            above.
         samples: as for `render`.
     """
     box = bounds_with_ways(timeline) if arms is None else bounds_with_arms(arms, bounds_of(timeline.assembly))
@@ -93,7 +94,7 @@ def frame_times(makespan: float, rate: float, speed: float) -> list[float]:
     """Return times of a schedule that are shown, in seconds.
 
     Raises:
-        InputError: no pictures a second, or a film that does not go on.
+        InputError: no pictures a second, or a speed of zero.
     """
     _check_rate(rate)
     if not (np.isfinite(speed) and 0 < speed <= 1000):
@@ -136,11 +137,11 @@ def write_film(
 
     Args:
         path: file that ends in .mp4 or .gif.
-        timeline: what is shown.
+        timeline: timeline to show.
         seconds: length of a step; a plan with a schedule plays by its own clock instead.
         rate: pictures a second.
         speed: seconds of a schedule that pass in a second.
-        camera: how to look at it.
+        camera: view of it.
         arms: robots that carry the plan out.
         proofs: as for `frames_of`.
         progress: called with the number of pictures drawn and of all.
