@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.robots.model.cell import Cell
-    from falsework.robots.planning.hybrid_planner import HybridResult
+    from falsework.robots.planning.hybrid_result import HybridResult
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Task
@@ -84,7 +84,8 @@ class PlanRobots(Command):
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
         from falsework.robots.cells.cell_file import load_cell
-        from falsework.robots.planning.hybrid_planner import HybridSettings, plan_robots
+        from falsework.robots.planning.hybrid_planner import plan_robots
+        from falsework.robots.planning.hybrid_result import HybridSettings
         from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
         from falsework.robots.schedule.build import schedule_plan
         from falsework.stability import Stability, StabilitySettings

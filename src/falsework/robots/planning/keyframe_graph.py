@@ -26,12 +26,15 @@ from falsework.robots.planning.exit_directions import ExitDirections
 from falsework.robots.planning.expected_times import NO_TIME, Clock, expected_seconds
 from falsework.robots.planning.failure_report import FailureLog
 from falsework.robots.planning.grasp_configurations import GraspConfiguration, GraspConfigurations
+from falsework.robots.planning.joint_holds import JointHolds
 from falsework.robots.planning.withdrawal import Withdrawal
 
 Array = NDArray[np.float64]
 
 _APPROACH_LENGTHS = (1.0, 0.4, 1.8)
 """Lengths of the line on which a gripper approaches a part, in approach margins of the cell."""
+_MOST_LOOKED_AT = 16
+"""Ways to hold a part of which it is asked whether they let others hold its rivals."""
 _MAX_PLACES = 4
 """Free motions to a drop-off that are tried."""
 
@@ -130,6 +133,7 @@ class KeyframeGraph:
         self.reasons = FailureLog()
         self.cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
         self._grips = GraspConfigurations(assembly, self.cache, self.reasons, limit=settings.grasps)
+        self.joint = JointHolds(self._grips)
         self._withdrawal = Withdrawal(self.cache, self.reasons)
         self.exits = ExitDirections(assembly, self.parts.turn)
 
@@ -140,7 +144,10 @@ class KeyframeGraph:
     def edges(self, node: Node, action: int) -> Iterator[Edge]:
         """Yield edges that carry out an action, most promising first, each computed on demand."""
         parts = self.assembly.part_count
-        return self._remove(node, action - parts) if action >= parts else self._hold(node, action)
+        if action >= parts:
+            return self._remove(node, action - parts)
+        rivals = self.joint.to_come(action, node.state) if None in node.held else []
+        return self._hold_beside(node, action, rivals) if rivals else self._hold(node, action)
 
     def keyframes(self, state: States) -> Iterator[Node]:
         """Yield every keyframe of a state: every assignment of robots to held parts, every grasp and joint branch.
@@ -205,6 +212,18 @@ class KeyframeGraph:
 
     # Holding
 
+    def _hold_beside(self, node: Node, part: int, rivals: list[int]) -> Iterator[Edge]:
+        """Yield first the ways to hold a part that let other arms hold its rivals too."""
+        crowded, looked = [], 0
+        for edge in self._hold(node, part):
+            if looked < _MOST_LOOKED_AT and None in edge.node.held:
+                looked += 1
+                if any(next(self._hold(edge.node, rival), None) is None for rival in rivals):
+                    crowded.append(edge)
+                    continue
+            yield edge
+        yield from crowded
+
     def _hold(self, node: Node, part: int) -> Iterator[Edge]:
         free = [robot for robot, held in enumerate(node.held) if held is None]
         center = self.parts.center[part]
@@ -234,11 +253,19 @@ class KeyframeGraph:
         hits = view.hits(values)
         for row in np.flatnonzero(hits >= 0)[:1]:
             self.reasons.add("hold", part, robot, "a robot is in the way of every grip", view.pair(int(hits[row])))
-        open_grips = [grips[row] for row in np.flatnonzero(hits < 0)]
+        open_grips = self._with_room([grips[row] for row in np.flatnonzero(hits < 0)], node, part)
         for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates):
             edge = self._try_grip(node, part, grip, view)
             if edge is not None:
                 yield edge
+
+    def _with_room(self, grips: list[GraspConfiguration], node: Node, part: int) -> list[GraspConfiguration]:
+        """Return the grips beside which other arms have a grip for each rival of a part; all if there are none."""
+        others = [robot for robot, held in enumerate(node.held) if held is None]
+        for rival in self.joint.to_come(part, node.state):
+            room = self.joint.leave_room(grips, rival, others, node.state)
+            grips = [grip for grip, good in zip(grips, room, strict=True) if good] if room.any() else grips
+        return grips
 
     def _try_grip(self, node: Node, part: int, grip: GraspConfiguration, view: CollisionQuery) -> Edge | None:
         robot, margins = grip.robot, self.cell.margins
