@@ -352,8 +352,9 @@ class CheckRobots(Command):
 class ExportRobots(Command):
     """Write the motions of a robot plan for robot controllers.
 
-    ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file a step and one for the plan; ABB RAPID as
-    one module a robot; an MCAP bag of ROS 2 messages with the times of the schedule.
+    ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file a step and one for the plan; ABB RAPID
+    and URScript as one program a robot, which wait for each other; an MCAP bag of ROS 2 messages with the times of the
+    schedule.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -363,12 +364,12 @@ class ExportRobots(Command):
 
     plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
     """Plan to export, as `falsework robots plan` wrote it."""
-    format: Literal["ros2-json", "ros2-yaml", "csv", "rapid", "mcap"] = "ros2-json"
+    format: Literal["ros2-json", "ros2-yaml", "csv", "rapid", "urscript", "mcap"] = "ros2-json"
     """Output format."""
     out: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write into."""
     rate: float = 50.0
-    """Rows per second, for csv."""
+    """Rows per second, for csv and urscript."""
     assembly_order: bool = False
     """Write the motions in assembly order, even if the plan is a disassembly."""
 

@@ -31,6 +31,8 @@ class FailedActions:
     def add(self, node: Node, action: int) -> bool:
         """Note an action that has just failed: in its way are robots that others met, and the one with the part.
 
+        A robot that holds something else cannot hold the part, though it might; but it is in no other's way.
+
         Returns:
             Whether parts turned out to be ones that no two arms can hold at the same time.
         """
@@ -39,12 +41,14 @@ class FailedActions:
         for reason in self.graph.reasons.recent:
             for body in reason.pair or ():
                 found |= {k for k, name in enumerate(names) if k != reason.robot and body.startswith(f"{name} ")}
-        self._robots[node.key, action] = found
         if action >= parts:
+            self._robots[node.key, action] = found
             return False
-        return any(
-            [self.graph.joint.learn(part, action, node.state) for r in found if (part := node.held[r]) is not None]
-        )
+        holding = [robot for robot, part in enumerate(node.held) if part is not None]
+        busy = {robot for robot in holding if self.graph.grips(robot, action, node.state)}
+        self._robots[node.key, action] = found | busy
+        holds = [part for robot in sorted(found | busy) if (part := node.held[robot]) is not None]
+        return any(self.graph.joint.learn(part, action, node.state) for part in holds)
 
     def of(self, node: Node) -> list[int]:
         """Return the actions that have failed at a keyframe."""

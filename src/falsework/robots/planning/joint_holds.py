@@ -34,9 +34,12 @@ class JointHolds:
         self.grips, self.cell = grips, grips.cell
         self.rivals: dict[int, set[int]] = defaultdict(set)
         """Parts that could not be held while a part was, by that part; both ways."""
+        self.learned = 0
+        """Pairs of rivals found so far."""
         self.excluded = 0
         """Pairs ruled out so far, each among some parts."""
-        self._excluded: dict[tuple[int, int], list[Mask]] = defaultdict(list)
+        self._excluded: dict[tuple[int, int], list[Mask]] = {}
+        self._avoided: set[frozenset[int]] = set()
         self._possible: dict[tuple[int, int], list[Mask]] = defaultdict(list)
 
     def learn(self, part: int, other: int, state: States) -> bool:
@@ -49,10 +52,11 @@ class JointHolds:
         Returns:
             Whether that rules out states that were not ruled out before.
         """
+        self.learned += other not in self.rivals[part]
         self.rivals[part].add(other)
         self.rivals[other].add(part)
         pair, present = _pair(part, other), state != REMOVED
-        if any((known <= present).all() for known in self._excluded[pair]):
+        if not self.possible_pair(part, other, state):
             return False
         if any((present <= known).all() for known in self._possible[pair]):
             return False
@@ -65,7 +69,25 @@ class JointHolds:
     def exclude(self, part: int, other: int, state: States) -> None:
         """Rule out that two parts are held together where all parts of a state stand, shape (parts,)."""
         self.excluded += 1
-        self._excluded[_pair(part, other)].append(state != REMOVED)
+        self._excluded.setdefault(_pair(part, other), []).append(state != REMOVED)
+
+    def avoid(self, parts: set[int]) -> None:
+        """Rule out that some parts are held together, whatever else stands, until `forget`."""
+        self._avoided.add(frozenset(parts))
+
+    def forget(self) -> None:
+        """Allow again what was to be avoided."""
+        self._avoided.clear()
+
+    @property
+    def restricting(self) -> bool:
+        """Whether anything is ruled out."""
+        return bool(self._avoided or self._excluded)
+
+    def possible_pair(self, part: int, other: int, state: States) -> bool:
+        """Return whether two parts are not ruled out together among the parts of a state, shape (parts,)."""
+        present = state != REMOVED
+        return not any((known <= present).all() for known in self._excluded.get(_pair(part, other), ()))
 
     def learn_from(self, states: States) -> bool:
         """Compare the grips of all rivals that are held together in some states; whether that rules out any of them.
@@ -88,6 +110,8 @@ class JointHolds:
             rows = np.flatnonzero((states[:, one] == HELD) & (states[:, other] == HELD))
             for present in least if len(rows) else ():
                 found[rows] &= (states[rows][:, present] == REMOVED).any(axis=1)
+        for parts in self._avoided:
+            found &= (states[:, list(parts)] != HELD).any(axis=1)
         return found
 
     def to_come(self, part: int, state: States) -> list[int]:

@@ -33,8 +33,6 @@ Array = NDArray[np.float64]
 
 _APPROACH_LENGTHS = (1.0, 0.4, 1.8)
 """Lengths of the line on which a gripper approaches a part, in approach margins of the cell."""
-_MOST_LOOKED_AT = 16
-"""Ways to hold a part of which it is asked whether they let others hold its rivals."""
 _MAX_PLACES = 4
 """Free motions to a drop-off that are tried."""
 
@@ -144,10 +142,7 @@ class KeyframeGraph:
     def edges(self, node: Node, action: int) -> Iterator[Edge]:
         """Yield edges that carry out an action, most promising first, each computed on demand."""
         parts = self.assembly.part_count
-        if action >= parts:
-            return self._remove(node, action - parts)
-        rivals = self.joint.to_come(action, node.state) if None in node.held else []
-        return self._hold_beside(node, action, rivals) if rivals else self._hold(node, action)
+        return self._remove(node, action - parts) if action >= parts else self._hold(node, action)
 
     def keyframes(self, state: States) -> Iterator[Node]:
         """Yield every keyframe of a state: every assignment of robots to held parts, every grasp and joint branch.
@@ -211,18 +206,6 @@ class KeyframeGraph:
         return self._view(node, robot, 0.0).explain(node.configurations[robot])
 
     # Holding
-
-    def _hold_beside(self, node: Node, part: int, rivals: list[int]) -> Iterator[Edge]:
-        """Yield first the ways to hold a part that let other arms hold its rivals too."""
-        crowded, looked = [], 0
-        for edge in self._hold(node, part):
-            if looked < _MOST_LOOKED_AT and None in edge.node.held:
-                looked += 1
-                if any(next(self._hold(edge.node, rival), None) is None for rival in rivals):
-                    crowded.append(edge)
-                    continue
-            yield edge
-        yield from crowded
 
     def _hold(self, node: Node, part: int) -> Iterator[Edge]:
         free = [robot for robot, held in enumerate(node.held) if held is None]
