@@ -13,8 +13,6 @@ from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
 
-WAYS_LOOKED_AT = 8
-"""Ways to hold a part of which it is asked whether they let others hold its rivals."""
 _LOOKED_AT = 12
 """Best actions of a keyframe of which it is asked whether the part can leave at once."""
 _ASKED = 6
@@ -70,6 +68,8 @@ class ActionRanking:
             solvability: which actions are legal, and which are known to keep the way open.
         """
         self.graph, self.ease, self.solvability = graph, ease, solvability
+        self.haste = graph.settings.haste
+        """Weight of a second that robots would wait; as `KeyframeSettings.haste`."""
 
     def actions(self, node: Node, attempt: int, rng: np.random.Generator) -> list[int]:
         """Return the legal actions in order of trial: easy ones near a free robot and far from busy ones.
@@ -88,8 +88,7 @@ class ActionRanking:
         scores += self.ease.guided(node.state[None], allowed)[0, actions]
         scores += rng.normal(size=len(actions)) * (0.1 if attempt == 0 else 0.4 * min(attempt, 4))
         ordered = [actions[k] for k in np.argsort(-scores, kind="stable")]
-        ordered = self._rivals_next(node, ordered)
-        return self._passing_first(node, ordered) if self.graph.settings.haste else ordered
+        return self._passing_first(node, ordered) if self.haste else ordered
 
     def _passing_first(self, node: Node, actions: list[int]) -> list[int]:
         """Put the first part that can leave as soon as it is held before those for which an arm would have to wait."""
@@ -109,30 +108,11 @@ class ActionRanking:
             waiting.append(action)
         return [a for a in looked if a not in waiting] + waiting + actions[_LOOKED_AT:]
 
-    def _rivals_next(self, node: Node, actions: list[int]) -> list[int]:
-        """Put holds of rivals behind the holds that are known to keep the way open: in that order both may work."""
-        parts, joint = len(node.state), self.graph.joint
-        known = [a for a in actions if a < parts and self.solvability.known(node.state, a)]
-        rivals = [part for a in known for part in joint.to_come(a, node.state) if part in actions and part not in known]
-        if not rivals:
-            return actions
-        place = actions.index(known[-1]) + 1
-        before = [a for a in actions[:place] if a not in rivals]
-        return before + list(dict.fromkeys(rivals)) + [a for a in actions[place:] if a not in rivals]
-
-    def crowds(self, edge: Edge) -> bool:
-        """Return whether no arm could hold a rival of the part that is held after an edge."""
-        node, part = edge.node, edge.action
-        if part >= len(node.state) or None not in node.held:
-            return False
-        rivals = self.graph.joint.to_come(part, node.state)
-        return any(next(self.graph.edges(node, rival), None) is None for rival in rivals)
-
     def waits(self, edge: Edge) -> bool:
         """Return whether an arm would hold a part that could leave, while it has no way to carry it away."""
         parts, state = len(edge.node.state), edge.node.state
         removal = edge.action + parts
-        if not self.graph.settings.haste or edge.action >= parts or removal not in self.solvability.legal(state):
+        if not self.haste or edge.action >= parts or removal not in self.solvability.legal(state):
             return False
         return self.solvability.known(state, removal) and next(self.graph.edges(edge.node, removal), None) is None
 
@@ -145,10 +125,9 @@ class ActionRanking:
         center = self.graph.parts.center[action]
         robots = self.graph.cell.robots
         free = [robot for robot, held in enumerate(node.held) if held is None]
-        haste = self.graph.settings.haste
         score -= min(
             float(np.linalg.norm(robots[robot].base[:2, 3] - center[:2])) / self.graph.spread
-            + haste * node.clock.of(robot)
+            + self.haste * node.clock.of(robot)
             for robot in free
         )
         for part in node.held:

@@ -31,8 +31,6 @@ class FailedActions:
     def add(self, node: Node, action: int) -> bool:
         """Note an action that has just failed: in its way are robots that others met, and the one with the part.
 
-        A robot that holds something else cannot hold the part, though it might; but it is in no other's way.
-
         Returns:
             Whether parts turned out to be ones that no two arms can hold at the same time.
         """
@@ -41,13 +39,10 @@ class FailedActions:
         for reason in self.graph.reasons.recent:
             for body in reason.pair or ():
                 found |= {k for k, name in enumerate(names) if k != reason.robot and body.startswith(f"{name} ")}
+        self._robots[node.key, action] = found
         if action >= parts:
-            self._robots[node.key, action] = found
             return False
-        holding = [robot for robot, part in enumerate(node.held) if part is not None]
-        busy = {robot for robot in holding if self.graph.grips(robot, action, node.state)}
-        self._robots[node.key, action] = found | busy
-        holds = [part for robot in sorted(found | busy) if (part := node.held[robot]) is not None]
+        holds = [part for robot in found if (part := node.held[robot]) is not None]
         return any(self.graph.joint.learn(part, action, node.state) for part in holds)
 
     def of(self, node: Node) -> list[int]:

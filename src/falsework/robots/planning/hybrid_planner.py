@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.action_ranking import WAYS_LOOKED_AT, ActionRanking, ExecutionHeuristic
+from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic
 from falsework.robots.planning.dead_ends import FailedActions
 from falsework.robots.planning.expected_times import BalanceGuide
 from falsework.robots.planning.failure_report import Explanation, explain, fall_in_words
@@ -43,16 +43,12 @@ _EDGES_PER_ACTION = 3
 """Motions of one action that are tried at a keyframe."""
 _ACTIONS_PER_KEYFRAME = 8
 """Actions that are tried at a keyframe with motions, before it counts as a dead end."""
-_DEAD_ENDS_PER_STATE = 3
-"""Dead ends in one state with held parts before a search looks for an order of actions without that state."""
 _SOLVABILITY_CHECKS = 4
 """Checks of solvability at one keyframe in the first search; later searches may make more."""
 _LAST_VERDICTS = 400
 """Verdicts for such checks where no action has worked yet, before the keyframe counts as a dead end."""
 _MAX_FALLEN_REPLAYS = 40
 """Plans with motions whose replay may fall before the search is given up."""
-_BLAMED_VERDICTS = 100
-"""The same where the motions of an action failed: going back to what is to blame is another way on."""
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """How long missing parts are done without, as shares of what stability alone allows, in turn."""
 
@@ -127,7 +123,6 @@ class _Search:
         self.best: list[Edge] = []
         self.tried: Counter[tuple[str, int]] = Counter()
         self.dead: set[bytes] = set()
-        self.ended: Counter[bytes] = Counter()
         self.failures = FailedActions(self.graph, self.solvability)
         self.timed: dict[PathSegment, Trajectory | None] = {}
         self.counts: Counter[str] = Counter()
@@ -154,7 +149,7 @@ class _Search:
             self.dead.clear()
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
                 if turn:
-                    self.ended.clear()
+                    self.ranking.haste = 0.0  # any plan is better than none
                     self.solvability.perturb(self.attempt)
                 chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]))
                 self.attempt += 1
@@ -175,7 +170,6 @@ class _Search:
         nodes, chain, options = [root], [], [self._options(root, rng)]
         causes: list[set[int]] = [set()]  # of the dead ends after each keyframe: numbers of earlier edges
         dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
-        learned = self.graph.joint.learned
         while nodes:
             if self.deadline_passed():
                 return None
@@ -185,8 +179,7 @@ class _Search:
                 options[-1] = self._options(nodes[-1], rng)
                 continue
             if edge is None:
-                ended = nodes[-1]
-                self.dead.add(ended.key)
+                self.dead.add(nodes[-1].key)
                 self._note_dead_end(nodes[-1], len(chain))
                 blamed = causes[-1] | self.failures.blamed(nodes[-1], chain)
                 back = max(blamed, default=len(chain) - 1)
@@ -197,11 +190,9 @@ class _Search:
                 self.counts["dead_ends"] += 1
                 if dead_ends > allowed:
                     return None
-                lost = bool(nodes and self.ruled_out(ended) and not self.solvability.stays(nodes[-1].state))
-                if nodes and (lost or learned < self.graph.joint.learned):
-                    if lost:
-                        self.solvability.reroute(nodes[-1].state)
-                    learned, options[-1] = self.graph.joint.learned, self._options(nodes[-1], rng)
+                if nodes and self.graph.joint.excluded and not self.solvability.stays(nodes[-1].state):
+                    self.solvability.reroute(nodes[-1].state)
+                    options[-1] = self._options(nodes[-1], rng)
                 continue
             chain.append(edge)
             if len(chain) > len(self.best):
@@ -244,7 +235,7 @@ class _Search:
 
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Yield edges out of a keyframe in the order in which to try them."""
-        tried, probes, worked, blamed = 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False, False
+        tried, probes, worked = 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         idle: list[Edge] = []
         verdicts = 0
         for action in self.ranking.actions(node, self.attempt, rng):
@@ -252,7 +243,7 @@ class _Search:
                 continue
             if not self.solvability.known(node.state, action):
                 # Where nothing has worked yet, there is no cheaper way on than to ask, or than going back at last.
-                if (probes <= 0 and worked) or verdicts > (_BLAMED_VERDICTS if blamed else _LAST_VERDICTS):
+                if (probes <= 0 and worked) or verdicts > _LAST_VERDICTS:
                     continue
                 probes -= 1
             spent = self.solvability.spent
@@ -264,26 +255,17 @@ class _Search:
             self.counts["actions"] += 1
             found = 0
             self.graph.reasons.recent.clear()
-            works, crowded = False, 0
             for edge in self.graph.edges(node, action):
-                works = True
-                if edge.node.key in self.dead:
-                    continue
-                if crowded < WAYS_LOOKED_AT and self.ranking.crowds(edge):
-                    crowded += 1
-                    idle += [edge] * (crowded <= _EDGES_PER_ACTION)
-                    continue
                 found += 1
                 if self.ranking.waits(edge):
                     idle.append(edge)
-                else:
+                elif edge.node.key not in self.dead:
                     yield edge
                 if found == _EDGES_PER_ACTION:
                     break
-            worked |= works
-            if not works:
+            worked |= found > 0
+            if not found:
                 self.counts["rejected"] += 1
-                blamed = True
                 if self.failures.add(node, action):
                     return
             tried += 1
@@ -297,19 +279,6 @@ class _Search:
             return
         for action in self.failures.of(node):
             self.tried["hold" if action < len(node.state) else "remove", action % len(node.state)] += 1
-
-    def ruled_out(self, node: Node) -> bool:
-        """Note a dead end, and return whether any states are ruled out.
-
-        After some in one state, what could not be held there is not held beside what is, until the next search.
-        """
-        held = {part for part in node.held if part is not None}
-        if held:
-            self.ended[node.state.tobytes()] += 1
-            if self.ended[node.state.tobytes()] == _DEAD_ENDS_PER_STATE:
-                failed = [part for part in self.failures.of(node) if part < len(node.state)]
-                self.solvability.avoid(node.state, [held | {part} for part in failed])
-        return self.solvability.restricted
 
     def _hopeless(self) -> bool:
         """Return whether a part must leave that no robot can hold even where it stands alone."""

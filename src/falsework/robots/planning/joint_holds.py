@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
+from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.robots.kernels.coordination import Swept, first_clear, sweep
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
 from falsework.robots.planning.grasp_configurations import GraspConfiguration, GraspConfigurations
@@ -34,12 +34,9 @@ class JointHolds:
         self.grips, self.cell = grips, grips.cell
         self.rivals: dict[int, set[int]] = defaultdict(set)
         """Parts that could not be held while a part was, by that part; both ways."""
-        self.learned = 0
-        """Pairs of rivals found so far."""
         self.excluded = 0
         """Pairs ruled out so far, each among some parts."""
-        self._excluded: dict[tuple[int, int], list[Mask]] = {}
-        self._avoided: set[frozenset[int]] = set()
+        self._excluded: dict[tuple[int, int], list[Mask]] = defaultdict(list)
         self._possible: dict[tuple[int, int], list[Mask]] = defaultdict(list)
 
     def learn(self, part: int, other: int, state: States) -> bool:
@@ -52,11 +49,10 @@ class JointHolds:
         Returns:
             Whether that rules out states that were not ruled out before.
         """
-        self.learned += other not in self.rivals[part]
         self.rivals[part].add(other)
         self.rivals[other].add(part)
         pair, present = _pair(part, other), state != REMOVED
-        if not self.possible_pair(part, other, state):
+        if any((known <= present).all() for known in self._excluded[pair]):
             return False
         if any((present <= known).all() for known in self._possible[pair]):
             return False
@@ -69,25 +65,7 @@ class JointHolds:
     def exclude(self, part: int, other: int, state: States) -> None:
         """Rule out that two parts are held together where all parts of a state stand, shape (parts,)."""
         self.excluded += 1
-        self._excluded.setdefault(_pair(part, other), []).append(state != REMOVED)
-
-    def avoid(self, parts: set[int]) -> None:
-        """Rule out that some parts are held together, whatever else stands, until `forget`."""
-        self._avoided.add(frozenset(parts))
-
-    def forget(self) -> None:
-        """Allow again what was to be avoided."""
-        self._avoided.clear()
-
-    @property
-    def restricting(self) -> bool:
-        """Whether anything is ruled out."""
-        return bool(self._avoided or self._excluded)
-
-    def possible_pair(self, part: int, other: int, state: States) -> bool:
-        """Return whether two parts are not ruled out together among the parts of a state, shape (parts,)."""
-        present = state != REMOVED
-        return not any((known <= present).all() for known in self._excluded.get(_pair(part, other), ()))
+        self._excluded[_pair(part, other)].append(state != REMOVED)
 
     def learn_from(self, states: States) -> bool:
         """Compare the grips of all rivals that are held together in some states; whether that rules out any of them.
@@ -110,32 +88,6 @@ class JointHolds:
             rows = np.flatnonzero((states[:, one] == HELD) & (states[:, other] == HELD))
             for present in least if len(rows) else ():
                 found[rows] &= (states[rows][:, present] == REMOVED).any(axis=1)
-        for parts in self._avoided:
-            found &= (states[:, list(parts)] != HELD).any(axis=1)
-        return found
-
-    def to_come(self, part: int, state: States) -> list[int]:
-        """Return rivals of a part that stand and are not held yet."""
-        return [other for other in sorted(self.rivals.get(part, ())) if state[other] == INSTALLED]
-
-    def leave_room(self, grips: Sequence[GraspConfiguration], part: int, robots: Sequence[int], state: States) -> Mask:
-        """Return which grips of one arm let another arm hold a part.
-
-        Args:
-            grips: of one arm.
-            part: what another one is to hold.
-            robots: the arms that may do that.
-            state: the parts that are there, shape (parts,).
-
-        Returns:
-            Shape (grips,).
-        """
-        found: Mask = np.zeros(len(grips), dtype=bool)
-        for robot in robots if grips else ():
-            others = _some(self.grips.of(robot, part, state))
-            rest = np.flatnonzero(~found)
-            if others and robot != grips[0].robot and len(rest):
-                found[rest] = self._clear([grips[row] for row in rest], others) >= 0
         return found
 
     def _together(self, part: int, other: int, state: States) -> bool:

@@ -236,19 +236,11 @@ class KeyframeGraph:
         hits = view.hits(values)
         for row in np.flatnonzero(hits >= 0)[:1]:
             self.reasons.add("hold", part, robot, "a robot is in the way of every grip", view.pair(int(hits[row])))
-        open_grips = self._with_room([grips[row] for row in np.flatnonzero(hits < 0)], node, part)
+        open_grips = [grips[row] for row in np.flatnonzero(hits < 0)]
         for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates):
             edge = self._try_grip(node, part, grip, view)
             if edge is not None:
                 yield edge
-
-    def _with_room(self, grips: list[GraspConfiguration], node: Node, part: int) -> list[GraspConfiguration]:
-        """Return the grips beside which other arms have a grip for each rival of a part; all if there are none."""
-        others = [robot for robot, held in enumerate(node.held) if held is None]
-        for rival in self.joint.to_come(part, node.state):
-            room = self.joint.leave_room(grips, rival, others, node.state)
-            grips = [grip for grip, good in zip(grips, room, strict=True) if good] if room.any() else grips
-        return grips
 
     def _try_grip(self, node: Node, part: int, grip: GraspConfiguration, view: CollisionQuery) -> Edge | None:
         robot, margins = grip.robot, self.cell.margins

@@ -45,8 +45,6 @@ _VARIED_BEAM_WIDTH = 16
 """Widest beam for another one."""
 _VARIED_VERDICTS = 2000
 """Verdicts for another one from each end: a beam that needs more is stuck, and costs minutes under `contact`."""
-_REROUTE_VERDICTS = 600
-"""Verdicts for a way around holds that are ruled out: where it takes more, going back farther is cheaper."""
 _ROLLOUTS = 16
 """Rollouts with random actions at once."""
 _MAX_FALLEN_REPLAYS = 40
@@ -95,7 +93,6 @@ class SolvabilityCheck:
         self._solvable: set[bytes] = {task.target.tobytes()}
         self._not_found: set[bytes] = set()
         self._forbidden: set[bytes] = set()
-        self._avoided: set[bytes] = set()  # those of them in which the arms came to dead ends
         self._moves: dict[bytes, list[int]] = {}
 
     def __len__(self) -> int:
@@ -119,10 +116,6 @@ class SolvabilityCheck:
     def perturb(self, seed: int) -> None:
         """Find another abstract plan to follow, with the guide's score disturbed; the old one stays known."""
         rng = np.random.default_rng([self._seed, seed])
-        self._forbidden -= self._avoided
-        self._avoided.clear()
-        if self.joint is not None:
-            self.joint.forget()
         route = self.roll_out(rng)
         if route is not None:
             self._follow([route])
@@ -172,21 +165,6 @@ class SolvabilityCheck:
         """Return whether a state is known to be solvable."""
         return state.tobytes() in self._solvable
 
-    @property
-    def restricted(self) -> bool:
-        """Whether states are ruled out for what the arms can do."""
-        return bool(self._avoided or (self.joint is not None and self.joint.restricting))
-
-    def avoid(self, state: States, together: Sequence[set[int]]) -> None:
-        """Rule out that parts are held together, or the state if none are given, until `perturb`."""
-        if self.joint is not None:
-            for parts in together:
-                self.joint.avoid(parts)
-        if not together:
-            self._avoided.add(state.tobytes())
-            self._forbidden.add(state.tobytes())
-        self._prune()
-
     def reroute(self, state: States) -> bool:
         """Find a way from a state to the target around holds that have been ruled out; whether there is one.
 
@@ -201,7 +179,7 @@ class SolvabilityCheck:
         task = replace(self.task, start=state)
         for _ in range(_MAX_FALLEN_REPLAYS):
             beam = AdaptiveBeam(task, self.oracle, AdaptiveSettings(seed=self._seed), guide=self._guide)
-            routes = self._search(beam, _VARIED_BEAM_WIDTH, _REROUTE_VERDICTS)
+            routes = self._search(beam, _VARIED_BEAM_WIDTH, _VARIED_VERDICTS)
             if not routes or not any(self.joint.learn_from(route.states) for route in routes):
                 self._follow(routes)
                 return bool(routes)
