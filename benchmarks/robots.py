@@ -199,6 +199,8 @@ def together(name: str, arguments: Arguments) -> None:
             **fields,
             seeds=(seed,),
         )
+    if not shares:
+        return
     report(
         "robots together",
         cell=name,

@@ -31,6 +31,8 @@ class FailedActions:
     def add(self, node: Node, action: int) -> bool:
         """Note an action that has just failed: in its way are robots that others met, and the one with the part.
 
+        Where nothing is in the way, those are to blame that could hold the part if they did not hold another one.
+
         Returns:
             Whether parts turned out to be ones that no two arms can hold at the same time.
         """
@@ -39,6 +41,9 @@ class FailedActions:
         for reason in self.graph.reasons.recent:
             for body in reason.pair or ():
                 found |= {k for k, name in enumerate(names) if k != reason.robot and body.startswith(f"{name} ")}
+        if not found:
+            holding = [robot for robot, part in enumerate(node.held) if part is not None]
+            found = {robot for robot in holding if self.graph.grips(robot, action, node.state)}
         self._robots[node.key, action] = found
         if action >= parts:
             return False

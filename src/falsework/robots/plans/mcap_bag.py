@@ -88,9 +88,9 @@ class _Bag:
         self.schemas: dict[str, int] = {}
         self.channels: dict[str, int] = {}
 
-    def make(self, name: str, **fields: Any) -> Any:
+    def make(self, kind: str, /, **fields: Any) -> Any:
         """Return a message."""
-        return self.store.types[name](**fields)
+        return self.store.types[kind](**fields)
 
     def write(self, topic: str, message: Any, seconds: float) -> None:
         """Add a message at a time of the plan."""
