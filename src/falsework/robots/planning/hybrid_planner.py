@@ -25,10 +25,9 @@ from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeu
 from falsework.robots.planning.dead_ends import FailedActions
 from falsework.robots.planning.expected_times import BalanceGuide
 from falsework.robots.planning.failure_report import Explanation, explain, fall_in_words
-from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
+from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
 from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, Node, PathSegment
-from falsework.robots.planning.progress import HybridProgress, Progress
 from falsework.robots.planning.reordering import reorder
 from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck

@@ -1,7 +1,8 @@
-"""Settings and result of the hybrid planner."""
+"""Settings, progress and result of the hybrid planner."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -50,3 +51,18 @@ class HybridResult:
     def found(self) -> bool:
         """Whether there is a plan."""
         return self.plan is not None
+
+
+@dataclass(frozen=True)
+class HybridProgress:
+    """Progress of a running search."""
+
+    reached: int
+    """Steps of the longest plan so far."""
+    steps: int
+    attempt: int
+    dead_ends: int
+    seconds: float
+
+
+Progress = Callable[[HybridProgress], None]
