@@ -68,8 +68,6 @@ class ActionRanking:
             solvability: which actions are legal, and which are known to keep the way open.
         """
         self.graph, self.ease, self.solvability = graph, ease, solvability
-        self.haste = graph.settings.haste
-        """Weight of a second that robots would wait; as `KeyframeSettings.haste`."""
 
     def actions(self, node: Node, attempt: int, rng: np.random.Generator) -> list[int]:
         """Return the legal actions in order of trial: easy ones near a free robot and far from busy ones.
@@ -88,7 +86,7 @@ class ActionRanking:
         scores += self.ease.guided(node.state[None], allowed)[0, actions]
         scores += rng.normal(size=len(actions)) * (0.1 if attempt == 0 else 0.4 * min(attempt, 4))
         ordered = [actions[k] for k in np.argsort(-scores, kind="stable")]
-        return self._passing_first(node, ordered) if self.haste else ordered
+        return self._passing_first(node, ordered) if self.graph.settings.haste else ordered
 
     def _passing_first(self, node: Node, actions: list[int]) -> list[int]:
         """Put the first part that can leave as soon as it is held before those for which an arm would have to wait."""
@@ -112,7 +110,7 @@ class ActionRanking:
         """Return whether an arm would hold a part that could leave, while it has no way to carry it away."""
         parts, state = len(edge.node.state), edge.node.state
         removal = edge.action + parts
-        if not self.haste or edge.action >= parts or removal not in self.solvability.legal(state):
+        if not self.graph.settings.haste or edge.action >= parts or removal not in self.solvability.legal(state):
             return False
         return self.solvability.known(state, removal) and next(self.graph.edges(edge.node, removal), None) is None
 
@@ -127,7 +125,7 @@ class ActionRanking:
         free = [robot for robot, held in enumerate(node.held) if held is None]
         score -= min(
             float(np.linalg.norm(robots[robot].base[:2, 3] - center[:2])) / self.graph.spread
-            + self.haste * node.clock.of(robot)
+            + self.graph.settings.haste * node.clock.of(robot)
             for robot in free
         )
         for part in node.held:

@@ -148,7 +148,6 @@ class _Search:
             self.dead.clear()
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
                 if turn:
-                    self.ranking.haste = 0.0  # any plan is better than none
                     self.solvability.perturb(self.attempt)
                 chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]))
                 self.attempt += 1
