@@ -123,9 +123,10 @@ class ActionRanking:
         center = self.graph.parts.center[action]
         robots = self.graph.cell.robots
         free = [robot for robot, held in enumerate(node.held) if held is None]
+        haste = self.graph.settings.haste
         score -= min(
             float(np.linalg.norm(robots[robot].base[:2, 3] - center[:2])) / self.graph.spread
-            + self.graph.settings.haste * node.clock.of(robot)
+            + haste * node.clock.of(robot)
             for robot in free
         )
         for part in node.held:
