@@ -35,7 +35,7 @@ from falsework.robots.model.shapes import hull
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Contact, Scene
 from falsework.robots.motion.path_planner import plan_free
 from falsework.robots.motion.timing import time_path
-from falsework.robots.planning.warm_up import compile_kernels
+from falsework.robots.motion.warm_up import compile_kernels
 
 Array = np.ndarray
 

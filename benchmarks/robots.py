@@ -44,9 +44,10 @@ from falsework.robots.cells.validate import check_cell
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import inverse_pose, pose
-from falsework.robots.planning.hybrid_planner import HybridResult, HybridSettings, plan_robots
+from falsework.robots.motion.warm_up import compile_kernels
+from falsework.robots.planning.hybrid_planner import plan_robots
+from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
-from falsework.robots.planning.warm_up import compile_kernels
 from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.check_schedule import check_schedule
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
@@ -198,6 +199,8 @@ def together(name: str, arguments: Arguments) -> None:
             **fields,
             seeds=(seed,),
         )
+    if not shares:
+        return
     report(
         "robots together",
         cell=name,

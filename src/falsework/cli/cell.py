@@ -46,7 +46,7 @@ class CheckCell(Command):
         from falsework.robots.cells.validate import check_cell
         from falsework.robots.grasping.reachability import Reachability, propose_bases, reach_table
         from falsework.robots.model.part_shapes import place_parts
-        from falsework.robots.planning.warm_up import compile_kernels
+        from falsework.robots.motion.warm_up import compile_kernels
 
         if self.picture is not None:
             from falsework.robots.grasping.reachability_plot import check_picture

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.robots.model.cell import Cell
-    from falsework.robots.planning.hybrid_planner import HybridResult
+    from falsework.robots.planning.hybrid_result import HybridResult
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Task
@@ -85,7 +85,8 @@ class PlanRobots(Command):
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
         from falsework.robots.cells.cell_file import load_cell
-        from falsework.robots.planning.hybrid_planner import HybridSettings, plan_robots
+        from falsework.robots.planning.hybrid_planner import plan_robots
+        from falsework.robots.planning.hybrid_result import HybridSettings
         from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
         from falsework.robots.schedule.build import schedule_plan
         from falsework.stability import Stability, StabilitySettings
@@ -353,7 +354,8 @@ class ExportRobots(Command):
     """Write the motions of a robot plan for robot controllers.
 
     ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file per step and one for the plan; ABB RAPID
-    as one module per robot; an MCAP bag of ROS 2 messages with the times of the schedule.
+    and URScript as one program per robot, which wait for each other; an MCAP bag of ROS 2 messages with the times of
+    the schedule.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -363,12 +365,12 @@ class ExportRobots(Command):
 
     plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
     """Plan to export, as `falsework robots plan` wrote it."""
-    format: Literal["ros2-json", "ros2-yaml", "csv", "rapid", "mcap"] = "ros2-json"
+    format: Literal["ros2-json", "ros2-yaml", "csv", "rapid", "urscript", "mcap"] = "ros2-json"
     """Output format."""
     out: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write into."""
     rate: float = 50.0
-    """Rows per second, for csv."""
+    """Rows per second, for csv and urscript."""
     assembly_order: bool = False
     """Write the motions in assembly order, even if the plan is a disassembly."""
 

@@ -16,12 +16,12 @@ from falsework.robots.model.cell import cell_identity as cell_identity
 from falsework.robots.model.robot_model import RobotModel as RobotModel
 from falsework.robots.planning.failure_report import Explanation as Explanation
 from falsework.robots.planning.failure_report import LoggedFailure as LoggedFailure
-from falsework.robots.planning.hybrid_planner import HybridResult as HybridResult
-from falsework.robots.planning.hybrid_planner import HybridSettings as HybridSettings
 from falsework.robots.planning.hybrid_planner import plan_robots as plan_robots
+from falsework.robots.planning.hybrid_result import HybridProgress as HybridProgress
+from falsework.robots.planning.hybrid_result import HybridResult as HybridResult
+from falsework.robots.planning.hybrid_result import HybridSettings as HybridSettings
 from falsework.robots.planning.keyframe_graph import KeyframeGraph as KeyframeGraph
 from falsework.robots.planning.keyframe_graph import KeyframeSettings as KeyframeSettings
-from falsework.robots.planning.progress import HybridProgress as HybridProgress
 from falsework.robots.plans.check import CheckReport as CheckReport
 from falsework.robots.plans.check import PlanProblem as PlanProblem
 from falsework.robots.plans.check import check_robot_plan as check_robot_plan

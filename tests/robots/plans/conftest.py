@@ -14,7 +14,8 @@ from falsework.assembly.model import Assembly
 from falsework.robots.model.builtin_robots import builtin_robot
 from falsework.robots.model.cell import Cell, CellRobot, Gripper
 from falsework.robots.model.shapes import cylinder, pose
-from falsework.robots.planning.hybrid_planner import HybridResult, plan_robots
+from falsework.robots.planning.hybrid_planner import plan_robots
+from falsework.robots.planning.hybrid_result import HybridResult
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.stability import Stability
 

@@ -14,6 +14,7 @@ import yaml
 from falsework.errors import InputError
 from falsework.interop import export
 from falsework.robots.plans.export import FORMATS, export_plan
+from falsework.robots.plans.programs import Grip, events_of
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import save_robot_plan
 
@@ -125,13 +126,91 @@ def test_rapid_modules_are_whole_and_hold_the_knots(robot_plan: RobotPlan, tmp_p
         degrees = np.array([[float(value) for value in text.split(",")] for text in targets.values()])
         np.testing.assert_allclose(degrees, np.degrees(knots), atol=1e-5)
         assert sum(zone == "fine" for _, _, zone in used) == len(mine)
-        waits = [line for line in lines if line.startswith("WaitSyncTask")]
-        assert len(waits) == len(robot_plan)
         assert text.count("SetDO") == 2
 
 
+COMMANDS = {
+    "mod": r"WaitUntil GInput\(gi_(\w+)_count\)>=(\d+)|SetGO go_\w+_count, (\d+)|(fine, \w+_tool;|_gripper [TF])",
+    "script": r"while not \((\w+)_count\(\) >= (\d+)\)|write_port_register\(128, (\d+)\)|(stopj\(|  gripper\([TF])",
+}
+
+
+def run_programs(paths: list[Path], seed: int) -> list[tuple[str, int]]:
+    """Carry out programs that wait for each other's counts; their motions and grips in the order in which they begin.
+
+    One command of a random program that need not wait is carried out at a time.
+    """
+    programs, counts, done = {}, {}, []
+    for path in paths:
+        text = path.read_text()
+        start = text.index("SetGO go_" if path.suffix == ".mod" else "write_port_register(128, 1)")
+        order = [text]
+        if path.suffix == ".mod":  # procedures stand in the order in which they are called, after the handshake
+            order = re.findall(r"  PROC \w+_step\d+\(\)\n(.*?)ENDPROC", text, re.DOTALL)
+            assert re.findall(r"PROC (\w+_step\d+)\(\)", text) == re.findall(r"^    (\w+_step\d+);", text, re.MULTILINE)
+        else:
+            order = [text[start:]]
+        programs[path.stem] = [m.groups() for part in order for m in re.finditer(COMMANDS[path.suffix[1:]], part)]
+        counts[path.stem] = 3
+    rng = np.random.default_rng(seed)
+    begun = dict.fromkeys(programs, 0)
+    while any(programs.values()):
+        ready = [
+            name
+            for name, rest in programs.items()
+            if rest and not (rest[0][0] and counts[rest[0][0]] < int(rest[0][1]))
+        ]
+        assert ready, "the programs wait for each other"
+        name = ready[int(rng.integers(len(ready)))]
+        _, _, count, event = programs[name].pop(0)
+        if count:
+            assert int(count) >= counts[name] or int(count) <= 3
+            counts[name] = int(count) if int(count) > 3 else counts[name]
+        elif event:
+            done.append((name, begun[name]))
+            begun[name] += 1
+    return done
+
+
+@pytest.mark.parametrize("form", ["rapid", "urscript"])
+def test_programs_keep_the_order_of_the_states(robot_plan: RobotPlan, tmp_path: Path, form: str) -> None:
+    """However fast each controller is, motions that the plan has in one order come in that order."""
+    for plan in (robot_plan, robot_plan.reverse()):
+        paths = export_plan(plan, tmp_path / plan.direction.value, form)
+        events = [(paths[step.robot].stem, event) for k, step in enumerate(plan.steps) for event in events_of(plan, k)]
+        names, wanted = dict.fromkeys((path.stem for path in paths), 0), []
+        for name, _ in events:
+            wanted.append((name, names[name]))
+            names[name] += 1
+        for seed in range(5):
+            done = run_programs(paths, seed)
+            assert sorted(done) == sorted(wanted)
+            moves = [entry for entry, (_, event) in zip(wanted, events, strict=True) if not isinstance(event, Grip)]
+            assert [entry for entry in done if entry in set(moves)] == moves
+
+
+def test_urscript_holds_the_motions(robot_plan: RobotPlan, tmp_path: Path) -> None:
+    paths = export_plan(robot_plan, tmp_path, "urscript", rate=20.0)
+    assert [path.name for path in paths] == ["arm_1.script", "arm_2.script"]
+    for robot, path in enumerate(paths):
+        text = path.read_text()
+        lines = [line.strip() for line in text.splitlines()]
+        assert lines[0] == f"def {path.stem}():"
+        assert lines[-1] == "end"
+        assert text.isascii()
+        assert sum(line.startswith(("def ", "while ")) for line in lines) == lines.count("end")
+        for line in lines:
+            assert line.count("[") == line.count("]")
+            assert line.count("(") == line.count(")")
+        mine = [trajectory for _, which, trajectory in robot_plan.moves() if which == robot]
+        ends = np.array([json.loads(found) for found in re.findall(r"movej\((\[.*?\])", text)])
+        np.testing.assert_allclose(ends[1:], [trajectory.positions[-1] for trajectory in mine], atol=1e-6)
+        served = re.findall(r"servoj\((\[.*?\]), t=([\d.]+)", text)
+        assert sum(float(t) for _, t in served) == pytest.approx(sum(t.seconds for t in mine), abs=1e-3)
+
+
 def test_what_cannot_be_exported(robot_plan: RobotPlan, tmp_path: Path) -> None:
-    assert FORMATS == ("ros2-json", "ros2-yaml", "csv", "rapid", "mcap")
+    assert FORMATS == ("ros2-json", "ros2-yaml", "csv", "rapid", "urscript", "mcap")
     with pytest.raises(InputError, match="no export format 'krl'; choose ros2-json"):
         export_plan(robot_plan, tmp_path, "krl")
     with pytest.raises(InputError, match="rate of 0 positions"):
@@ -145,10 +224,13 @@ def test_a_bag_can_be_read_without_falsework(robot_plan: RobotPlan, tmp_path: Pa
     reader = pytest.importorskip("mcap.reader", reason="bags need mcap; pip install 'falsework[schedule]'")
     typesys = pytest.importorskip("rosbags.typesys", reason="bags need rosbags; pip install 'falsework[schedule]'")
     (path,) = export_plan(robot_plan, tmp_path, "mcap")
-    store, begins, attached = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE), [], 0
+    store, begins, scenes = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE), [], []
     with path.open("rb") as file:
         for schema, channel, message in reader.make_reader(file).iter_messages():
-            attached += channel.topic == "/attached_collision_object"
+            if channel.topic == "/planning_scene":
+                if not scenes:
+                    store.register(typesys.get_types_from_msg(schema.data.decode(), schema.name))
+                scenes.append(store.deserialize_cdr(message.data, schema.name))
             if schema.name == "trajectory_msgs/msg/JointTrajectory":
                 found = store.deserialize_cdr(message.data, schema.name)
                 begins.append(message.log_time * 1e-9)
@@ -156,4 +238,9 @@ def test_a_bag_can_be_read_without_falsework(robot_plan: RobotPlan, tmp_path: Pa
                 assert len(found.points[0].positions) == len(found.joint_names)
     motions = [trajectory.seconds for _, _, trajectory in robot_plan.moves()]
     assert begins == pytest.approx([sum(motions[:k]) for k in range(len(motions))], abs=1e-6)
-    assert attached == 2 * int((robot_plan.plan.actions >= len(robot_plan.plan.boundary)).sum())
+    removed = [robot_plan.plan.part_names[part] for part in robot_plan.plan.removed_parts]
+    attached = [scene.robot_state.attached_collision_objects[0].object for scene in scenes]
+    assert all(scene.is_diff and scene.robot_state.is_diff for scene in scenes)
+    assert [(thing.id, int(thing.operation)) for thing in attached] == [(k, o) for k in removed for o in (0, 1)]
+    gone = [[thing.id for thing in scene.world.collision_objects] for scene in scenes]
+    assert gone == [entry for name in removed for entry in ([], [name])]

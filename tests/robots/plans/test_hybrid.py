@@ -14,7 +14,8 @@ from falsework.assembly.state import complete_state
 from falsework.errors import InputError, StateError
 from falsework.robots.model.cell import Cell, Obstacle, Placement
 from falsework.robots.model.shapes import block
-from falsework.robots.planning.hybrid_planner import HybridResult, HybridSettings, plan_robots
+from falsework.robots.planning.hybrid_planner import plan_robots
+from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Direction, Task

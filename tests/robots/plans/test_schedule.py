@@ -17,7 +17,8 @@ from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.planning.hybrid_planner import HybridSettings, plan_robots
+from falsework.robots.planning.hybrid_planner import plan_robots
+from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.planning.keyframe_graph import KeyframeSettings
 from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.check_schedule import check_schedule

@@ -13,7 +13,8 @@ from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, complete_state
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.hybrid_planner import HybridResult, HybridSettings, plan_robots
+from falsework.robots.planning.hybrid_planner import plan_robots
+from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Route, Task
 from falsework.search.plans.plan_check import validate_plan

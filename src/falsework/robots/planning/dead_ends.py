@@ -28,14 +28,27 @@ class FailedActions:
         node, action = entry
         return (node.key, action) in self._robots
 
-    def add(self, node: Node, action: int) -> None:
-        """Note an action that has just failed: in its way are robots that others met, and the one with the part."""
+    def add(self, node: Node, action: int) -> bool:
+        """Note an action that has just failed: in its way are robots that others met, and the one with the part.
+
+        Where nothing is in the way, those are to blame that could hold the part if they did not hold another one.
+
+        Returns:
+            Whether parts turned out to be ones that no two arms can hold at the same time.
+        """
         parts, names = self.graph.assembly.part_count, [robot.name for robot in self.graph.cell.robots]
         found = {node.held.index(action - parts)} if action >= parts else set()
         for reason in self.graph.reasons.recent:
             for body in reason.pair or ():
                 found |= {k for k, name in enumerate(names) if k != reason.robot and body.startswith(f"{name} ")}
+        if not found:
+            holding = [robot for robot, part in enumerate(node.held) if part is not None]
+            found = {robot for robot in holding if self.graph.grips(robot, action, node.state)}
         self._robots[node.key, action] = found
+        if action >= parts:
+            return False
+        holds = [part for robot in found if (part := node.held[robot]) is not None]
+        return any(self.graph.joint.learn(part, action, node.state) for part in holds)
 
     def of(self, node: Node) -> list[int]:
         """Return the actions that have failed at a keyframe."""

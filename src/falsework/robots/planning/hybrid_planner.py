@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -20,15 +20,14 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
-from falsework.errors import InputError
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic
 from falsework.robots.planning.dead_ends import FailedActions
 from falsework.robots.planning.expected_times import BalanceGuide
 from falsework.robots.planning.failure_report import Explanation, explain, fall_in_words
+from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
-from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node, PathSegment
-from falsework.robots.planning.progress import HybridProgress, Progress
+from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, Node, PathSegment
 from falsework.robots.planning.reordering import reorder
 from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
@@ -47,53 +46,10 @@ _SOLVABILITY_CHECKS = 4
 """Checks of solvability at one keyframe in the first search; later searches may make more."""
 _LAST_VERDICTS = 400
 """Verdicts for such checks where no action has worked yet, before the keyframe counts as a dead end."""
-_POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
-"""How long missing parts are done without, as shares of what stability alone allows, in turn."""
-
-
-@dataclass(frozen=True)
-class HybridSettings:
-    """Limits of the search for a robot plan."""
-
-    seed: int = 0
-    """Same seed, same machine, same result, unless the deadline strikes."""
-    deadline: float | None = None
-    """Seconds after which the search ends with what it has."""
-    attempts: int = 40
-    """Searches, each in another order."""
-    dead_ends: int = 15
-    """Dead ends in the first search; when they are used up, the next one begins and may have more."""
-    keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
-    forces: bool = False
-    """Keep the contact forces that prove each state in the plan."""
-
-    def __post_init__(self) -> None:
-        if min(self.attempts, self.dead_ends) < 1:
-            raise InputError("a search needs at least one attempt and dead end; give numbers from 1 on")
-        if self.deadline is not None and self.deadline <= 0:
-            raise InputError(f"a deadline of {self.deadline:g} s leaves no time; give seconds above 0")
-
-
 _MAX_FALLEN_REPLAYS = 40
 """Plans with motions whose replay may fall before the search is given up."""
-
-
-@dataclass(frozen=True, eq=False)
-class HybridResult:
-    """End of a search for a robot plan."""
-
-    plan: RobotPlan | None
-    """From the start to the target, or None."""
-    partial: RobotPlan | None
-    """Without a plan: the longest partial plan whose replay succeeds, if it has any step."""
-    explanation: Explanation | None
-    """Where there is no plan: why."""
-    statistics: dict[str, Any]
-
-    @property
-    def found(self) -> bool:
-        """Whether there is a plan."""
-        return self.plan is not None
+_POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
+"""How long missing parts are done without, as shares of what stability alone allows, in turn."""
 
 
 def plan_robots(
@@ -158,7 +114,9 @@ class _Search:
         score = None if guide is None else ease
         if settings.keyframes.haste:
             guide = BalanceGuide(guide or SupportGuide(assembly), cell, self.graph.parts)
-        self.solvability = SolvabilityCheck(assembly, self.task, oracle, guide=guide, score=score, seed=settings.seed)
+        self.solvability = SolvabilityCheck(
+            assembly, self.task, oracle, guide=guide, score=score, seed=settings.seed, joint=self.graph.joint
+        )
         self.ranking = ActionRanking(self.graph, ease, self.solvability)
         self.abstract: SearchResult | None = None
         self.best: list[Edge] = []
@@ -213,7 +171,11 @@ class _Search:
         while nodes:
             if self.deadline_passed():
                 return None
+            excluded = self.graph.joint.excluded
             edge = next(options[-1], None)
+            if excluded < self.graph.joint.excluded and self.solvability.reroute(nodes[-1].state):
+                options[-1] = self._options(nodes[-1], rng)
+                continue
             if edge is None:
                 self.dead.add(nodes[-1].key)
                 self._note_dead_end(nodes[-1], len(chain))
@@ -226,6 +188,9 @@ class _Search:
                 self.counts["dead_ends"] += 1
                 if dead_ends > allowed:
                     return None
+                if nodes and self.graph.joint.excluded and not self.solvability.stays(nodes[-1].state):
+                    self.solvability.reroute(nodes[-1].state)
+                    options[-1] = self._options(nodes[-1], rng)
                 continue
             chain.append(edge)
             if len(chain) > len(self.best):
@@ -299,7 +264,8 @@ class _Search:
             worked |= found > 0
             if not found:
                 self.counts["rejected"] += 1
-                self.failures.add(node, action)
+                if self.failures.add(node, action):
+                    return
             tried += 1
             if tried == _ACTIONS_PER_KEYFRAME:
                 break

@@ -26,6 +26,7 @@ from falsework.robots.planning.exit_directions import ExitDirections
 from falsework.robots.planning.expected_times import NO_TIME, Clock, expected_seconds
 from falsework.robots.planning.failure_report import FailureLog
 from falsework.robots.planning.grasp_configurations import GraspConfiguration, GraspConfigurations
+from falsework.robots.planning.joint_holds import JointHolds
 from falsework.robots.planning.withdrawal import Withdrawal
 
 Array = NDArray[np.float64]
@@ -130,6 +131,7 @@ class KeyframeGraph:
         self.reasons = FailureLog()
         self.cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
         self._grips = GraspConfigurations(assembly, self.cache, self.reasons, limit=settings.grasps)
+        self.joint = JointHolds(self._grips)
         self._withdrawal = Withdrawal(self.cache, self.reasons)
         self.exits = ExitDirections(assembly, self.parts.turn)
 

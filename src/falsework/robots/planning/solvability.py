@@ -11,12 +11,14 @@ a replay falls is forbidden from then on, and what could only go on through it i
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, Mask, States
+from falsework.robots.planning.joint_holds import HoldingOracle, JointHolds
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.planner import Planner
 from falsework.search.problem.guide import Guide, SupportGuide
@@ -61,6 +63,7 @@ class SolvabilityCheck:
         guide: Guide | None = None,
         score: ActionScore | None = None,
         seed: int = 0,
+        joint: JointHolds | None = None,
     ) -> None:
         """Nothing is known yet but the target.
 
@@ -71,8 +74,11 @@ class SolvabilityCheck:
             guide: ranks actions in the search for the first plan; by default parts with much support go in first.
             score: scores actions for rollouts, which are tried before a search for a plan.
             seed: of that search.
+            joint: which parts arms cannot hold at the same time.
         """
-        self.task, self.oracle = task.judged_by(oracle), oracle
+        self.joint = joint
+        self.oracle = oracle if joint is None else HoldingOracle(oracle, joint)
+        self.task = task.judged_by(self.oracle)
         self._guide = guide or SupportGuide(assembly)
         self._score = score
         self._assembly, self._seed = assembly, seed
@@ -155,9 +161,35 @@ class SolvabilityCheck:
         self._prune()
         return row
 
+    def stays(self, state: States) -> bool:
+        """Return whether a state is known to be solvable."""
+        return state.tobytes() in self._solvable
+
+    def reroute(self, state: States) -> bool:
+        """Find a way from a state to the target around holds that have been ruled out; whether there is one.
+
+        Args:
+            state: stable, shape (parts,).
+        """
+        self._prune()
+        if self.stays(state):
+            return True
+        if self.joint is None or self.task.missing:
+            return False
+        task = replace(self.task, start=state)
+        for _ in range(_MAX_FALLEN_REPLAYS):
+            beam = AdaptiveBeam(task, self.oracle, AdaptiveSettings(seed=self._seed), guide=self._guide)
+            routes = self._search(beam, _VARIED_BEAM_WIDTH, _VARIED_VERDICTS)
+            if not routes or not any(self.joint.learn_from(route.states) for route in routes):
+                self._follow(routes)
+                return bool(routes)
+        return False
+
     def _prune(self) -> None:
         """Keep of the solvable states those from which a way to the target is left."""
         known = np.array([np.frombuffer(key, np.uint8) for key in self._solvable - self._forbidden])
+        if self.joint is not None:
+            known = known[self.joint.possible(known)]
         left = {self.task.target.tobytes()}
         done = self.task.steps_done(known)
         for level in np.unique(done)[::-1]:
@@ -255,6 +287,8 @@ class SolvabilityCheck:
         if key in self._solvable:
             return True
         if key in self._not_found or key in self._forbidden:
+            return False
+        if self.joint is not None and not self.joint.possible(after[None])[0]:
             return False
         asked = self.task.needs_verdict(np.array([action]), Direction.DISASSEMBLY)[0]
         if (asked and not self.oracle.stable(after[None], parents=state[None])[0]) or not self._join(after):

@@ -1,9 +1,10 @@
 """MCAP bags of robot plans: ROS 2 messages at the times of the schedule, readable without falsework.
 
 Topics, for each robot: `/NAME/joint_trajectory` (`trajectory_msgs/JointTrajectory`) and `/NAME/robot_trajectory`
-(`moveit_msgs/RobotTrajectory`), a message at the start of each motion; and `/attached_collision_object`
-(`moveit_msgs/AttachedCollisionObject`) for parts that grippers take and put down, as MoveIt's planning scene monitor
-reads them. Messages are CDR, their definitions are in the bag.
+(`moveit_msgs/RobotTrajectory`), a message at the start of each motion; and `/planning_scene`
+(`moveit_msgs/PlanningScene`), a difference whenever a gripper takes a part with it or puts it down, as the planning
+scene monitor of MoveIt reads it. Parts have their names there; their shapes are those of the scene that the reader has.
+A part that disassembly puts down leaves the scene. Messages are CDR, their definitions are in the bag.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from falsework.errors import DependencyError
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import nodes_of
+from falsework.search.problem.task import Direction
 from falsework.utils.archive import write_whole
 
 _NANO = 1_000_000_000
@@ -39,6 +41,32 @@ _DEFINITIONS = {
         "string link_name\nmoveit_msgs/CollisionObject object\nstring[] touch_links\n"
         "trajectory_msgs/JointTrajectory detach_posture\nfloat64 weight\n"
     ),
+    "moveit_msgs/msg/RobotState": (
+        "sensor_msgs/JointState joint_state\nsensor_msgs/MultiDOFJointState multi_dof_joint_state\n"
+        "moveit_msgs/AttachedCollisionObject[] attached_collision_objects\nbool is_diff\n"
+    ),
+    "moveit_msgs/msg/AllowedCollisionEntry": "bool[] enabled\n",
+    "moveit_msgs/msg/AllowedCollisionMatrix": (
+        "string[] entry_names\nmoveit_msgs/AllowedCollisionEntry[] entry_values\n"
+        "string[] default_entry_names\nbool[] default_entry_values\n"
+    ),
+    "moveit_msgs/msg/LinkPadding": "string link_name\nfloat64 padding\n",
+    "moveit_msgs/msg/LinkScale": "string link_name\nfloat64 scale\n",
+    "moveit_msgs/msg/ObjectColor": "string id\nstd_msgs/ColorRGBA color\n",
+    "octomap_msgs/msg/Octomap": ("std_msgs/Header header\nbool binary\nstring id\nfloat64 resolution\nint8[] data\n"),
+    "octomap_msgs/msg/OctomapWithPose": (
+        "std_msgs/Header header\ngeometry_msgs/Pose origin\noctomap_msgs/Octomap octomap\n"
+    ),
+    "moveit_msgs/msg/PlanningSceneWorld": (
+        "moveit_msgs/CollisionObject[] collision_objects\noctomap_msgs/OctomapWithPose octomap\n"
+    ),
+    "moveit_msgs/msg/PlanningScene": (
+        "string name\nmoveit_msgs/RobotState robot_state\nstring robot_model_name\n"
+        "geometry_msgs/TransformStamped[] fixed_frame_transforms\n"
+        "moveit_msgs/AllowedCollisionMatrix allowed_collision_matrix\n"
+        "moveit_msgs/LinkPadding[] link_padding\nmoveit_msgs/LinkScale[] link_scale\n"
+        "moveit_msgs/ObjectColor[] object_colors\nmoveit_msgs/PlanningSceneWorld world\nbool is_diff\n"
+    ),
 }
 
 
@@ -60,9 +88,9 @@ class _Bag:
         self.schemas: dict[str, int] = {}
         self.channels: dict[str, int] = {}
 
-    def make(self, name: str, **fields: Any) -> Any:
+    def make(self, kind: str, /, **fields: Any) -> Any:
         """Return a message."""
-        return self.store.types[name](**fields)
+        return self.store.types[kind](**fields)
 
     def write(self, topic: str, message: Any, seconds: float) -> None:
         """Add a message at a time of the plan."""
@@ -113,7 +141,7 @@ def write_bag(plan: RobotPlan, path: Path) -> int:
             continue
         carries = action >= parts
         if carries and node.trajectory == 0:
-            bag.write("/attached_collision_object", _attached(bag, plan, node.step, _ADD, now), now)
+            bag.write("/planning_scene", _difference(bag, plan, node.step, _ADD, now), now)
             count += 1
         message = _trajectory(bag, plan, node.robot, step.trajectories[node.trajectory], now)
         whole = bag.make(
@@ -128,7 +156,7 @@ def write_bag(plan: RobotPlan, path: Path) -> int:
         count += 2
         if carries and node.trajectory == last:
             end = now + node.seconds
-            bag.write("/attached_collision_object", _attached(bag, plan, node.step, _REMOVE, end), end)
+            bag.write("/planning_scene", _difference(bag, plan, node.step, _REMOVE, end), end)
             count += 1
     data = bag.finish()
     write_whole(path, lambda file: file.write(data))
@@ -158,34 +186,95 @@ def _trajectory(bag: _Bag, plan: RobotPlan, robot: int, trajectory: Trajectory, 
     )
 
 
-def _attached(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: float) -> Any:
-    """Return the difference of the planning scene when a gripper takes a part or puts it down."""
-    record = plan.robots[plan.steps[step].robot]
-    part = plan.plan.part_names[int(plan.plan.actions[step]) % len(plan.plan.boundary)]
-    still = bag.make(
-        "geometry_msgs/msg/Pose",
-        position=bag.make("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
-        orientation=bag.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+def _difference(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: float) -> Any:
+    """Return the difference of the planning scene when a gripper takes a part with it or puts it down."""
+    flange = f"{plan.robots[plan.steps[step].robot].name}_tool0"
+    attached = bag.make(
+        "moveit_msgs/msg/AttachedCollisionObject",
+        link_name=flange,
+        object=_part(bag, plan, step, operation, flange, now),
+        touch_links=[flange],
+        detach_posture=bag.make(
+            "trajectory_msgs/msg/JointTrajectory", header=bag.header(flange, now), joint_names=[], points=[]
+        ),
+        weight=0.0,
     )
-    flange = f"{record.name}_tool0"
+    # MoveIt puts a part that is detached where it is, before it looks at the world of the difference.
+    gone = operation == _REMOVE and plan.direction is Direction.DISASSEMBLY
+    nowhere = bag.header("", now)
+    return bag.make(
+        "moveit_msgs/msg/PlanningScene",
+        name="",
+        robot_state=bag.make(
+            "moveit_msgs/msg/RobotState",
+            joint_state=bag.make(
+                "sensor_msgs/msg/JointState",
+                header=nowhere,
+                name=[],
+                position=np.zeros(0),
+                velocity=np.zeros(0),
+                effort=np.zeros(0),
+            ),
+            multi_dof_joint_state=bag.make(
+                "sensor_msgs/msg/MultiDOFJointState", header=nowhere, joint_names=[], transforms=[], twist=[], wrench=[]
+            ),
+            attached_collision_objects=[attached],
+            is_diff=True,
+        ),
+        robot_model_name="",
+        fixed_frame_transforms=[],
+        allowed_collision_matrix=bag.make(
+            "moveit_msgs/msg/AllowedCollisionMatrix",
+            entry_names=[],
+            entry_values=[],
+            default_entry_names=[],
+            default_entry_values=np.zeros(0, dtype=bool),
+        ),
+        link_padding=[],
+        link_scale=[],
+        object_colors=[],
+        world=bag.make(
+            "moveit_msgs/msg/PlanningSceneWorld",
+            collision_objects=[_part(bag, plan, step, _REMOVE, flange, now)] if gone else [],
+            octomap=bag.make(
+                "octomap_msgs/msg/OctomapWithPose",
+                header=nowhere,
+                origin=_identity(bag),
+                octomap=bag.make(
+                    "octomap_msgs/msg/Octomap",
+                    header=nowhere,
+                    binary=False,
+                    id="",
+                    resolution=0.0,
+                    data=np.zeros(0, dtype=np.int8),
+                ),
+            ),
+        ),
+        is_diff=True,
+    )
+
+
+def _part(bag: _Bag, plan: RobotPlan, step: int, operation: int, frame: str, now: float) -> Any:
+    """Return the part of a step as a collision object without shapes: those that the scene has."""
+    name = plan.plan.part_names[int(plan.plan.actions[step]) % len(plan.plan.boundary)]
     lists = ("primitives", "primitive_poses", "meshes", "mesh_poses", "planes", "plane_poses")
-    thing = bag.make(
+    return bag.make(
         "moveit_msgs/msg/CollisionObject",
-        header=bag.header(flange, now),
-        pose=still,
-        id=part,
-        type=bag.make("object_recognition_msgs/msg/ObjectType", key=part, db=""),
-        **{name: [] for name in lists},
+        header=bag.header(frame, now),
+        pose=_identity(bag),
+        id=name,
+        type=bag.make("object_recognition_msgs/msg/ObjectType", key=name, db=""),
+        **{entry: [] for entry in lists},
         subframe_names=[],
         subframe_poses=[],
         operation=operation,
     )
-    empty = bag.make("trajectory_msgs/msg/JointTrajectory", header=bag.header(flange, now), joint_names=[], points=[])
+
+
+def _identity(bag: _Bag) -> Any:
+    """Return the pose of a frame in itself."""
     return bag.make(
-        "moveit_msgs/msg/AttachedCollisionObject",
-        link_name=flange,
-        object=thing,
-        touch_links=[flange],
-        detach_posture=empty,
-        weight=0.0,
+        "geometry_msgs/msg/Pose",
+        position=bag.make("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
+        orientation=bag.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
     )

@@ -22,6 +22,7 @@ def is_compiled() -> bool:
         numeric_ik.reach_poses,
         coordination._place,
         coordination._conflicts,
+        coordination._first_clear,
     )
     for function in functions:
         if function.signatures:
@@ -62,4 +63,5 @@ def compile_kernels(report: Callable[[str], None] | None = None) -> float:
     follow_line(view, model.home, (0.0, 0.0, 1.0), 0.01)
     swept = coordination.sweep(model.home[None], np.zeros((1, model.joints)), view.chain, view.bodies)
     coordination.conflicts((swept, swept), (swept, swept), 0.0)
+    coordination.first_clear(swept, swept, 0.0)
     return time.perf_counter() - began

@@ -1,0 +1,68 @@
+"""Settings, progress and result of the hybrid planner."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from falsework.errors import InputError
+from falsework.robots.planning.failure_report import Explanation
+from falsework.robots.planning.keyframe_graph import KeyframeSettings
+from falsework.robots.plans.robot_plan import RobotPlan
+
+
+@dataclass(frozen=True)
+class HybridSettings:
+    """Limits of the search for a robot plan."""
+
+    seed: int = 0
+    """Same seed, same machine, same result, unless the deadline strikes."""
+    deadline: float | None = None
+    """Seconds after which the search ends with what it has."""
+    attempts: int = 40
+    """Searches, each in another order."""
+    dead_ends: int = 15
+    """Dead ends in the first search; when they are used up, the next one begins and may have more."""
+    keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
+    forces: bool = False
+    """Keep the contact forces that prove each state in the plan."""
+
+    def __post_init__(self) -> None:
+        if min(self.attempts, self.dead_ends) < 1:
+            raise InputError("a search needs at least one attempt and dead end; give numbers from 1 on")
+        if self.deadline is not None and self.deadline <= 0:
+            raise InputError(f"a deadline of {self.deadline:g} s leaves no time; give seconds above 0")
+
+
+@dataclass(frozen=True, eq=False)
+class HybridResult:
+    """End of a search for a robot plan."""
+
+    plan: RobotPlan | None
+    """From the start to the target, or None."""
+    partial: RobotPlan | None
+    """Without a plan: the longest partial plan whose replay succeeds, if it has any step."""
+    explanation: Explanation | None
+    """Where there is no plan: why."""
+    statistics: dict[str, Any]
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a plan."""
+        return self.plan is not None
+
+
+@dataclass(frozen=True)
+class HybridProgress:
+    """Progress of a running search."""
+
+    reached: int
+    """Steps of the longest plan so far."""
+    steps: int
+    attempt: int
+    dead_ends: int
+    seconds: float
+
+
+Progress = Callable[[HybridProgress], None]

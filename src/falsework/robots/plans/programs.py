@@ -1,0 +1,313 @@
+"""Programs for robot controllers, ABB RAPID and URScript, that keep the order of a robot plan between them.
+
+Each arm counts the motions that it has finished, and others wait for its count. Controllers share the counts by their
+own means: RAPID by group signals, URScript by the Modbus registers of each controller. What may begin in the middle of
+another arm's motion by the schedule begins at its end here: that adds waiting and keeps the order of all motions.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import InputError
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
+from falsework.robots.plans.timeline import nodes_of
+from falsework.search.problem.task import Direction
+
+Array = NDArray[np.float64]
+
+COUNT_FROM = 3
+"""Count of an arm that has finished nothing; 1 and 2 are said before all arms are ready."""
+MOST_COUNT = 65535
+"""Largest count that 16 bits hold."""
+REGISTER = 128
+"""First of the general purpose Modbus registers of a UR controller."""
+
+
+@dataclass(frozen=True)
+class Wait:
+    """Wait until another arm has come so far."""
+
+    robot: int
+    count: int
+
+
+@dataclass(frozen=True)
+class Grip:
+    """Close or open the gripper."""
+
+    close: bool
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Tell the others how far this arm has come."""
+
+    count: int
+
+
+@dataclass(frozen=True)
+class Begin:
+    """Begin a step of the plan."""
+
+    step: int
+
+
+Command = Wait | Grip | Reach | Begin | Trajectory
+
+
+def events_of(plan: RobotPlan, step: int) -> Iterator[Trajectory | Grip]:
+    """Yield the motions of a step and what the gripper does before or after them, in time."""
+    removes = int(plan.plan.actions[step]) >= len(plan.plan.boundary)
+    apart = plan.direction is Direction.DISASSEMBLY
+    # Taking apart: hold = approach, close; remove = leave, carry, open. Putting together is the mirror image.
+    if not apart:
+        yield Grip(removes)
+    yield from plan.steps[step].trajectories
+    if apart:
+        yield Grip(not removes)
+
+
+def commands_of(plan: RobotPlan, robot: int) -> Iterator[Command]:
+    """Yield what one arm does, in its order: motions and grips, and where it waits for others and tells them."""
+    graph = _graph(plan)
+    own = {node: COUNT_FROM + 1 + k for k, node in enumerate(graph.of_robot(robot))}
+    counts = {node: COUNT_FROM + 1 + k for r in range(graph.robots) for k, node in enumerate(graph.of_robot(r))}
+    heard, awaited = dict.fromkeys(range(graph.robots), COUNT_FROM), set()
+    waits: dict[int, list[Wait]] = {}
+    for edge in graph.edges:
+        before, after = graph.nodes[edge.before].robot, graph.nodes[edge.after].robot
+        if before != after and after == robot:
+            waits.setdefault(edge.after, []).append(Wait(before, counts[edge.before]))
+        elif before != after and before == robot:
+            awaited.add(edge.before)
+    step = -1
+    left: list[Trajectory | Grip] = []
+    for node in own:
+        if graph.nodes[node].step != step:
+            yield from left
+            step = graph.nodes[node].step
+            left = list(events_of(plan, step))
+            yield Begin(step)
+        for wait in sorted(waits.get(node, []), key=lambda entry: (entry.robot, -entry.count)):
+            if wait.count > heard[wait.robot]:
+                heard[wait.robot] = wait.count
+                yield wait
+        while left:  # a grip that is no node of the graph goes with the motion before or after it
+            event = left.pop(0)
+            yield event
+            if isinstance(event, Grip) == (graph.nodes[node].trajectory is None):
+                break
+        if node in awaited:
+            yield Reach(own[node])
+    yield from left
+
+
+def _graph(plan: RobotPlan) -> TemporalPlanGraph:
+    """Return the schedule of a plan, or one in which every motion waits for the one before."""
+    if plan.schedule is not None:
+        return plan.schedule
+    nodes, _ = nodes_of(plan)
+    edges = tuple(Precedence(k, nodes[k].seconds, k + 1, "state") for k in range(len(nodes) - 1))
+    return TemporalPlanGraph(nodes, edges, len(plan.robots), 0.0)
+
+
+def rapid_modules(plan: RobotPlan) -> Iterator[tuple[str, str]]:
+    """Yield names of files and RAPID modules, one for each arm.
+
+    Knots become joint targets in degrees that `MoveAbsJ` goes to in the time that the plan gives them. An arm sets the
+    group output `go_NAME_count`, and reads those of others as `gi_NAME_count`.
+
+    Raises:
+        InputError: an arm with another number of joints than 6 or 7, or too many motions for 16 bits.
+    """
+    names = _names(plan)
+    for robot, name in enumerate(names):
+        record = plan.robots[robot]
+        if len(record.joint_names) not in (6, 7):
+            raise InputError(f"RAPID supports robots of 6 or 7 joints; {record.name} has {len(record.joint_names)}")
+        about = f"{_ascii(plan.plan.name)}: {plan.direction.value} with {_ascii(record.model)}, {len(plan)} steps"
+        targets: list[str] = []
+        body: list[str] = []
+        run = [f"    MoveAbsJ {_jointtarget(plan.keyframes[0].configurations[robot])}, v200, fine, {name}_tool;"]
+        others = [other for other in names if other != name]
+        if others:
+            run += [f"    SetGO go_{name}_count, 1;"]
+            run += [f"    WaitUntil GInput(gi_{other}_count)=1 OR GInput(gi_{other}_count)=2;" for other in others]
+            run += [f"    SetGO go_{name}_count, 2;"]
+            run += [f"    WaitUntil GInput(gi_{other}_count)<>1;" for other in others]
+            run += [f"    SetGO go_{name}_count, {COUNT_FROM};"]
+        for command in commands_of(plan, robot):
+            if isinstance(command, Begin):
+                if body:
+                    body.append("  ENDPROC")
+                body += [f"  PROC {name}_step{command.step + 1}()", f"    ! {_ascii(plan.plan.describe(command.step))}"]
+                run.append(f"    {name}_step{command.step + 1};")
+            elif isinstance(command, Wait):
+                body.append(f"    WaitUntil GInput(gi_{names[command.robot]}_count)>={command.count};")
+            elif isinstance(command, Reach):
+                body.append(f"    SetGO go_{name}_count, {command.count};")
+            elif isinstance(command, Grip):
+                body.append(f"    {name}_gripper {'TRUE' if command.close else 'FALSE'};")
+            else:
+                last = len(command.times) - 1
+                for knot in range(1, last + 1):
+                    target = f"{name}_j{len(targets) + 1}"
+                    targets.append(f"  CONST jointtarget {target} := {_jointtarget(command.positions[knot])};")
+                    seconds = max(command.times[knot] - command.times[knot - 1], 0.001)
+                    zone = "fine" if knot == last else "z0"
+                    body.append(f"    MoveAbsJ {target}, v1000\\T:={seconds:.3f}, {zone}, {name}_tool;")
+        yield (
+            f"{name}.mod",
+            "\n".join(
+                [
+                    f"MODULE {name}",
+                    f"  ! {about}",
+                    f"  PERS tooldata {name}_tool := {_tooldata(record.tool)};",
+                    *targets,
+                    f"  PROC {name}_gripper(bool closed)",
+                    "    IF closed THEN",
+                    f"      SetDO do_{name}_grip, 1;",
+                    "    ELSE",
+                    f"      SetDO do_{name}_grip, 0;",
+                    "    ENDIF",
+                    "    WaitTime\\InPos, 0.5;",
+                    "  ENDPROC",
+                    *body,
+                    *(["  ENDPROC"] if body else []),
+                    f"  PROC {name}_run()",
+                    *run,
+                    "  ENDPROC",
+                    "ENDMODULE",
+                    "",
+                ]
+            ),
+        )
+
+
+def ur_scripts(plan: RobotPlan, rate: float) -> Iterator[tuple[str, str]]:
+    """Yield names of files and URScript programs, one for each arm.
+
+    Motions are positions at a fixed rate for `servoj`, with a `movej` to the last of each. An arm writes its count into
+    register 128 of its controller; others read it there over Modbus TCP, at the address in the first lines.
+
+    Args:
+        plan: what is carried out.
+        rate: positions a second.
+
+    Raises:
+        InputError: an arm with another number of joints than 6, or too many motions for 16 bits.
+    """
+    names = _names(plan)
+    for robot, name in enumerate(names):
+        record = plan.robots[robot]
+        if len(record.joint_names) != 6:
+            raise InputError(f"URScript supports robots of 6 joints; {record.name} has {len(record.joint_names)}")
+        others = [other for other in names if other != name]
+        lines = [
+            f"def {name}():",
+            f"  # {_ascii(plan.plan.name)}: {plan.direction.value} with {_ascii(record.model)}, {len(plan)} steps",
+        ]
+        for other in others:
+            lines += [
+                f'  modbus_add_signal("{other}.local", 255, {REGISTER}, 2, "{other}_count", False)',
+                f'  modbus_set_signal_update_frequency("{other}_count", 50)',
+                f"  def {other}_count():",
+                f'    return modbus_get_signal_status("{other}_count", False)',
+                "  end",
+            ]
+        lines += [
+            "  def gripper(closed):",
+            "    set_standard_digital_out(0, closed)",
+            "    sleep(0.5)",
+            "  end",
+            f"  set_tcp({_ur_pose(record.tool)})",
+            f"  movej({_ur_joints(plan.keyframes[0].configurations[robot])}, a=0.5, v=0.5)",
+        ]
+        if others:
+            lines.append(f"  write_port_register({REGISTER}, 1)")
+            lines += [line for other in others for line in _until(f"{other}_count() == 1 or {other}_count() == 2")]
+            lines.append(f"  write_port_register({REGISTER}, 2)")
+            lines += [line for other in others for line in _until(f"{other}_count() != 1")]
+            lines.append(f"  write_port_register({REGISTER}, {COUNT_FROM})")
+        for command in commands_of(plan, robot):
+            if isinstance(command, Begin):
+                lines.append(f"  # step {command.step + 1}: {_ascii(plan.plan.describe(command.step))}")
+            elif isinstance(command, Wait):
+                lines += _until(f"{names[command.robot]}_count() >= {command.count}")
+            elif isinstance(command, Reach):
+                lines.append(f"  write_port_register({REGISTER}, {command.count})")
+            elif isinstance(command, Grip):
+                lines.append(f"  gripper({'True' if command.close else 'False'})")
+            else:
+                count = max(int(np.ceil(command.seconds * rate)), 1)
+                step = command.seconds / count
+                for values in command.sample(np.arange(1, count + 1) * step):
+                    lines.append(f"  servoj({_ur_joints(values)}, t={step:.6f}, lookahead_time=0.1, gain=300)")
+                lines.append("  stopj(10)")
+                lines.append(f"  movej({_ur_joints(command.positions[-1])}, a=0.5, v=0.5)")
+        yield f"{name}.script", "\n".join([*lines, "end", ""])
+
+
+def _until(condition: str) -> list[str]:
+    return [f"  while not ({condition}):", "    sync()", "  end"]
+
+
+def _names(plan: RobotPlan) -> list[str]:
+    if COUNT_FROM + len(nodes_of(plan)[0]) > MOST_COUNT:
+        raise InputError(f"the plan has more motions than 16 bits count, {MOST_COUNT}; split it")
+    return _distinct([_identifier(robot.name) for robot in plan.robots])
+
+
+def _jointtarget(values: Array) -> str:
+    degrees = np.degrees(values)
+    robax = ",".join(f"{value:.5f}" for value in degrees[:6])
+    seventh = f"{degrees[6]:.5f}" if len(degrees) > 6 else "9E9"
+    return f"[[{robax}],[{seventh},9E9,9E9,9E9,9E9,9E9]]"
+
+
+def _tooldata(tool: Array) -> str:
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(tool[:3, :3]).as_quat()
+    turn = ",".join(f"{value:.7f}" for value in (w, x, y, z))
+    place = ",".join(f"{1000 * value:.3f}" for value in tool[:3, 3])
+    return f"[TRUE,[[{place}],[{turn}]],[1,[0,0,50],[1,0,0,0],0,0,0]]"
+
+
+def _ur_joints(values: Array) -> str:
+    return "[" + ", ".join(f"{value:.6f}" for value in values) + "]"
+
+
+def _ur_pose(pose: Array) -> str:
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec()
+    return "p[" + ", ".join(f"{value:.6f}" for value in (*pose[:3, 3], *turn)) + "]"
+
+
+def _identifier(text: str) -> str:
+    """A name for both languages: letters, digits and underscores, a letter first, short enough for endings."""
+    made = re.sub(r"\W", "_", text, flags=re.ASCII)
+    return (made if made[:1].isalpha() else f"r{made}")[:16]
+
+
+def _distinct(names: list[str]) -> list[str]:
+    """RAPID names are equal whatever their case."""
+    found: list[str] = []
+    for name in names:
+        chosen, number = name, 2
+        while chosen.lower() in (entry.lower() for entry in found):
+            chosen, number = f"{name[:13]}_{number}", number + 1
+        found.append(chosen)
+    return found
+
+
+def _ascii(text: str) -> str:
+    return re.sub(r"[^ -~]", "?", text)

@@ -1,0 +1,114 @@
+"""Parts that no two arms can hold at the same time: what is ruled out, and that searches keep to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, REMOVED, complete_state
+from falsework.robots.kernels.coordination import first_clear
+from falsework.robots.model.cell import Cell
+from falsework.robots.motion.collision_world import Contact, Scene
+from falsework.robots.planning.hybrid_planner import plan_robots
+from falsework.robots.planning.joint_holds import HoldingOracle
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.planning.solvability import SolvabilityCheck
+from falsework.search import Task
+from falsework.stability import Stability
+
+
+@pytest.fixture
+def graph(column: Assembly, cell: Cell) -> KeyframeGraph:
+    return KeyframeGraph(column, cell)
+
+
+def held(assembly: Assembly, *parts: int) -> np.ndarray:
+    """The complete structure with some parts held."""
+    state = complete_state(assembly.boundary)
+    state[list(parts)] = HELD
+    return state
+
+
+def test_grips_that_go_together_are_those_of_the_collision_world(
+    graph: KeyframeGraph, column: Assembly, cell: Cell
+) -> None:
+    state = held(column, 1, 2)
+    mine, theirs = graph.grips(0, 1, state)[::40], graph.grips(1, 2, state)[::40]
+    assert mine
+    assert theirs
+    clear = first_clear(graph.joint._swept(mine), graph.joint._swept(theirs), cell.margins.line)
+    values = np.array([grip.configuration for grip in theirs])
+    for grip, found in zip(mine, clear.tolist(), strict=True):
+        scene = Scene((grip.configuration, cell.homes[1]), state != REMOVED, (None, None))
+        contact = Contact(gripper=frozenset({2}))
+        hits = graph.world.view(scene, 1, contact=contact, margin=cell.margins.line).hits(values)
+        assert found == next(iter(np.flatnonzero(hits < 0)), -1)
+
+
+def test_parts_that_two_arms_can_hold_are_not_ruled_out(graph: KeyframeGraph, column: Assembly) -> None:
+    state = held(column, 1)
+    assert not graph.joint.learn(2, 1, state)
+    assert graph.joint.excluded == 0
+    assert graph.joint.possible(held(column, 1, 2)[None]).all()
+
+
+def test_what_one_arm_cannot_hold_alone_is_ruled_out_where_more_stands(
+    column: Assembly, cell_of: Callable[..., Cell]
+) -> None:
+    joint = KeyframeGraph(column, cell_of(1)).joint
+    fewer = held(column, 1, 2)
+    fewer[0] = REMOVED
+    assert joint.learn(1, 2, fewer)
+    assert not joint.learn(2, 1, held(column, 1))  # follows from that
+    assert joint.excluded == 1
+    states = np.array([fewer, held(column, 1, 2), held(column, 1), held(column, 0, 2)])
+    np.testing.assert_array_equal(joint.possible(states), [False, False, True, True])
+
+
+def test_states_are_compared_where_rivals_meet(column: Assembly, cell_of: Callable[..., Cell]) -> None:
+    joint = KeyframeGraph(column, cell_of(1)).joint
+    states = np.array([held(column, 1), held(column, 1, 2)])
+    assert not joint.learn_from(states)  # nothing has failed yet
+    fewer = held(column, 1)
+    joint.learn(0, 1, fewer)
+    assert not joint.learn_from(states)
+    joint.learn(1, 2, fewer)
+    assert not joint.possible(states[1:]).any()
+
+
+def test_the_oracle_leaves_open_what_no_arms_can_hold(column: Assembly, graph: KeyframeGraph) -> None:
+    oracle = Stability(column)
+    graph.joint.exclude(1, 2, held(column))
+    holding = HoldingOracle(oracle, graph.joint)
+    states = np.array([held(column, 1), held(column, 1, 2)])
+    np.testing.assert_array_equal(oracle.stable(states), [True, True])
+    np.testing.assert_array_equal(holding.stable(states), [True, False])
+    assert holding.judge(states, parents=states).undecided.tolist() == [False, True]
+
+
+def test_plans_keep_to_it(column: Assembly, cell: Cell, graph: KeyframeGraph) -> None:
+    least = np.where(column.boundary, HELD, REMOVED).astype(np.uint8)
+    least[[1, 2]] = HELD
+    graph.joint.exclude(1, 2, least)
+    plan = plan_robots(column, cell, graph=graph).plan
+    assert plan is not None
+    assert not ((plan.plan.states[:, 1] == HELD) & (plan.plan.states[:, 2] == HELD)).any()
+
+
+def test_a_way_around_is_found_from_midway(column: Assembly, graph: KeyframeGraph) -> None:
+    task = Task.create(column.boundary, 2, clearance=column.clearance, identity=column.identity)
+    solvability = SolvabilityCheck(column, task, Stability(column), joint=graph.joint)
+    result = solvability.prepare()
+    assert result.found
+    state = held(column, 2)
+    least = np.where(column.boundary, HELD, REMOVED).astype(np.uint8)
+    least[[1, 2]] = HELD
+    graph.joint.exclude(1, 2, least)
+    assert solvability.reroute(state)
+    assert solvability.stays(state)
+    assert solvability.reroute(held(column))
+    assert not solvability.solvable(state, 1)
+    assert not solvability.stays(held(column, 1, 2))
