@@ -45,7 +45,7 @@ class Success:
 class GoalBlindPolicy:
     """Policy without goals as a baseline for goals.
 
-    It keeps the parts of the target only because the rules protect them (`Rules.mask` with targets).
+    It keeps the parts of the target only because the rules protect them (`TensorRules.moves` with targets).
     """
 
     def __init__(self, policy: PolicyFunction) -> None:
