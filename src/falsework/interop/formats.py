@@ -81,7 +81,8 @@ def export(
         path: file to write, or folder, which must be new or empty.
         structure: structure of a plan that does not name it.
         format: `folder` (one mesh a part), `glb`, `gltf`, `usd`, `compas`, `compas-assembly` or `compas-dem`; for a
-            robot plan `ros2-json`, `ros2-yaml`, `csv`, `rapid`, `urscript` or `mcap`. By the name of the file if not given.
+            robot plan `ros2-json`, `ros2-yaml`, `csv`, `rapid`, `urscript` or `mcap`. By the name of the file if not
+            given.
         step_seconds: length of a step of a plan; 1 s if not given.
         options: as for `load_structure`.
 
