@@ -282,7 +282,9 @@ class MarginFinder:
         assembly, forces = self._assembly, self.prober.forces(state, start)
         limit = np.maximum(strength_of(assembly).friction * forces[:, 0], 0.0)
         ends = assembly.contacts.parts[assembly.contacts.contact_of_point]
-        return np.bincount(ends.ravel(), np.repeat(limit, 2), self._parts)
+        total = np.zeros(self._parts)
+        np.add.at(total, ends, limit[:, None])
+        return total
 
     def _unbounded(self, state: States, start: Answer) -> Bound:
         """Return that there is no bound, with the proof of the state as it is."""
