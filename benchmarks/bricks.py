@@ -70,15 +70,23 @@ def cost(back: int, repeats: int) -> None:
     assert found.found
     states = found.plans[0].assembly_states
     late = np.flatnonzero((states == INSTALLED).sum(axis=1) > 0.7 * len(bricks))
-    alone, beside = [], []
-    for row in late[:: max(len(late) // STATES, 1)]:
+    chosen, alone, beside, together = late[:: max(len(late) // STATES, 1)], [], [], []
+    for row in chosen:
         oracle = Stability(assembly)
+        oracle.judge(states[:1])  # lays the structure out
         begun = time.process_time()
         oracle.judge(states[row - 1])
         between = time.process_time()
         oracle.judge(states[row], parents=states[row - 1 : row])
         beside.append(time.process_time() - between)
         alone.append(between - begun)
+    for _ in range(repeats):
+        oracle = Stability(assembly)
+        oracle.judge(states[:1])
+        begun = time.process_time()
+        oracle.judge(states[chosen])
+        together.append((time.process_time() - begun) / len(chosen))
+    hundred = 100.0 / float(np.median((states[chosen] == INSTALLED).sum(axis=1)))
     report(
         "bricks cost",
         bricks=len(bricks),
@@ -89,6 +97,8 @@ def cost(back: int, repeats: int) -> None:
         plan_range=spread(seconds),
         verdict_processor_ms=1000 * float(np.median(alone)),
         next_verdict_processor_ms=1000 * float(np.median(beside)),
+        batch_verdict_processor_ms=1000 * float(np.median(together)),
+        processor_ms_per_100_bricks=spread([1000 * hundred * value for value in together]),
     )
 
 

@@ -4,14 +4,19 @@
     python benchmarks/margins.py truth --cases 500
     python benchmarks/margins.py plans --structures arch,dome-37 --seconds 600
 
-`cost` times margins of states of a plan. `truth` replays states just inside and just outside of their bounds, under the
-contact law with history and by discrete elements, which share no code with the solver. `plans` compares the weakest
-friction of the first plan found with that of the plan made for it.
+`cost` times margins of states of a plan, or of the complete structure where it is large; `--before` compares with
+another version of the sources, given as its `src`, in the same run. `truth` replays states just inside and just outside
+of their bounds, under the contact law with history and by discrete elements, which share no code with the solver.
+`plans` compares the weakest friction of the first plan found with that of the plan made for it.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +27,7 @@ from record import report, spread, write_to
 from states import find
 
 from falsework.assembly import Assembly, load_structure
-from falsework.assembly.state import INSTALLED
+from falsework.assembly.state import INSTALLED, complete_state
 from falsework.search import PlanMargins, find_plans, maximise_margin
 from falsework.search.find import task_of
 from falsework.search.margins.demands import Demands
@@ -31,6 +36,8 @@ from falsework.stability.judges.discrete_elements import settle
 from falsework.stability.margins.conditions import Condition
 
 KINDS = ("friction", "tilt", "load_factor", "push", "held")
+LARGE = 150
+"""Parts from which the complete structure is the state, and no plan is searched for."""
 BESIDE = 0.02
 """How far inside and outside of a bound a state is replayed, as a share of the bound."""
 RESOLVED = 100.0
@@ -38,14 +45,15 @@ RESOLVED = 100.0
 TRUTH = ("arch:blocks=7", "stack", "wall", "corbel", "catenary:blocks=9", "house")
 
 
-def cost(names: list[str], count: int, criterion: Criterion) -> None:
+def cost(names: list[str], count: int, criterion: Criterion, before: Path | None) -> None:
     """Time the margins of states spread over a plan, in seconds of processors, whatever else the machine does."""
     for name in names:
         assembly = load_structure(find(name))
-        found = find_plans(assembly, robots=2)
-        states = found.plans[0].states if found.found else np.array([], np.uint8)
-        chosen = states[np.linspace(0, len(states) - 1, count).astype(int)]
-        chosen = chosen[(chosen == INSTALLED).any(axis=1)]
+        chosen = complete_state(assembly.boundary)[None]
+        if assembly.part_count <= LARGE:
+            states = find_plans(assembly, robots=2).plans[0].states
+            chosen = states[np.linspace(0, len(states) - 1, count).astype(int)]
+            chosen = chosen[(chosen == INSTALLED).any(axis=1)]
         oracle = Stability(assembly, StabilitySettings(criterion=criterion))
         oracle.margins(chosen[-1])
         seconds: dict[str, list[float]] = {kind: [] for kind in KINDS}
@@ -54,13 +62,32 @@ def cost(names: list[str], count: int, criterion: Criterion) -> None:
                 begun = time.process_time()
                 oracle.margins(state, (kind,))
                 seconds[kind].append(time.process_time() - begun)
+        compared: dict[str, Any] = {}
+        if before is not None:
+            command = [sys.executable, __file__, "cost", "--structures", name, "--states", str(count)]
+            done = subprocess.run(
+                [*command, "--criterion", criterion],
+                env=os.environ | {"PYTHONPATH": str(before)},
+                check=True,
+                capture_output=True,
+                text=True,
+            )
+            old = json.loads(done.stdout.splitlines()[-1])["processor_ms"]
+            compared["before_ms"] = {kind: old[kind]["mean"] for kind in KINDS}
+            compared["ratio"] = {kind: old[kind]["mean"] / (1e3 * float(np.mean(seconds[kind]))) for kind in KINDS}
+            total = sum(1e3 * float(np.mean(values)) for values in seconds.values())
+            compared["ratio"]["all"] = sum(compared["before_ms"].values()) / total
         report(
             "margins cost",
             structure=name,
             criterion=criterion,
             parts=assembly.part_count,
             states=len(chosen),
-            processor_ms={kind: spread([1e3 * value for value in values]) for kind, values in seconds.items()},
+            processor_ms={
+                kind: {**spread([1e3 * value for value in values]), "mean": 1e3 * float(np.mean(values))}
+                for kind, values in seconds.items()
+            },
+            **compared,
             all_processor_ms=spread([1e3 * sum(values) for values in zip(*seconds.values(), strict=True)]),
         )
 
@@ -169,6 +196,7 @@ def main() -> None:
     parser.add_argument("--structures", default="arch:blocks=15")
     parser.add_argument("--states", type=int, default=5)
     parser.add_argument("--criterion", default="contact")
+    parser.add_argument("--before", type=Path)
     parser.add_argument("--cases", type=int, default=500)
     parser.add_argument("--robots", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
@@ -177,7 +205,7 @@ def main() -> None:
     write_to(options.out)
     names = options.structures.split(",") if options.structures else []
     if options.what == "cost":
-        cost(names, options.states, options.criterion)
+        cost(names, options.states, options.criterion, options.before)
     elif options.what == "truth":
         truth(options.cases, options.seed)
     else:

@@ -12,6 +12,7 @@ from falsework.assembly import load_structure
 from falsework.assembly.state import complete_state
 from falsework.errors import AssemblyError, InputError
 from falsework.interop import Brick, assemble_bricks, is_bricks
+from falsework.interop.bricks import PLATE
 from falsework.stability import Stability, StabilitySettings, Verdict
 
 STICK = [
@@ -68,6 +69,27 @@ def test_masses_are_those_of_the_bricks() -> None:
     np.testing.assert_allclose(assembly.mass.mass[:3], [2.16e-3, 0.81e-3, 1.185e-3])
 
 
+def test_plates_weigh_what_walls_and_tubes_leave() -> None:
+    """Of 2 by 4 studs: sides of 1.5 mm and three tubes, 6.4 mm lower than the brick's 2.16 g; the top is the same."""
+    sides, tubes = 31.8 * 15.8 - 28.8 * 12.8, 3 * 15.2
+    assert Brick((0, 0, 0), (4, 2), PLATE).mass == pytest.approx(2.16e-3 - 1.05e-6 * 6.4 * (sides + tubes))
+    assert 0.9e-3 < Brick((0, 0, 0), (4, 2), PLATE).mass < 1.0e-3
+    assert 0.15e-3 < Brick((0, 0, 0), (1, 1), PLATE).mass < 0.2e-3
+
+
+def test_ldraw_with_plates_and_wide_bricks(tmp_path: Path) -> None:
+    """A brick of 4 by 6 studs on two plates, which reach as high as a brick and lie on the baseplate with another."""
+    file = tmp_path / "model.ldr"
+    lines = [(0, 0, "3032"), (0, -8, "3032"), (0, -32, "2356"), (120, -16, "3001")]
+    file.write_text("".join(f"1 4 {x} {y} 0 1 0 0 0 1 0 0 0 1 {part}.dat\n" for x, y, part in lines))
+    assembly = load_structure(file)
+    heights = [round(1e3 * float(np.ptp(mesh.bounds[:, 2])), 6) for mesh in assembly.meshes[:4]]
+    assert heights == [3.2, 3.2, 9.6, 9.6]
+    assert assembly.contacts.parts.tolist() == [[0, 1], [0, 4], [1, 2], [3, 4]]
+    assert np.diff(assembly.contacts.start).tolist() == [72, 72, 72, 24]
+    assert Stability(assembly).check(complete_state(assembly.boundary)).stable.all()
+
+
 def test_text_of_brickgpt(tmp_path: Path) -> None:
     file = tmp_path / "table.txt"
     file.write_text("2x4 (0,0,0)\n2x4 (6,0,0)\n\n6x2 (0,1,1)\n4x2 (4,1,1)\n")
@@ -113,7 +135,7 @@ def test_ldraw_with_a_model_in_it(tmp_path: Path) -> None:
         ("a.txt", "0x4 (0,0,0)\n", "line 1: '0x4 (0,0,0)' is not a brick"),
         ("a.txt", "2x4 (0,0,0)\n2x4 (0,0,2)\n", "touches no other part"),
         ("a.ldr", "0 nothing\n", "has no parts"),
-        ("a.ldr", "1 4 0 0 0 1 0 0 0 1 0 0 0 1 3020.dat\n", "part 3020.dat is not a known brick: 3005, 3004"),
+        ("a.ldr", "1 4 0 0 0 1 0 0 0 1 0 0 0 1 3039.dat\n", "part 3039.dat is not a known brick: 3005, 3004"),
         ("a.ldr", "1 4 0 0 0 1 0 0 0 1 0 0 3001.dat\n", "line 1: no place and turn of a part"),
         ("a.ldr", "1 4 0 0 0 1 0 0 0 -1 0 0 0 1 3001.dat\n", "brick 3001.dat is not upright along the axes"),
         ("a.ldr", "1 4 0 0 0 .8 0 .6 0 1 0 -.6 0 .8 3001.dat\n", "brick 3001.dat is not upright along the axes"),

@@ -315,5 +315,26 @@ def test_judges_and_gpus_refuse_joints(scenes: Any) -> None:
         GpuSolver(block, build_problem(block), StabilitySettings())
     with pytest.raises(InputError, match="knows no joints"):
         settle(block, complete_state(block.boundary))
-    with pytest.raises(InputError, match="knows no joints"):
+
+
+@pytest.mark.parametrize(("share", "expected"), [(2.0, 1.0), (0.95, 0.0)])
+def test_joints_keep_their_strength_per_area_where_parts_are_placed_with_an_error(
+    scenes: Any, share: float, expected: float
+) -> None:
+    """A block that hangs by glue, off by a thousandth of its width."""
+    block = hanging(scenes)
+    glued = joined(block, tension=share * 9.81 * block.mass.mass[1], setting=[[[0, 0], [3, 1]]])
+    curve = placement_curve(
+        glued, complete_state(block.boundary), [1e-3], lambda moved, states: Stability(moved).stable(states), draws=5
+    )
+    assert curve.shares.tolist() == [[expected]]
+    assert curve.refused.tolist() == [0]
+    again = glued.joints.found_anew(glued.contacts, glued.contacts)
+    for mine, theirs in zip(again.arrays, glued.joints.arrays, strict=True):
+        np.testing.assert_allclose(mine, theirs)
+
+
+def test_what_is_fastened_at_points_takes_no_placement_errors(scenes: Any) -> None:
+    block = fasten(hanging(scenes), [{"parts": [0, 1], "at": [0.5, 0.5, 1.0], "tension": 1e5}])
+    with pytest.raises(InputError, match="contacts of this structure were given, or have fasteners or studs"):
         placement_curve(block, complete_state(block.boundary), [1e-3], lambda moved, states: states[:, 0] > 0, draws=1)

@@ -238,6 +238,31 @@ class Joints:
             longer(self.sets, -1),
         )
 
+    def found_anew(self, before: Contacts, after: Contacts) -> Joints:
+        """Return joints of the same strength per area for contacts of the same parts in other places.
+
+        A contact takes the strength of the largest one between its parts. Parts that did not touch are not joined.
+
+        Args:
+            before: contacts of these joints.
+            after: contacts found anew.
+        """
+        share = before.areas / np.diff(before.start)
+        strongest = {tuple(before.parts[row].tolist()): row for row in np.argsort(before.areas, kind="stable")}
+        source = np.array([strongest.get(tuple(pair), -1) for pair in after.parts.tolist()], dtype=np.intp)
+        joined = source >= 0
+        flat = joined & (after.dimension == 2) & (share[source] > 0)
+        first, area = before.start[:-1][source], np.where(flat, share[source], 1.0)
+        return Joints.of(
+            after,
+            friction=np.where(joined, self.friction[first], np.nan),
+            cohesion=np.where(flat, self.cohesion[first] / area, np.nan),
+            tension=np.where(flat, self.tension[first] / area, 0.0),
+            ductile=joined & self.ductile[first],
+            setting=self.setting,
+            sets=np.where(flat, self.sets[first], -1) if self.setting else 0,
+        )
+
     def of_points(self, kept: NDArray[np.bool_]) -> Joints:
         """Return the joints of some contact points, shape (points,)."""
         sets = self.sets[kept] if len(self.sets) else self.sets

@@ -34,10 +34,11 @@ STUD_FRICTION = 10.0
 is not about to separate bears many weights sideways."""
 UNIT = 0.4e-3
 """Metres of an LDraw unit (LDU): a stud is 20 of them wide and a brick 24 high (LDraw file format, revision 1.0.2)."""
-PITCH, HEIGHT = 20, 24
+PITCH, HEIGHT, PLATE = 20, 24, 8
+"""Of a stud, a brick and a plate, LDU."""
 _PLAY = 0.1e-3
 """Distance of the side of a brick from its place on the grid, m."""
-_PLATE = 3.2e-3
+_BASE = 3.2e-3
 """Thickness of the baseplate, m."""
 _MASSES = {
     (1, 1): 0.43, (1, 2): 0.81, (1, 4): 1.57, (1, 6): 2.28, (1, 8): 3.03, (2, 2): 1.15, (2, 4): 2.16, (2, 6): 3.23,
@@ -45,16 +46,34 @@ _MASSES = {
 """Grams by studs (StableLego's library of bricks)."""
 _OTHER_MASS = (0.06, 0.375, 0.265)
 """Grams of other bricks: in all, a stud in bricks one stud wide, and a stud in wider ones; within 3 % of the above."""
+_ABS = 1.05e-3
+"""Density of the plastic, g/mm3."""
+_WALL, _TUBE, _POST = 1.5, 15.2, 8.0
+"""Thickness of the sides of a brick, mm, and sections of the tubes between its studs, and of the posts where it is one
+stud wide, mm2: what a plate has less of than a brick, since both have the same top."""
 _AROUND = {
     3: np.array([[0.125, -0.125], [-0.25, 0.0], [0.125, 0.125]]),
     4: np.array([[0.25, 0.0], [0.0, 0.25], [-0.25, 0.0], [0.0, -0.25]]),
 }
 """Contact points of a stud about its axis, in studs (StableLego)."""
-_PARTS = {
+_BRICKS = {
     "3005": (1, 1), "3004": (2, 1), "3622": (3, 1), "3010": (4, 1), "3009": (6, 1), "3008": (8, 1),
-    "3003": (2, 2), "3002": (3, 2), "3001": (4, 2), "2456": (6, 2), "3007": (8, 2),
+    "6111": (10, 1), "6112": (12, 1), "2465": (16, 1),
+    "3003": (2, 2), "3002": (3, 2), "3001": (4, 2), "2456": (6, 2), "3007": (8, 2), "3006": (10, 2),
+    "2356": (6, 4), "4202": (12, 4), "4201": (8, 8),
 }  # fmt: skip
-"""Studs along x and z of LDraw parts."""
+"""Studs along x and z of LDraw parts one brick high."""
+_PLATES = {
+    "3024": (1, 1), "3023": (2, 1), "3623": (3, 1), "3710": (4, 1), "3666": (6, 1), "3460": (8, 1), "4477": (10, 1),
+    "60479": (12, 1), "3022": (2, 2), "3021": (3, 2), "3020": (4, 2), "3795": (6, 2), "3034": (8, 2), "3832": (10, 2),
+    "2445": (12, 2), "4282": (16, 2), "11212": (3, 3), "3031": (4, 4), "3032": (6, 4), "3035": (8, 4), "3030": (10, 4),
+    "3029": (12, 4), "3958": (6, 6), "3036": (8, 6), "3033": (10, 6), "3028": (12, 6), "3027": (16, 6), "3026": (24, 6),
+    "41539": (8, 8), "92438": (16, 8), "91405": (16, 16),
+}  # fmt: skip
+"""The same of parts one plate high."""
+_PARTS = {part: (studs, HEIGHT) for part, studs in _BRICKS.items()} | {
+    part: (studs, PLATE) for part, studs in _PLATES.items()
+}
 _STIFF = 100.0
 """Area that a stud stands for, in squares of its width. Sticks of bricks deflect by more than the thousandth of their
 length that counts as falling, and are stable nevertheless; the scale of the stiffness changes displacements but no
@@ -68,12 +87,14 @@ _FACES = np.array(
 
 @dataclass(frozen=True)
 class Brick:
-    """A brick on the grid."""
+    """A brick or plate on the grid."""
 
     low: tuple[int, int, int]
     """Lowest corner in LDU, z up."""
     studs: tuple[int, int]
     """Along x and y."""
+    height: int = HEIGHT
+    """In LDU: `HEIGHT`, or `PLATE`."""
 
     @property
     def mass(self) -> float:
@@ -81,7 +102,11 @@ class Brick:
         narrow, wide = sorted(self.studs)
         base, one, more = _OTHER_MASS
         grams = _MASSES.get((narrow, wide), base + narrow * wide * (one if narrow == 1 else more))
-        return 1e-3 * grams
+        stud = 1e3 * UNIT * PITCH
+        length, width = (stud * count - 2e3 * _PLAY for count in (wide, narrow))
+        sides = 2.0 * _WALL * (length + width - 2.0 * _WALL)
+        inside = _POST * (wide - 1) if narrow == 1 else _TUBE * (wide - 1) * (narrow - 1)
+        return 1e-3 * (grams - _ABS * 1e3 * UNIT * (HEIGHT - self.height) * (sides + inside))
 
 
 def assemble_bricks(
@@ -112,7 +137,7 @@ def assemble_bricks(
     if not (np.isfinite(tension) and tension >= 0):
         raise AssemblyError(f"the tension of a stud is {tension:g} N; give a number from 0 up")
     low = np.array([brick.low for brick in bricks])
-    high = low + np.array([(PITCH * brick.studs[0], PITCH * brick.studs[1], HEIGHT) for brick in bricks])
+    high = low + np.array([(PITCH * brick.studs[0], PITCH * brick.studs[1], brick.height) for brick in bricks])
     meshes = [_box(str(number), UNIT * a, UNIT * b) for number, (a, b) in enumerate(zip(low, high, strict=True))]
     plate = boundary is None
     masses = np.array([brick.mass for brick in bricks])
@@ -122,7 +147,7 @@ def assemble_bricks(
         ground = low[:, 2].min()
         margin = [PITCH, PITCH, 0]
         below, top = low.min(axis=0) - margin, high.max(axis=0) + margin
-        corner = UNIT * np.array([below[0], below[1], ground]) - [0.0, 0.0, _PLATE]
+        corner = UNIT * np.array([below[0], below[1], ground]) - [0.0, 0.0, _BASE]
         meshes.append(_box("baseplate", corner, UNIT * np.array([top[0], top[1], ground])))
         boundary = [len(bricks)]
         densities = np.append(densities, 1000.0)
@@ -194,15 +219,15 @@ def load_bricks(path: Path | str, **options: Any) -> Assembly:
     """Read an assembly of bricks.
 
     Text has a brick a line, such as `2x4 (3,0,1)`: studs along x and y, and the place of its lowest corner in studs and
-    layers (BrickGPT, StableText2Brick). An LDraw model (`.ldr`, `.mpd`) may have upright bricks, one and two studs
-    wide, and models within the file.
+    layers (BrickGPT, StableText2Brick). An LDraw model (`.ldr`, `.mpd`) may have upright bricks and plates, and models
+    within the file.
 
     Args:
         path: the file.
         options: density and boundary, as for `assemble_bricks`; boundary also by name.
 
     Raises:
-        InputError: a line that cannot be read, another part than a brick, or an option that bricks do not take.
+        InputError: a line that cannot be read, a part that is no brick or plate, or an option that bricks do not take.
         AssemblyError: the bricks make no assembly.
     """
     path = Path(path)
@@ -295,16 +320,17 @@ def _bricks_of(
                 raise InputError(f"{path}, line {number}: model {part} contains itself; mend the file")
             yield from _bricks_of(path, models, part, here, (*within, part))
             continue
-        studs = _PARTS.get(part.removesuffix(".dat"))
-        if studs is None:
-            known = ", ".join(_PARTS)
-            raise InputError(f"{path}, line {number}: part {part or '(none)'} is not a known brick: {known}")
+        known = _PARTS.get(part.removesuffix(".dat"))
+        if known is None:
+            names = ", ".join(_PARTS)
+            raise InputError(f"{path}, line {number}: part {part or '(none)'} is not a known brick: {names}")
+        studs, height = known
         # LDraw's y points down; a brick hangs from the middle of its top.
         half = np.abs(here[:3, :3] @ [PITCH / 2 * studs[0], 0.0, PITCH / 2 * studs[1]])
         upright = np.allclose(here[:3, 1], [0.0, 1.0, 0.0], atol=1e-4)
-        low = np.array([here[0, 3] - half[0], here[2, 3] - half[2], -here[1, 3] - HEIGHT])
+        low = np.array([here[0, 3] - half[0], here[2, 3] - half[2], -here[1, 3] - height])
         size = 2 * half[[0, 2]] / PITCH
         if not upright or np.abs(size - size.round()).max() > 1e-3 or np.abs(low - low.round()).max() > 1e-2:
             raise InputError(f"{path}, line {number}: brick {part} is not upright along the axes; turn or move it")
         whole = low.round().astype(int).tolist()
-        yield Brick((whole[0], whole[1], whole[2]), (int(size[0].round()), int(size[1].round())))
+        yield Brick((whole[0], whole[1], whole[2]), (int(size[0].round()), int(size[1].round())), height)

@@ -379,5 +379,7 @@ class Stability:
     def _count(self, verdicts: Verdicts) -> None:
         self.counters.cpu += int((verdicts.decided_by == Solver.CPU).sum())
         self.counters.gpu += int((verdicts.decided_by == Solver.GPU).sum())
-        self.counters.exact += int(np.isin(verdicts.decided_by, (Solver.EXACT, Solver.GUROBI)).sum())
+        self.counters.exact += int(
+            ((verdicts.decided_by == Solver.EXACT) | (verdicts.decided_by == Solver.GUROBI)).sum()
+        )
         self.counters.undecided += int(verdicts.undecided.sum())

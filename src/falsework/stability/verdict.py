@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -163,7 +164,12 @@ class Verdicts:
 
 def proof_of(verdict: NDArray[np.int8], criterion: Criterion = "equilibrium") -> NDArray[np.int8]:
     """Return the kind of proof that belongs to each verdict; for `SLIDES` the forces that prove equilibrium."""
+    return _proofs(criterion)[verdict.astype(np.intp) - Verdict.SLIDES]
+
+
+@cache
+def _proofs(criterion: Criterion) -> NDArray[np.int8]:
+    """Return the kind of proof by verdict, from the least verdict up."""
     stable = Proof.DISPLACEMENT if criterion == "contact" else Proof.FORCES
     by_verdict = {Verdict.SLIDES: Proof.FORCES, Verdict.UNSTABLE: Proof.VELOCITY, Verdict.STABLE: stable}
-    table = [int(by_verdict.get(kind, Proof.NONE)) for kind in sorted(Verdict)]
-    return np.array(table, dtype=np.int8)[verdict.astype(np.intp) - min(Verdict)]
+    return np.array([by_verdict.get(kind, Proof.NONE) for kind in sorted(Verdict)], dtype=np.int8)

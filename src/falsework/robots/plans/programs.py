@@ -248,7 +248,7 @@ def ur_scripts(plan: RobotPlan, rate: float) -> Iterator[tuple[str, str]]:
             else:
                 count = max(int(np.ceil(command.seconds * rate)), 1)
                 step = command.seconds / count
-                for values in command.sample(np.arange(1, count + 1) * step):
+                for values in command.sample(np.linspace(step, command.seconds, count)):
                     lines.append(f"  servoj({_ur_joints(values)}, t={step:.6f}, lookahead_time=0.1, gain=300)")
                 lines.append("  stopj(10)")
                 lines.append(f"  movej({_ur_joints(command.positions[-1])}, a=0.5, v=0.5)")

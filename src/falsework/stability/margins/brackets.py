@@ -16,6 +16,14 @@ OUTSIDE = 0.01
 _BESIDE = 0.4
 """Where a proof cuts a load off, the next probe is this share of `SHARE` below."""
 _GROWTH = 4.0
+_WIDTH = 0.006
+"""The same as `SHARE` for families whose failures are costly."""
+_STRIDES = (1.0 + 2.0 * _WIDTH, 1.06, 1.4)
+"""Ratios of one probe to the next from the bound of a state nearby, before `growth`."""
+_BELOW = 1.3
+"""Ratio of a value that fails to the next below it."""
+_SLACK = 0.004
+"""Share of the least bound so far by which a family must be weaker to count: of equals only one takes a search."""
 _CHECKED = (0.4, 0.75)
 """Shares of a bound at which a family that need not be monotone is probed once more."""
 
@@ -91,6 +99,55 @@ def largest(
             value = np.sqrt(low * high) if low > 0.0 else high / _GROWTH
 
 
+def stride(
+    probe: Probe,
+    start: Answer,
+    *,
+    guess: float,
+    cap: float,
+    low: float = 0.0,
+    floor: float = 0.0,
+    growth: float = _GROWTH,
+    near: bool = False,
+    known: tuple[float, Answer] | None = None,
+) -> Bracket:
+    """Find the largest value at which a family stands whose failures are costly and tell nothing of other values.
+
+    Args:
+        probe: the family.
+        start: the answer at `low`, which stands.
+        guess: value to try first.
+        cap: value beyond which there is no bound.
+        low: value at which the family is known to stand.
+        floor: distance between the ends that is small enough whatever the bound.
+        growth: ratio of one probe to the next while only one end is known.
+        near: the guess is the bound of a state nearby, so steps from it are short at first.
+        known: a value that fails, and its answer, if there is one.
+    """
+    inside, (high, outside) = start, known if known is not None else (None, None)
+    ratios = iter(_STRIDES if near else (_BELOW,) if known is not None else ())
+    value = guess / (1.0 + _WIDTH) if near else guess
+    if high is not None and not low < value < high:
+        value = high / next(ratios, growth)
+    value = min(value if value > low else next(ratios, growth) * low, cap)
+    while True:
+        answer = probe(value, inside)
+        if answer.stands:
+            low, inside = value, answer
+            if high is None and value >= cap:
+                return Bracket(low, inside, None, None)
+        else:
+            high, outside = value, answer
+        if high is None:
+            value = min(next(ratios, growth) * value, cap)
+        elif high - low <= max(_WIDTH * low, floor):
+            return Bracket(low, inside, high, outside)
+        elif low < high / growth:
+            value = max(high / next(ratios, growth), float(np.sqrt(low * high)))
+        else:
+            value = 0.5 * (low + high)
+
+
 def least(probe: Probe, start: Answer, *, value: float, floor: float) -> Bracket:
     """Find the least value at which a family stands, from one at which it does.
 
@@ -160,7 +217,7 @@ def weakest(
     """Find the family with the least bound, without finding the bounds of the others.
 
     A family that stands at the least bound so far is not weaker, as far as families are monotone; so one probe each
-    is enough for most.
+    is enough for most. It is made just inside that bound, within the 1 % that a bound is known to.
 
     Args:
         families: those to compare, the likely weakest first.
@@ -174,10 +231,11 @@ def weakest(
     for family in families:
         known = None
         if best is not None:
-            answer = test(family, best[1].inside)
+            value = (1.0 - _SLACK) * best[1].inside
+            answer = test(family, value)
             if answer.stands:
                 continue
-            known = best[1].inside, answer
+            known = value, answer
         bracket = bound(family, known)
         if bracket.outside is not None:
             best = family, bracket

@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
-from falsework.stability.margins.conditions import Condition, Prober
+from falsework.stability.margins.conditions import Answer, Condition, Prober
 from falsework.stability.margins.margins import DIRECTIONS, LARGEST_PUSH, LARGEST_SHARE, MarginFinder
 
 _WITHIN = (1.0, 1.0025, 1.005)
 """Factors by which a state may miss a claimed bound: numbers are rounded, and mean what they say within 1 %."""
+_UP_TO = (0.5, 0.8, 0.95, 0.99, 1.0)
+"""Shares of a load in which it grows to what is claimed."""
 
 
 class MarginClaims:
@@ -43,12 +45,22 @@ class MarginClaims:
                 answer = prober.ask(state, condition, near)
                 if not answer.stands and near is not start:
                     answer = prober.ask(state, condition, start)
+                if not answer.stands and prober.contact:
+                    answer = self._led_up(state, condition, start)
                 if answer.stands:
                     near = answer
                     break
             else:
                 return False
         return True
+
+    def _led_up(self, state: States, condition: Condition, start: Answer) -> Answer:
+        """Return the answer under a load that grows step by step, as it does where a bound is looked for."""
+        answer = start
+        for share in _UP_TO:
+            step = Condition(condition.friction, share * condition.extra)
+            answer = self._finder.prober.ask(state, step, answer if answer.stands else start, quick=share < 1.0)
+        return answer
 
     def _loads(self, state: States, kind: str, value: float | None) -> Iterator[NDArray[np.float64]]:
         """Yield the loads of a margin at a value, shape (parts, 6) each: N and Nm."""

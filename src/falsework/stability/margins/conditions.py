@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.loads import Loads
 from falsework.stability.certificate import forces_of_displacement, resistance_to_velocity, verify_certificates
+from falsework.stability.contact.kernel import ContactOptions
 from falsework.stability.contact.newton import MOVES_AWAY, RESTS
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.kernel import solve_range
@@ -29,8 +30,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_WARM_STEPS = 12
+_WARM_STEPS = 40
 """Newton iterations from the displacement under a load nearby before a state is loaded from rest."""
+_QUICK_STEPS = 80
+"""The same while a bound is looked for, when nothing is loaded from rest."""
 _ABOVE = 1.002
 """Times the tolerance that a velocity must prove where it cuts a load off."""
 
@@ -58,6 +61,8 @@ class Answer:
     stands: bool
     moves_away: bool = False
     """Under `contact`: parts were seen to move away."""
+    quick: bool = False
+    """Nothing was loaded from rest: where the state does not stand, there may be rest all the same."""
     forces: Array | None = None
     """Contact forces in N, shape (points, 3), under `equilibrium`."""
     displacement: Array | None = None
@@ -92,6 +97,7 @@ class Prober:
         self._contact = solver.contact_structure if isinstance(solver, ContactSolver) else None
         if isinstance(solver, ContactSolver):
             self._contact_options = solver.contact_options._replace(warm_steps=_WARM_STEPS)
+            self._quick_options = self._contact_options._replace(warm_steps=_QUICK_STEPS, steps=0)
         self._no_motion = np.zeros((0, 3))
 
     def own(self) -> Condition:
@@ -105,6 +111,7 @@ class Prober:
         near: Answer | None = None,
         *,
         moved: Array | None = None,
+        quick: bool = False,
     ) -> Answer:
         """Ask whether a state stands.
 
@@ -113,16 +120,19 @@ class Prober:
             condition: friction and loads.
             near: the answer under a condition nearby, to start from.
             moved: under `contact`, displacements of parts that do not move freely, shape (parts, 6), m and rad.
+            quick: under `contact`, only go on from the answer nearby: where that fails, there may be rest all the same.
         """
         if self.contact:
-            return self._ask_contact(state, condition, near, moved)
+            known = near is not None and near.displacement is not None
+            options = self._quick_options if quick and known else self._contact_options
+            return self._ask_contact(state, condition, near, moved, options)
         answer = self.balance(state, condition, near)
         if answer.stands or answer.velocity is not None:
             return answer
         exact = self._exact(state, condition)
         forces = exact.forces[0] if exact.stable[0] and exact.forces is not None else None
         velocity = exact.velocity[0] if exact.unstable[0] and exact.velocity is not None else None
-        return Answer(condition, forces is not None, False, forces, None, velocity)
+        return Answer(condition, forces is not None, forces=forces, velocity=velocity)
 
     def balance(self, state: States, condition: Condition, near: Answer | None = None) -> Answer:
         """Ask whether a state is in equilibrium, whatever the criterion; the rest as `ask`."""
@@ -136,9 +146,16 @@ class Prober:
         batch = np.array(state[None])
         solve_range(structure, batch, self._options, forces, velocity, warm, verdict, residual, *steps)
         stands, fails = bool(verdict[0] == STABLE), bool(verdict[0] == UNSTABLE)
-        return Answer(condition, stands, False, forces[0] if stands else None, None, velocity[0] if fails else None)
+        return Answer(condition, stands, forces=forces[0] if stands else None, velocity=velocity[0] if fails else None)
 
-    def _ask_contact(self, state: States, condition: Condition, near: Answer | None, moved: Array | None) -> Answer:
+    def _ask_contact(
+        self,
+        state: States,
+        condition: Condition,
+        near: Answer | None,
+        moved: Array | None,
+        options: ContactOptions,
+    ) -> Answer:
         structure = self._under(condition.friction)
         displacement = np.zeros((1, self.problem.parts, 6))
         warm = near is not None and near.displacement is not None
@@ -152,7 +169,7 @@ class Prober:
             np.array(state),
             np.array(self._whitened(condition)[None]),
             offsets,
-            self._contact_options,
+            options,
             displacement,
             warm,
             result,
@@ -160,7 +177,21 @@ class Prober:
             spent,
         )
         stands = bool(result[0] == RESTS)
-        return Answer(condition, stands, bool(result[0] == MOVES_AWAY), None, displacement[0] if stands else None)
+        return Answer(
+            condition,
+            stands,
+            moves_away=bool(result[0] == MOVES_AWAY),
+            quick=options.steps == 0,
+            displacement=displacement[0] if stands else None,
+        )
+
+    def forces(self, state: States, answer: Answer) -> Array:
+        """Return the contact forces of an answer that stands, N, shape (points, 3)."""
+        if answer.displacement is None:
+            assert answer.forces is not None
+            return answer.forces
+        changed = answer.condition.of(self.assembly)
+        return forces_of_displacement(changed, state[None], answer.displacement[None], self.settings.claim)[0]
 
     def cut(self, state: States, answer: Answer, direction: Array) -> float:
         """Return how many times a load may be added at most, as the velocity of an answer proves; else infinity.
@@ -200,8 +231,8 @@ class Prober:
             verdicts.verdict[0] = Verdict.STABLE
         elif answer.stands and answer.forces is not None:
             verdicts.forces[0], verdicts.verdict[0] = answer.forces, Verdict.STABLE
-        else:
-            self._certify_failure(state, answer, verdicts)
+        elif self._certify_failure(state, answer, verdicts):
+            return verdicts
         verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
         if not verify_certificates(changed, state[None], verdicts, claim)[0]:
             exact = self._exact(state, answer.condition)
@@ -215,18 +246,21 @@ class Prober:
         settings = replace(self.settings, criterion="equilibrium", cone=self.settings.friction_cone)
         return ExactSolver(condition.of(self.assembly), settings).check(state)
 
-    def _certify_failure(self, state: States, answer: Answer, verdicts: Verdicts) -> None:
-        """Fill in the proof of a state that does not stand, as far as there is one."""
+    def _certify_failure(self, state: States, answer: Answer, verdicts: Verdicts) -> bool:
+        """Fill in the proof of a state that does not stand; return whether there is none, though it is in balance."""
         assert verdicts.forces is not None
         assert verdicts.velocity is not None
         velocity = answer.velocity
         if velocity is None:
             balanced = self.balance(state, answer.condition)
             velocity = balanced.velocity
-            if self.contact and balanced.forces is not None and answer.moves_away:
-                verdicts.forces[0], verdicts.verdict[0] = balanced.forces, Verdict.SLIDES
+            if self.contact and balanced.forces is not None:
+                verdicts.forces[0] = balanced.forces
+                verdicts.verdict[0] = Verdict.SLIDES if answer.moves_away else Verdict.UNDECIDED
+                return not answer.moves_away
         if velocity is not None:
             verdicts.velocity[0], verdicts.verdict[0] = velocity, Verdict.UNSTABLE
+        return False
 
     def _under(self, friction: float) -> KernelArrays:
         """Return the structure with another coefficient of friction where no joint gives its own."""

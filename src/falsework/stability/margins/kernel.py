@@ -18,7 +18,8 @@ def rest_under(
     """Look for the rest of a state under each load; the law is that of `solve_contact_state`.
 
     Args:
-        structure, contact_structure, options: as in `solve_contact_state`.
+        structure, contact_structure, options: as in `solve_contact_state`; without iterations from rest, what comes of
+            the guesses counts.
         state: shape (parts,).
         loads: whitened wrenches on the parts, shape (loads, parts, 6).
         moved: spring forces of the contact points at zero displacement, scaled, as fixed parts that have moved cause
@@ -61,7 +62,7 @@ def rest_under(
                 options.warm_first_step,
                 mends,
             )
-        if not warm or result[k] != RESTS:
+        if not warm or (result[k] != RESTS and options.steps > 0):
             contact.displacement[:] = 0.0
             result[k], residual[k], taken = come_to_rest(
                 structure, contact_structure, work, contact, pairs, options.steps, tolerance, options.first_step, mends

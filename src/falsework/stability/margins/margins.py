@@ -12,11 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.state import INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
-from falsework.stability.margins.brackets import OUTSIDE, Bracket, checked, largest, least, weakest
+from falsework.stability.margins.brackets import OUTSIDE, Bracket, largest, stride, weakest
 from falsework.stability.margins.conditions import Answer, Condition, Prober
+from falsework.stability.margins.families import FLOOR, SMOOTH, Near, friction_bracket, load_bracket, weakest_load
 from falsework.stability.margins.pushes import Pushes
 from falsework.stability.margins.state_margins import Bound, StateMargins
 from falsework.stability.margins.supports import held_loads, settlements
+from falsework.stability.strength import strength_of
 from falsework.stability.verdict import Verdict, Verdicts
 
 Array = NDArray[np.float64]
@@ -35,10 +37,8 @@ LARGEST_PUSH = 10.0
 """Push beyond which there is no bound, in weights of the structure."""
 _ROUGH = 4.0
 """Largest coefficient of friction at which a state that does not stand is tried."""
-_SMOOTH = 1e-3
-"""Friction below which a state is asked about none at all."""
-_FLOOR = 1e-4
-"""Distance between the ends of a bracket that is small enough: shares of gravity, factors and weights of a part."""
+_RUN = 8
+"""States in a row, such as those of a plan, in which the search for a bound begins at the bound of the state before."""
 
 
 class MarginFinder:
@@ -78,24 +78,29 @@ class MarginFinder:
         assert self.pushes is not None  # made once, before threads ask for it
         with ThreadPoolExecutor(self.prober.settings.cpu.threads) as pool:
             starts = list(pool.map(lambda state: self.prober.ask(state, self.prober.own()), batch))
-            work: list[tuple[int, Callable[[], StateMargins]]] = []
-            for row, (state, start) in enumerate(zip(batch, starts, strict=True)):
-                if not start.stands:
-                    work.append((row, lambda s=state: self._fallen(s, kinds)))
-                    continue
-                work += [(row, lambda s=state, a=start, k=kind: self._one(s, a, k, kinds)) for kind in kinds]
             found = [StateMargins(start.stands) for start in starts]
-            for (row, _), part in zip(work, pool.map(lambda job: job[1](), work), strict=True):
-                given = {name: value for name, value in vars(part).items() if value is not None and np.size(value)}
-                found[row] = replace(found[row], **given)
+
+            def run(job: tuple[int, str]) -> list[StateMargins]:
+                """Find one margin of a run of states, one after another."""
+                near: Near = {}
+                rows = range(job[0], min(job[0] + _RUN, len(batch)))
+                return [self._one(batch[row], starts[row], job[1], kinds, near) for row in rows]
+
+            jobs = [(first, kind) for first in range(0, len(batch), _RUN) for kind in kinds]
+            for (first, _), parts in zip(jobs, pool.map(run, jobs), strict=True):
+                for row, part in enumerate(parts, first):
+                    given = {name: value for name, value in vars(part).items() if value is not None and np.size(value)}
+                    found[row] = replace(found[row], **given)
         return found
 
-    def _one(self, state: States, start: Answer, kind: str, kinds: Sequence[str]) -> StateMargins:
-        """Return one margin of a state that stands, and what comes with it."""
+    def _one(self, state: States, start: Answer, kind: str, kinds: Sequence[str], near: Near) -> StateMargins:
+        """Return one margin of a state, and what comes with it; `near` has the bounds of the state before."""
+        if not start.stands:
+            return self._fallen(state, kinds) if kind == kinds[0] else StateMargins(False)
         if kind == "friction":
-            return StateMargins(True, friction=self._friction(state, start))
+            return StateMargins(True, friction=self._friction(state, start, near))
         if kind == "horizontal" or (kind == "tilt" and "horizontal" not in kinds):
-            tilt, horizontal = self._sideways(state, start)
+            tilt, horizontal = self._sideways(state, start, near)
             return StateMargins(
                 True,
                 tilt=tilt if "tilt" in kinds else None,
@@ -103,10 +108,12 @@ class MarginFinder:
             )
         if kind == "load_factor":
             return StateMargins(
-                True, load_factor=self._load_factor(state, start), total_load_factor=self._total_factor(state, start)
+                True,
+                load_factor=self._load_factor(state, start, near),
+                total_load_factor=self._total_factor(state, start),
             )
         if kind == "push":
-            return StateMargins(True, push=self._push(state, start))
+            return StateMargins(True, push=self._push(state, start, near))
         if kind == "held":
             return StateMargins(True, held=held_loads(self.prober, state, start))
         if kind == "polygon":
@@ -121,7 +128,7 @@ class MarginFinder:
             return StateMargins(False)
         prober, own = self.prober, self._assembly.friction
         start = low = prober.ask(state, prober.own())
-        high = max(own, _SMOOTH)
+        high = max(own, SMOOTH)
         while (high := 2 * high) <= max(_ROUGH, 4 * own):
             answer = prober.ask(state, Condition(high, prober.own().extra))
             if answer.stands:
@@ -137,36 +144,18 @@ class MarginFinder:
         bracket = Bracket(stands.condition.friction, stands, low.condition.friction, low)
         return StateMargins(False, friction=self._bound(state, bracket, self._rough(start.condition), always=True))
 
-    def _friction(self, state: States, start: Answer) -> Bound:
-        extra, own = start.condition.extra, self._assembly.friction
-
-        def probe(value: float, near: Answer) -> Answer:
-            # From rest each time under `contact`, as a check of the number does: near the bound the start matters.
-            return self.prober.ask(state, Condition(value, extra), None if self.prober.contact else near)
-
-        def anew(value: float, near: Answer | None) -> Answer:
-            return self.prober.ask(state, Condition(value, extra), near)
-
-        def again(value: float, answer: Answer) -> Bracket:
-            stands, low = start, answer
-            while stands.condition.friction - low.condition.friction > 0.01 * stands.condition.friction:
-                middle = probe(0.5 * (stands.condition.friction + low.condition.friction), stands)
-                stands, low = (middle, low) if middle.stands else (stands, middle)
-            return Bracket(stands.condition.friction, stands, low.condition.friction, low)
-
-        bracket = least(probe, start, value=own, floor=_SMOOTH * max(own, 1.0)) if own > 0 else None
-        if bracket is None:
-            bracket = Bracket(0.0, start, None, None)
-        elif self.prober.contact:
-            bracket = checked(bracket, anew, start, again, origin=own)
+    def _friction(self, state: States, start: Answer, near: Near) -> Bound:
+        bracket = friction_bracket(self.prober, state, start, near)
         return self._bound(state, bracket, self._rough(start.condition), always=True)
 
-    def _sideways(self, state: States, start: Answer) -> tuple[Bound, Bound]:
+    def _sideways(self, state: States, start: Answer, near: Near) -> tuple[Bound, Bound]:
         """Return the largest tilt and the largest horizontal acceleration in the worst direction."""
         order = np.argsort([row % 9 != 0 for row in range(DIRECTIONS)], kind="stable").tolist()
         loads = self.weights[None, :, None] * np.pad(self.directions, ((0, 0), (0, 3)))[:, None, :]
         guess = max(self._assembly.friction, 0.1)
-        found = self._weakest(state, start, loads, order, guess=lambda _: guess, cap=LARGEST_SHARE)
+        found = weakest_load(
+            self.prober, state, start, loads, order, guess=lambda _: guess, cap=LARGEST_SHARE, near=near
+        )
         if found is None:
             return self._unbounded(state, start), self._unbounded(state, start)
         row, bracket = found
@@ -207,12 +196,13 @@ class MarginFinder:
             return self.prober.ask(state, self._tilts(start.condition, row)(angle), near)
 
         def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
-            return largest(
+            search = stride if self.prober.contact else largest
+            return search(
                 lambda angle, near: probe(row, angle, near),
                 start,
                 guess=float(np.arctan(max(self._assembly.friction, 0.1))),
                 cap=float(np.arctan(LARGEST_SHARE)),
-                floor=_FLOOR,
+                floor=FLOOR,
                 known=known,
             )
 
@@ -227,17 +217,27 @@ class MarginFinder:
         guess, limits = max(self._assembly.friction, 0.1), np.full(DIRECTIONS, np.inf)
         for row in range(DIRECTIONS):
             load = self.weights[:, None] * np.pad(self.directions[row], (0, 3))
-            bracket = self._along(state, start, load, guess=guess, cap=LARGEST_SHARE)
+            bracket = load_bracket(self.prober, state, start, load, guess=guess, cap=LARGEST_SHARE)
             if bracket.outside is not None:
                 limits[row] = guess = bracket.inside
         return np.arctan(limits)
 
-    def _load_factor(self, state: States, start: Answer) -> Bound:
+    def _load_factor(self, state: States, start: Answer, near: Near) -> Bound:
         installed = np.flatnonzero(state == INSTALLED)
         loads = np.zeros((len(installed), self._parts, 6))
         loads[np.arange(len(installed)), installed, 2] = -self.weights[installed]
         order = np.argsort(-self.weights[installed], kind="stable").tolist()
-        found = self._weakest(state, start, loads, order, guess=lambda _: 1.0, cap=LARGEST_FACTOR - 1.0)
+        found = weakest_load(
+            self.prober,
+            state,
+            start,
+            loads,
+            order,
+            guess=lambda _: 1.0,
+            cap=LARGEST_FACTOR - 1.0,
+            near=near,
+            numbers=installed.tolist(),
+        )
         if found is None:
             return self._unbounded(state, start)
         row, bracket = found
@@ -249,74 +249,42 @@ class MarginFinder:
             # Forces that balance the weights balance any multiple of them.
             return self._unbounded(state, start)
         load = np.where((state != REMOVED)[:, None], self.weights[:, None] * np.array([0, 0, -1.0, 0, 0, 0]), 0.0)
-        bracket = self._along(state, start, load, guess=1.0, cap=LARGEST_FACTOR - 1.0)
+        bracket = load_bracket(self.prober, state, start, load, guess=1.0, cap=LARGEST_FACTOR - 1.0)
         return self._bound(state, bracket, self._times(start.condition, load), shift=1.0)
 
-    def _push(self, state: States, start: Answer) -> Bound:
+    def _push(self, state: States, start: Answer, near: Near) -> Bound:
         pushes = self.pushes
         rows = pushes.exposed(state)
-        weights = self.weights[pushes.part[rows]]
-        order = np.argsort(weights, kind="stable").tolist()
+        # A part slips once a push exceeds about what friction bears at its contacts.
+        grip = np.maximum(self._grip(state, start)[pushes.part[rows]], 0.1 * self.weights[pushes.part[rows]])
+        order = np.argsort(grip, kind="stable").tolist()
         cap = LARGEST_PUSH * self.prober.problem.weight
-        guess = max(self._assembly.friction, 0.1)
         loads = pushes.loads(rows, self._parts)
-        found = self._weakest(state, start, loads, order, guess=lambda row: guess * weights[row], cap=cap)
+        found = weakest_load(
+            self.prober,
+            state,
+            start,
+            loads,
+            order,
+            guess=lambda row: float(grip[row]),
+            cap=cap,
+            near=near,
+            numbers=rows.tolist(),
+        )
         if found is None:
             return self._unbounded(state, start)
         row, times = int(rows[found[0]]), self._times(start.condition, loads[found[0]])
         direction = tuple(pushes.normal[row].tolist())
         return self._bound(state, found[1], times, part=int(pushes.part[row]), direction=direction)
 
-    def _along(
-        self,
-        state: States,
-        start: Answer,
-        load: Array,
-        *,
-        guess: float,
-        cap: float,
-        known: tuple[float, Answer] | None = None,
-    ) -> Bracket:
-        """Return the bound on the multiple of a load, N and Nm, shape (parts, 6)."""
-
-        def probe(value: float, near: Answer) -> Answer:
-            return self.prober.ask(state, Condition(start.condition.friction, value * load), near)
-
-        def find(given: tuple[float, Answer] | None) -> Bracket:
-            cut = None if self.prober.contact else lambda answer: self.prober.cut(state, answer, load)
-            return largest(probe, start, guess=guess, cap=cap, floor=_FLOOR * guess, cut=cut, known=given)
-
-        bracket = find(known)
-        if bracket.fails is None or bracket.outside is None:
-            return bracket
-        if not self.prober.contact:  # a velocity may prove more than where it was found
-            beyond = Condition(start.condition.friction, bracket.outside * load)
-            return replace(bracket, fails=replace(bracket.fails, condition=beyond))
-
-        def anew(value: float, near: Answer | None) -> Answer:
-            return self.prober.ask(state, Condition(start.condition.friction, value * load), near)
-
-        return checked(bracket, anew, start, lambda value, answer: find((value, answer)))
-
-    def _weakest(
-        self,
-        state: States,
-        start: Answer,
-        loads: Array,
-        order: Sequence[int],
-        *,
-        guess: Callable[[int], float],
-        cap: float,
-    ) -> tuple[int, Bracket] | None:
-        """Return the load of which the least can be added, and its bracket; loads have shape (loads, parts, 6)."""
-
-        def test(row: int, value: float) -> Answer:
-            return self.prober.ask(state, Condition(start.condition.friction, value * loads[row]), start)
-
-        def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
-            return self._along(state, start, loads[row], guess=guess(row), cap=cap, known=known)
-
-        return weakest(order, test, bound)
+    def _grip(self, state: States, start: Answer) -> Array:
+        """Return what friction bears at the contacts of each part in total, N, shape (parts,)."""
+        assembly, forces = self._assembly, self.prober.forces(state, start)
+        limit = np.maximum(strength_of(assembly).friction * forces[:, 0], 0.0)
+        ends = assembly.contacts.parts[assembly.contacts.contact_of_point]
+        total = np.zeros(self._parts)
+        np.add.at(total, ends, limit[:, None])
+        return total
 
     def _unbounded(self, state: States, start: Answer) -> Bound:
         """Return that there is no bound, with the proof of the state as it is."""

@@ -44,7 +44,7 @@ def placement_curve(
 
     A part is moved by up to half of the tolerance along each axis and turned about its centre so that no corner moves
     by more than the other half. Joints that open or overlap by as much as two neighbours can be off are closed midway
-    between the parts, as mortar, shims or dressing would.
+    between the parts, as mortar, shims or dressing would. What pulls has the strength per area that it had before.
 
     Args:
         assembly: the structure.
@@ -63,10 +63,11 @@ def placement_curve(
         raise InputError(f"placement errors are {list(tolerances)} m; give numbers above zero")
     if draws < 1:
         raise InputError(f"{draws} draws are no sample; ask for at least 1")
-    if assembly.joints is not None:
-        raise InputError("placement knows no joints, which belong to contacts that are found anew; leave them out")
     if assembly.contacts_given:
-        raise InputError("contacts of this structure were given, so they cannot be found anew for parts that moved")
+        raise InputError(
+            "contacts of this structure were given, or have fasteners or studs, so they cannot be found anew for parts "
+            "that moved; leave out the placement error"
+        )
     stands, refused = np.zeros((len(tolerances), len(batch))), np.zeros(len(tolerances), np.int64)
     for row, tolerance in enumerate(tolerances):
         random = np.random.default_rng(seed)
@@ -109,7 +110,8 @@ def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Gener
             )
     except InputError:
         return None
-    return moved if assembly.loads is None else moved.replace(loads=assembly.loads)
+    joints = assembly.joints and assembly.joints.found_anew(assembly.contacts, moved.contacts)
+    return moved.replace(loads=assembly.loads, joints=joints)
 
 
 def _rotation(vector: Array) -> Array:

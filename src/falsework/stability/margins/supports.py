@@ -35,10 +35,7 @@ def held_loads(prober: Prober, state: States, start: Answer) -> tuple[HeldLoad, 
     """
     assembly, problem = prober.assembly, prober.problem
     held = np.flatnonzero((state == HELD) & ~assembly.boundary)
-    forces = start.forces
-    if start.displacement is not None:
-        forces = forces_of_displacement(assembly, state[None], start.displacement[None], prober.settings.claim)[0]
-    assert forces is not None
+    forces = prober.forces(state, start)
     net = problem.gravity_wrench.copy()
     active = problem.active(state[None])[0]
     for part, wrench in ((problem.part_a, problem.wrench_a), (problem.part_b, problem.wrench_b)):

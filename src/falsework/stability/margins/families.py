@@ -1,0 +1,190 @@
+"""Brackets of a state's families of conditions: less friction, and more of a load."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import States
+from falsework.stability.margins.brackets import Bracket, Probe, checked, largest, least, stride, weakest
+from falsework.stability.margins.conditions import Answer, Condition, Prober
+
+Array = NDArray[np.float64]
+Near = dict[str, tuple[int, float]]
+"""Bounds of a state nearby: which of several loads is the weakest, by its number, and its bound."""
+
+SMOOTH = 1e-3
+"""Friction below which a state is asked about none at all."""
+FLOOR = 1e-4
+"""Distance between the ends that is small enough: shares of gravity, factors and weights of a part."""
+
+
+def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -> Bracket:
+    """Return the bracket of the least friction.
+
+    Args:
+        prober: of the structure.
+        state: shape (parts,).
+        start: that the state stands.
+        near: bound of a state nearby; replaced with that of this one.
+    """
+    extra, own = start.condition.extra, start.condition.friction
+    floor = SMOOTH * max(own, 1.0)
+
+    def ask(value: float, nearby: Answer | None) -> Answer:
+        return prober.ask(state, Condition(value, extra), nearby, quick=True)
+
+    def from_rest(value: float, _: Answer | None) -> Answer:
+        return ask(value, None)
+
+    def find(
+        known: tuple[float, Answer] | None, low: float = own, stands: Answer = start, probe: Probe = from_rest
+    ) -> Bracket:
+        _, guess = near.get("friction", (0, 0.5 * own)) if low == own else (0, low)
+        found = stride(
+            lambda inverse, nearby: probe(1.0 / inverse, nearby),
+            stands,
+            guess=1.0 / guess,
+            cap=1.0 / floor,
+            low=1.0 / low,
+            growth=2.0,
+            near="friction" in near or low < own,
+            known=None if known is None else (1.0 / known[0], known[1]),
+        )
+        if found.outside is None:
+            return least(from_rest, found.stands, value=1.0 / found.inside, floor=floor)
+        return Bracket(1.0 / found.inside, found.stands, 1.0 / found.outside, found.fails)
+
+    if own == 0.0:
+        return Bracket(0.0, start, None, None)
+    if own <= floor or not prober.contact:
+        bracket = least(ask, start, value=own, floor=floor)
+    else:
+        bracket = _from_rest_too(find(None, probe=ask), from_rest, lambda low, stands: find(None, low, stands))
+        # Checks of the number begin at rest, and near the bound the start matters.
+        loaded = from_rest(bracket.inside, None)
+        bracket = replace(bracket, stands=loaded) if loaded.stands else find((bracket.inside, loaded))
+        bracket = checked(bracket, ask, start, lambda value, answer: find((value, answer)), origin=own)
+    if bracket.inside > floor:
+        near["friction"] = 0, bracket.inside
+    return bracket
+
+
+def load_bracket(
+    prober: Prober,
+    state: States,
+    start: Answer,
+    load: Array,
+    *,
+    guess: float,
+    cap: float,
+    near: bool = False,
+    known: tuple[float, Answer] | None = None,
+) -> Bracket:
+    """Return the bracket of the largest multiple of a load.
+
+    Args:
+        prober: of the structure.
+        state: shape (parts,).
+        start: that the state stands.
+        load: N and Nm, shape (parts, 6).
+        guess: multiple to try first.
+        cap: multiple beyond which there is no bound.
+        near: the guess is the bound of a state nearby.
+        known: a multiple that fails, and its answer, if there is one.
+    """
+    friction = start.condition.friction
+
+    def probe(value: float, nearby: Answer | None) -> Answer:
+        return prober.ask(state, Condition(friction, value * load), nearby, quick=True)
+
+    if not prober.contact:
+        bracket = largest(
+            probe,
+            start,
+            guess=guess,
+            cap=cap,
+            floor=FLOOR * guess,
+            cut=lambda answer: prober.cut(state, answer, load),
+            known=known,
+        )
+        if bracket.fails is None or bracket.outside is None:
+            return bracket
+        # A velocity may prove more than where it was found.
+        return replace(bracket, fails=replace(bracket.fails, condition=Condition(friction, bracket.outside * load)))
+
+    def find(known: tuple[float, Answer] | None, low: float = 0.0, stands: Answer = start) -> Bracket:
+        first, good = (low, True) if low > 0.0 else (guess, near)
+        return stride(probe, stands, guess=first, cap=cap, low=low, floor=FLOOR * guess, near=good, known=known)
+
+    def full(value: float, nearby: Answer) -> Answer:
+        return prober.ask(state, Condition(friction, value * load), nearby)
+
+    bracket = _from_rest_too(find(known), full, lambda low, stands: find(None, low, stands))
+    if bracket.fails is None:
+        return bracket
+    return checked(bracket, probe, start, lambda value, answer: find((value, answer)))
+
+
+def weakest_load(
+    prober: Prober,
+    state: States,
+    start: Answer,
+    loads: Array,
+    order: Sequence[int],
+    *,
+    guess: Callable[[int], float],
+    cap: float,
+    near: Near,
+    numbers: Sequence[int] | None = None,
+) -> tuple[int, Bracket] | None:
+    """Return the load of which the least can be added, and its bracket; None where none has a bound.
+
+    Args:
+        prober: of the structure.
+        state: shape (parts,).
+        start: that the state stands.
+        loads: N and Nm, shape (loads, parts, 6).
+        order: in which to try them.
+        guess: of the bound of a load.
+        cap: beyond which there is no bound.
+        near: weakest load of a state nearby, and its bound; replaced with that of this one.
+        numbers: what loads are called in all states, one each; by default their places.
+    """
+    names = range(len(loads)) if numbers is None else numbers
+    weak, value = near.get("load", (-1, 0.0))
+
+    def test(row: int, value: float) -> Answer:
+        # From rest too: a family that fails here takes a search.
+        return prober.ask(state, Condition(start.condition.friction, value * loads[row]), start)
+
+    def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
+        good = names[row] == weak
+        first = value if good else guess(row)
+        return load_bracket(prober, state, start, loads[row], guess=first, cap=cap, near=good, known=known)
+
+    found = weakest(sorted(order, key=lambda row: names[row] != weak), test, bound)
+    if found is not None:
+        near["load"] = names[found[0]], found[1].inside
+    return found
+
+
+def _from_rest_too(
+    bracket: Bracket, full: Callable[[float, Answer], Answer], find: Callable[[float, Answer], Bracket]
+) -> Bracket:
+    """Return a bracket at whose outer end there is no rest for a structure that is loaded from rest either.
+
+    Args:
+        bracket: as it was found.
+        full: answer at a value, from one nearby and from rest.
+        find: the bound from a value that stands up.
+    """
+    while bracket.outside is not None and bracket.fails is not None and bracket.fails.quick:
+        answer = full(bracket.outside, bracket.stands)
+        if not answer.stands:
+            return replace(bracket, fails=replace(answer, moves_away=answer.moves_away or bracket.fails.moves_away))
+        bracket = find(bracket.outside, answer)
+    return bracket
