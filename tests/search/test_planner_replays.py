@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from falsework.assembly.state import States
 from falsework.search import Direction, Outcome, Planner, PlannerSettings, Task
 from falsework.stability import StabilitySettings
 from falsework.stability.contact.newton import FIRST_STEP
@@ -21,7 +21,7 @@ from falsework.stability.contact.varied_replay import RobustReplayer
 class RuleReplayer:
     """A structure falls in the states that are named, however they are reached."""
 
-    problem = SimpleNamespace(parts=1, points=1)
+    problem: Any = SimpleNamespace(parts=1, points=1)
     settings = StabilitySettings()
 
     def __init__(self, falls: Set[tuple[int, ...]], varied: Set[tuple[int, ...]] = frozenset()) -> None:
@@ -33,7 +33,7 @@ class RuleReplayer:
     def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> RuleReplayer:
         return RuleReplayer(self.falls | self.varied if replay.first_step < FIRST_STEP else self.falls)
 
-    def replay(self, states: NDArray[np.uint8], history: History | None = None) -> Replay:
+    def replay(self, states: Any, history: History | None = None) -> Replay:
         self.replayed += 1
         stands = np.array([-1 if tuple(state.tolist()) in self.falls else 1 for state in states], np.int8)
         bad = np.flatnonzero(stands < 0)
@@ -43,7 +43,7 @@ class RuleReplayer:
         zeros = np.zeros(len(states))
         return Replay(stands, zeros, zeros.astype(np.int32) - 1, zeros, 1.0, (none,) * reached)
 
-    def step(self, history: History, before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[bool, History]:
+    def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
         return tuple(after.tolist()) not in self.falls, history
 
 
@@ -112,7 +112,7 @@ def test_the_variation_that_failed_comes_first(rules: Any) -> None:
     task, oracle = tower(rules, set())
     states = Planner(task, oracle).run().routes[0].states[::-1]
     replayer = RobustReplayer(RuleReplayer(set(), {tuple(states[3].tolist())}))
-    cases = list(replayer._cases)
+    cases: list[Any] = list(replayer._cases)
     assert replayer.replay(states).falls_at == 3
     assert replayer._cases[0] is cases[4]
     assert sorted(map(id, replayer._cases)) == sorted(map(id, cases))

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from falsework.search.problem.oracle import Oracle
     from falsework.search.settings import PlannerSettings
     from falsework.stability.contact.replay import Replay
-    from falsework.stability.contact.varied_replay import AnyReplayer
+    from falsework.stability.contact.varied_replay import AnyReplayer, VariableReplayer
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class PlanReplay:
 
 def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:
     """Return the replayer for the routes of a search; None for an oracle without replays."""
-    replayer: AnyReplayer | None = getattr(oracle, "replayer", None)
+    replayer: VariableReplayer | None = getattr(oracle, "replayer", None)
     if replayer is None or not settings.robust:
         return replayer
     from falsework.stability.contact.varied_replay import RobustReplayer

@@ -1,4 +1,4 @@
-"""Replays of a plan under other settings: the answer for a robust plan does not hang on the numbers of the method."""
+"""Replays of a plan under varied settings, on which the result for a robust plan does not depend."""
 
 from __future__ import annotations
 
@@ -20,20 +20,11 @@ DRAWS = 20
 
 
 class AnyReplayer(Protocol):
-    """A `Replayer`, or one that looks at a clock between steps."""
-
-    @property
-    def settings(self) -> StabilitySettings:
-        """Settings of the verdicts."""
-        ...
+    """Interface of what replays routes for a search."""
 
     @property
     def problem(self) -> Problem:
-        """As of `Replayer`."""
-        ...
-
-    def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> Self:
-        """Return a replayer of the same structure under other settings."""
+        """Contact problem of the structure."""
         ...
 
     def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
@@ -42,6 +33,19 @@ class AnyReplayer(Protocol):
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
         """Take one step in a single increment."""
+        ...
+
+
+class VariableReplayer(AnyReplayer, Protocol):
+    """Interface of a `Replayer`, or of one that checks a deadline between steps."""
+
+    @property
+    def settings(self) -> StabilitySettings:
+        """Settings of the verdicts."""
+        ...
+
+    def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> Self:
+        """Return a replayer of the same structure under other settings."""
         ...
 
 
@@ -78,7 +82,7 @@ def variations(settings: StabilitySettings, draws: int) -> list[tuple[str, Stabi
 
 
 def replay_varied(
-    replayer: AnyReplayer, states: States, *, draws: int = DRAWS, threads: int | None = None
+    replayer: VariableReplayer, states: States, *, draws: int = DRAWS, threads: int | None = None
 ) -> list[Variation]:
     """Replay a plan under other settings: a plan that falls in one of them is marginal.
 
@@ -105,14 +109,14 @@ class RobustReplayer:
     state after the other, most plans cost one replay more.
     """
 
-    def __init__(self, replayer: AnyReplayer, draws: int = DRAWS) -> None:
+    def __init__(self, replayer: VariableReplayer, draws: int = DRAWS) -> None:
         """Vary the settings of `replayer`, with `draws` random states of friction at the start."""
         self._replayer = replayer
         self._cases = [replayer.vary(settings, replay) for _, settings, replay in variations(replayer.settings, draws)]
 
     @property
     def problem(self) -> Problem:
-        """As of `Replayer`."""
+        """See `Replayer`."""
         return self._replayer.problem
 
     def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
@@ -140,7 +144,7 @@ class RobustReplayer:
         return plain
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """As `Replayer.step`."""
+        """See `Replayer.step`."""
         return self._replayer.step(history, before, after)
 
 
