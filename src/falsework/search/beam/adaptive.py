@@ -203,7 +203,7 @@ class AdaptiveBeam:
             if self.settings.width * _WIDENING_FACTOR**widened > widest:
                 return False
             self._failures, self._retreats, avoided = 0, retreats, ()
-            back = (begun if trial else level) - _RETREAT_LEVELS * _RETREAT_FACTOR ** (widened + trial)
+            back = (begun if trial else level) - _RETREAT_LEVELS * _RETREAT_FACTOR ** (widened + trial + (trial > 0))
             preferred = (*preferred, *(each for each in tried if each not in preferred)) if trial else ()
         self._farthest, self._chain_from = max(self._farthest, level), begun
         self._deaths += 1
