@@ -14,7 +14,7 @@ from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Progress, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
 
-_CHAINS = 16
+_CHAINS = 8
 """Times in a row that the beam comes back from where its last chain of held parts began, with another one."""
 _TURNS = 2
 """Times that the end of each such chain goes another way, from before the part was fixed that no robot let go of."""
@@ -55,7 +55,7 @@ class AdaptiveSettings:
     ) -> BeamSettings:
         """Return settings of the beam after so many retreats from one place, and `number` deaths altogether."""
         widened, trial = self.trial(retreats)
-        width = self.width * _WIDENING_FACTOR ** (1 if retreats == 1 else widened)
+        width = self.width * _WIDENING_FACTOR**widened
         return BeamSettings(
             width=width,
             direction=self.direction,
@@ -72,11 +72,8 @@ class AdaptiveSettings:
 
     @staticmethod
     def trial(retreats: int) -> tuple[int, int]:
-        """Return how often the beam is widened after so many retreats, and which trial of that width it is.
-
-        The first retreat, a short one with a wider beam, comes before all trials.
-        """
-        return divmod(max(retreats - 1, 0), _TRIALS + 1)
+        """Return how often the beam is widened after so many retreats, and which trial of that width it is."""
+        return divmod(retreats, _TRIALS + 1)
 
 
 class AdaptiveBeam:
@@ -197,13 +194,12 @@ class AdaptiveBeam:
         self._failures += not turned
         avoided, preferred = tuple(tried), search.settings.preferred
         if again or self._failures > _CHAINS:
-            # Where all chains were tried, the place itself is dead: a short retreat with a wider beam would not help.
-            retreats = max(self._retreats + 1, 2 if again else 1)
+            retreats = self._retreats + 1
             widened, trial = self.settings.trial(retreats)
             if self.settings.width * _WIDENING_FACTOR**widened > widest:
                 return False
             self._failures, self._retreats, avoided = 0, retreats, ()
-            back = (begun if trial else level) - _RETREAT_LEVELS * _RETREAT_FACTOR ** (widened + trial + (trial > 0))
+            back = begun - _RETREAT_LEVELS * _RETREAT_FACTOR ** (widened + trial)
             preferred = (*preferred, *(each for each in tried if each not in preferred)) if trial else ()
         self._farthest, self._chain_from = max(self._farthest, level), begun
         self._deaths += 1
