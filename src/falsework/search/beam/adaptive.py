@@ -167,12 +167,9 @@ class AdaptiveBeam:
         return beam
 
     def _eased(self) -> bool:
-        """Return whether the beam is wide and well past the place where it died."""
-        return (
-            self._failures + self._retreats > 0
-            and len(self.search.levels) - 1 > self._easy_from
-            and not self.search.done
-        )
+        """Return whether the beam came back and is well past the place where it died."""
+        came_back = self.search.settings.number > 0
+        return came_back and len(self.search.levels) - 1 > self._easy_from and not self.search.done
 
     def _widen(self, widest: int) -> bool:
         """Go back and come again, another way or wider; False if that would be too wide."""
