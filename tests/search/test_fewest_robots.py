@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,6 +54,42 @@ def test_no_barrier_where_there_is_a_plan(structure: str) -> None:
             assert not find_plans(assembly, task, oracle=oracle).found
         else:
             assert robots == 2 or structure in ("house", "bottle")
+
+
+@pytest.mark.parametrize("structure", ["arch:blocks=5", "arch:blocks=7", "house", "bottle", "dome:rings=2,blocks=5"])
+def test_a_core_is_only_found_where_no_plan_exists(structure: str) -> None:
+    """One robot: no part of an arch stands before another is there; with enough robots no core is left."""
+    assembly = load_structure(structure)
+    oracle = Stability(assembly, EQUILIBRIUM)
+    for robots in (1, 2, 3):
+        task = task_of(assembly, robots)
+        core = HoldBound(assembly, task, oracle.settings, Deadline()).core(robots)
+        if core:
+            assert len(core) > robots
+            assert not find_plans(assembly, task, oracle=oracle).found
+        else:
+            assert robots > 1 or not structure.startswith("arch")
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_two_robots_cannot_close_the_top_ring(public_structure_path: Callable[[str], Path]) -> None:
+    """Of the ten stones of the top ring of this dome, each falls beside another that is held, on rings that are held.
+
+    The certificate of one such pair proves the same with any set of the stones below.
+    """
+    assembly = load_structure(public_structure_path("dome-90"))
+    oracle = Stability(assembly)
+    barrier = HoldBound(assembly, task_of(assembly), oracle.settings, Deadline()).barrier(2, 90)
+    assert barrier is not None
+    assert (barrier.robots, barrier.parts, barrier.core) == (2, 2, tuple(range(80, 90)))
+    assert barrier.to_dict()["core"] == list(barrier.core)
+    assert "of the 10 parts 80, 81, 82, 83, 84, ..." in barrier.text
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        state = np.where(assembly.boundary, 2, rng.integers(0, 2, 90)).astype(np.uint8)
+        state[80:] = 0
+        state[rng.choice(np.arange(80, 90), 2, replace=False)] = 1, 2
+        assert oracle.judge(state).unstable.all()
 
 
 def test_a_start_in_which_parts_are_held(small_arch: Assembly) -> None:

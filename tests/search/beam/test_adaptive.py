@@ -67,7 +67,9 @@ def test_comes_back_before_what_robots_are_bound_to(rules: Any) -> None:
     search.run()
     assert search.done
     assert not search.found
-    assert search.bound() == (7, 1)
+    assert search.binding() == (0, 7)
+    assert search.chain() == (0, 7)
+    assert np.array_equal(search.before(0), task.target)
     search.rewind(0, replace(search.settings, avoided=(7,)))
     assert search.step()
     assert search.levels[-1].states[0, 7] == 0
@@ -76,20 +78,37 @@ def test_comes_back_before_what_robots_are_bound_to(rules: Any) -> None:
 def test_nothing_is_bound_where_states_hold_different_parts(rules: Any) -> None:
     task = Task.create(rules.ground(5), 2)
     search = AdaptiveBeam(task, rules.blocks(5), AdaptiveSettings()).search
-    assert search.bound() is None
+    assert search.binding() is None
+    assert search.chain() == (0, -1)
     search.step()
     assert len(search.levels[-1].states) > 1
-    assert search.bound() is None
+    assert search.binding() is None
 
 
-@pytest.mark.parametrize("failures", range(12))
-def test_comes_back_wider_only_after_other_ways(failures: int) -> None:
-    """With more states ahead, with other holds, wider from near by; then three random ways, then wider from afar."""
+@pytest.mark.parametrize("retreats", range(10))
+def test_comes_back_wider_only_after_other_ways(retreats: int) -> None:
+    """Three random ways, then wider, each time from farther back."""
     settings = AdaptiveSettings(width=2)
-    beam = settings.beam(failures)
-    assert beam.width == (8 if failures in (3, 7, 8, 9, 10) else 32 if failures > 10 else 2)
-    assert (beam.disorder > 0) == (failures in (4, 5, 6, 8, 9, 10))
-    assert beam.lookahead == (64 if failures == 0 else 512 if failures > 10 else 256)
+    beam = settings.beam(retreats, number=retreats)
+    assert beam.width == (2 if retreats < 4 else 8 if retreats < 8 else 32)
+    assert (beam.disorder > 0) == (retreats % 4 > 0)
+    assert beam.lookahead == (64 if retreats == 0 else 256 if retreats < 8 else 512)
+
+
+def test_tries_each_chain_once(rules: Any) -> None:
+    """A part that stands last of all binds the only robot: the beam begins elsewhere, and does not come back to it."""
+    parts = 8
+    oracle = rules.blocks(parts)
+    oracle.supports[7] = [frozenset(range(1, 7))]
+    oracle.supports[1:7] = [[frozenset({part - 1})] for part in range(1, 7)]
+    task = Task.create(rules.ground(parts), 1)
+    beam = AdaptiveBeam(task, oracle, AdaptiveSettings(), guide=misled)
+    beam.search.settings = replace(beam.search.settings, lookahead=1)
+    beam.search.run()
+    assert beam._widen(1)
+    assert beam.search.settings.avoided == (7,)
+    assert beam._tried == {task.target.tobytes().hex(): [7]}
+    assert beam.run(1).found
 
 
 def test_stops_in_between_and_goes_on(rules: Any) -> None:

@@ -14,26 +14,28 @@ from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Progress, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
 
-_LOOKED_FARTHER, _BOUND_OTHERWISE, _WIDE_NEARBY = 1, 2, 3
-"""Retries after the first three deaths: with a larger lookahead; from before robots were bound to a part that they
-could not release, which is avoided; and wider, from a few levels back."""
+_CHAINS = 8
+"""Times in a row that the beam comes back from where its last chain of held parts began, with another one."""
+_TURNS = 2
+"""Times that the end of each such chain goes another way, from before the part was fixed that no robot let go of."""
 _TRIALS = 3
-"""Times in a row that the beam comes back as narrow as it was, with other random preferences, before it is widened."""
+"""Times that it then comes back from farther, with the parts in which those chains began first and with other random
+preferences, before it is widened; each time as many other chains are tried there."""
 _DISORDER = 0.3
-"""Spread of these preferences at first; each further trial adds as much. Scores of a guide are shares of 1."""
+"""Spread of the preferences at first; each further trial adds as much. Scores of a guide are shares of 1."""
 _WIDENING_FACTOR = 4
 """After that, the beam comes back this many times wider ..."""
 _RETREAT_FACTOR = 4
 """... from this many times farther back ..."""
 _RETREAT_LEVELS = 8
-"""... than so many levels; each trial of one width begins twice as far back as the last."""
+"""... than so many levels; each trial of one width begins as many times farther back than the last."""
 _LOOKAHEAD_STATES = 64
 """States without a need for a verdict that the narrowest beam keeps, so that the next level has a choice."""
 _FARTHER_LOOKAHEAD = 256
 """The same after a death."""
 _LOOKAHEAD_PER_WIDTH = 16
 """The same for wide beams, as a multiple of the width."""
-_PLACE = ("failures", "deaths", "farthest", "easy_from")
+_PLACE = ("failures", "turns", "retreats", "deaths", "farthest", "easy_from", "chain_from")
 """Fields of the memory of places where beams died."""
 
 
@@ -48,47 +50,53 @@ class AdaptiveSettings:
     seed: int = 0
     """Same seed, same machine, same result."""
 
-    def beam(self, failures: int, number: int = 0, avoided: tuple[int, ...] = ()) -> BeamSettings:
-        """Return settings of the beam after so many deaths in a row at one place, and `number` deaths altogether."""
-        widened, trial = self.trial(failures)
-        width = self.width * _WIDENING_FACTOR ** (1 if failures == _WIDE_NEARBY else widened)
+    def beam(
+        self, retreats: int = 0, number: int = 0, avoided: tuple[int, ...] = (), preferred: tuple[int, ...] = ()
+    ) -> BeamSettings:
+        """Return settings of the beam after so many retreats from one place, and `number` deaths altogether."""
+        widened, trial = self.trial(retreats)
+        width = self.width * _WIDENING_FACTOR**widened
         return BeamSettings(
             width=width,
             direction=self.direction,
             diversity="none",
-            lookahead=max(_LOOKAHEAD_STATES if failures == 0 else _FARTHER_LOOKAHEAD, _LOOKAHEAD_PER_WIDTH * width),
+            lookahead=max(_FARTHER_LOOKAHEAD if number else _LOOKAHEAD_STATES, _LOOKAHEAD_PER_WIDTH * width),
             commit=width == 1,
             retries=0,
             disorder=_DISORDER * trial,
             avoided=avoided,
+            preferred=preferred,
             number=number,
             seed=self.seed,
         )
 
     @staticmethod
-    def trial(failures: int) -> tuple[int, int]:
-        """Return how often the beam is widened after so many deaths, and which trial of that width it is."""
-        return divmod(max(failures - _WIDE_NEARBY, 0), _TRIALS + 1)
+    def trial(retreats: int) -> tuple[int, int]:
+        """Return how often the beam is widened after so many retreats, and which trial of that width it is."""
+        return divmod(retreats, _TRIALS + 1)
 
 
 class AdaptiveBeam:
     """Beam search that takes another way where it dies, then a wider one, and narrows again afterwards.
 
-    Where the beam dies, it first comes back from near by: with more states ahead, then without binding a robot to the
-    part that all its last states hold, then wider. After that it is taken back some levels and prefers other parts, at
-    random; if it dies there again, back farther, and after some trials wider. A narrow beam that takes another way
-    costs a fraction of a wide one, whose states are mostly the same parts in another order. Once it is well past the
-    place, it follows its guide again, and is narrow. Verdicts asked before are in the oracle's memory, so going over
-    the same ground costs little.
+    Robots mostly hold a chain of parts, one after the other, until it closes and all can be let go of; which chain
+    closes is seen only at its end. Where the beam dies, it comes back before the part that no robot can let go of, and,
+    after a few turns, before the chain, to begin another: a depth-first search for chains that close. Parts that led
+    nowhere from a state are fixed there after all others. Where no chain closes, it comes back from farther with the
+    parts first in which those began, and with other random preferences; and after some trials wider. Once it is well
+    past the place, it follows its guide again, and is narrow. Verdicts asked before are in the oracle's memory, so
+    going over the same ground costs little.
     """
 
     def __init__(self, task: Task, oracle: Oracle, settings: AdaptiveSettings, *, guide: Guide | None = None) -> None:
         """Begin narrow, at the origin of the direction."""
         self.settings = settings
-        self.search = BeamSearch(task, oracle, settings.beam(0), guide=guide)
-        self._failures = self._deaths = 0
+        self.search = BeamSearch(task, oracle, settings.beam(), guide=guide)
+        self._failures = self._turns = self._retreats = self._deaths = 0
         self._farthest = -1
-        self._easy_from = -1
+        self._easy_from = self._chain_from = -1
+        self._tried: dict[str, list[int]] = {}
+        """Parts that were fixed and led nowhere, by the state before."""
 
     @property
     def infeasible(self) -> bool:
@@ -114,8 +122,8 @@ class AdaptiveBeam:
             eased = False
             result = self.search.run(progress=progress, stop=halt)
             if eased:
-                self._failures = 0
-                self.search.rewind(len(self.search.levels) - 1, self.settings.beam(0))
+                self._failures = self._retreats = 0
+                self.search.rewind(len(self.search.levels) - 1, self.settings.beam())
             elif result.interrupted or result.found or self.infeasible:
                 return result
             elif not self._widen(widest):
@@ -128,7 +136,12 @@ class AdaptiveBeam:
         """Return the search as it stands: plain values, and arrays."""
         header, arrays = self.search.pack()
         own = {name: getattr(self, f"_{name}") for name in _PLACE}
-        return header | {"adaptive": own, "base": self.settings.width, "base_seed": self.settings.seed}, arrays
+        return header | {
+            "adaptive": own,
+            "tried": self._tried,
+            "base": self.settings.width,
+            "base_seed": self.settings.seed,
+        }, arrays
 
     @classmethod
     def unpack(
@@ -150,30 +163,47 @@ class AdaptiveBeam:
         beam.search = BeamSearch.unpack(header, arrays, task, oracle, guide=guide)
         for name in _PLACE:
             setattr(beam, f"_{name}", int(header["adaptive"][name]))
+        beam._tried = {state: [int(part) for part in parts] for state, parts in header["tried"].items()}
         return beam
 
     def _eased(self) -> bool:
-        """Return whether the beam is wide and well past the place where it died."""
-        return self._failures > 0 and len(self.search.levels) - 1 > self._easy_from and not self.search.done
+        """Return whether the beam came back and is well past the place where it died."""
+        came_back = self.search.settings.number > 0
+        return came_back and len(self.search.levels) - 1 > self._easy_from and not self.search.done
 
     def _widen(self, widest: int) -> bool:
         """Go back and come again, another way or wider; False if that would be too wide."""
         search = self.search
         level = len(search.levels) - 1
-        failures = 1 if level > self._farthest + 2 else self._failures + 1
-        robots, bound = search.task.robots, search.bound()
-        widened, trial = self.settings.trial(failures)
-        retreat, avoided = _RETREAT_LEVELS * _RETREAT_FACTOR**widened * 2 ** max(trial - 1, 0), ()
-        if failures == _LOOKED_FARTHER:
-            retreat = robots
-        elif failures == _BOUND_OTHERWISE and bound is not None:
-            part, since = bound
-            avoided, retreat = (part,), level - since + robots
-        if self.settings.width * _WIDENING_FACTOR**widened > widest:
-            return False
-        settings = self.settings.beam(failures, self._deaths + 1, avoided)
-        self._failures, self._farthest = failures, max(self._farthest, level)
+        begun, part = search.chain()
+        if begun > self._chain_from and level > self._farthest + 2:
+            self._failures = self._retreats = 0
+        back, turned = begun, False
+        binding = search.binding()
+        if binding is not None and binding[0] > begun and self._turns < _TURNS:
+            turned = binding[1] not in self._tried_from(binding[0])
+            back, part = binding if turned else (begun, part)
+        tried = self._tried_from(back)
+        again = part in tried
+        if not again:
+            tried.append(part)
+        self._turns = self._turns + 1 if turned else 0
+        self._failures += not turned
+        avoided, preferred = tuple(tried), search.settings.preferred
+        if again or self._failures > _CHAINS:
+            retreats = self._retreats + 1
+            widened, trial = self.settings.trial(retreats)
+            if self.settings.width * _WIDENING_FACTOR**widened > widest:
+                return False
+            self._failures, self._retreats, avoided = 0, retreats, ()
+            back = begun - _RETREAT_LEVELS * _RETREAT_FACTOR ** (widened + trial)
+            preferred = (*preferred, *(each for each in tried if each not in preferred)) if trial else ()
+        self._farthest, self._chain_from = max(self._farthest, level), begun
         self._deaths += 1
         self._easy_from = self._farthest + 2 * _RETREAT_LEVELS
-        search.rewind(max(level - retreat, 0), settings)
+        search.rewind(max(back, 0), self.settings.beam(self._retreats, self._deaths, avoided, preferred))
         return True
+
+    def _tried_from(self, level: int) -> list[int]:
+        """Return the parts that led nowhere from the state at a level on the way to the best scored one."""
+        return self._tried.setdefault(self.search.before(level).tobytes().hex(), [])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, Mask, States
+from falsework.assembly.state import HELD, Mask, States, held_count
 from falsework.errors import InputError
 from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier, Level, expand
@@ -31,8 +31,10 @@ _RETREAT_LEVELS = 8
 """Levels that a beam goes back when it is tried again ..."""
 _RETREAT_FACTOR = 4
 """... and this many times more each further time."""
-_RELUCTANCE = 1.0
-"""Scores of a guide are shares of 1; fixing a part that is avoided counts so much less."""
+_RELUCTANCE, _PREFERENCE = 1.0, 0.5
+"""Scores of a guide are shares of 1; fixing a part that is avoided counts so much less, one preferred so much more."""
+_CHAIN_LEVELS = 128
+"""Levels back from the last at most to where a chain of held parts began."""
 _REPORTED_STATES = 64
 """States handed back as deepest and as rejected, at most."""
 
@@ -103,9 +105,9 @@ class BeamSearch(LevelSearch):
             if scores.shape != mask.shape:
                 raise InputError(f"the guide returned scores of shape {scores.shape}; expected {mask.shape}")
             score = score + scores[frontier.parent, frontier.action]
-        if settings.avoided:
-            avoided = np.isin(frontier.action % self.task.part_count, settings.avoided) & frontier.fixing
-            score = score - _RELUCTANCE * avoided
+        for parts, weight in ((settings.avoided, -_RELUCTANCE), (settings.preferred, _PREFERENCE)):
+            if parts:
+                score = score + weight * (np.isin(frontier.action % self.task.part_count, parts) & frontier.fixing)
         if settings.disorder > 0:
             draw = np.random.default_rng((settings.seed, settings.number))
             preference = draw.uniform(-settings.disorder, settings.disorder, self.task.part_count)
@@ -123,7 +125,12 @@ class BeamSearch(LevelSearch):
                 return good
 
             choice = selector.most_promising(
-                self._judge, settings.width, settings.lookahead, confirmed, commit=settings.commit
+                self._judge,
+                settings.width,
+                settings.lookahead,
+                confirmed,
+                commit=settings.commit,
+                in_turn=settings.number > 0,
             )
         else:
             choice = selector.all_judged(self._judge, settings.width)
@@ -194,21 +201,47 @@ class BeamSearch(LevelSearch):
                 here.grounded[waiting] = np.where(stable, 1, -1)
         return here.grounded[rows] > 0
 
-    def bound(self) -> tuple[int, int] | None:
-        """Return the part that all states of the last level hold and have held longest, and since which level.
+    def binding(self) -> tuple[int, int] | None:
+        """Return where the part was fixed that all states of the last level hold, of several the one held longest.
 
         Returns:
-            None where they hold no part in common.
+            The level before and the part; None where they hold no part in common.
         """
         held = (self.levels[-1].states == HELD) & (self.task.origin(self.settings.direction) != HELD)
         common, row = held.all(axis=0), 0
         for level in range(len(self.levels) - 1, 0, -1):
+            if not common.any():
+                return None
             row = int(self.levels[level].parent[row])
             still = common & (self.levels[level - 1].states[row] == HELD)
             if not still.any():
-                return None if not common.any() else (int(np.flatnonzero(common)[0]), level)
+                return level - 1, int(np.flatnonzero(common)[0])
             common = still
         return None
+
+    def chain(self) -> tuple[int, int]:
+        """Return where the last chain of parts began that were held one after the other until the next ones carried it.
+
+        Returns:
+            The last level near the end at which robots held fewest parts, and the part fixed there on the way to the
+            best scored state, -1 where the beam did not leave its origin.
+        """
+        row, last = 0, len(self.levels) - 1
+        begun, part, fewest, action = last, -1, np.inf, -1
+        for number in range(last, max(last - _CHAIN_LEVELS, -1), -1):
+            level = self.levels[number]
+            held = int(held_count(level.states[row][None], self.task.boundary)[0])
+            if number < last and held < fewest:
+                begun, part, fewest = number, action % self.task.part_count, held
+            action, row = int(level.action[row]), int(level.parent[row])
+        return begun, part
+
+    def before(self, number: int) -> States:
+        """Return the state at a level on the way to the best scored one, shape (parts,)."""
+        row = 0
+        for level in self.levels[:number:-1]:
+            row = int(level.parent[row])
+        return self.levels[number].states[row]
 
     def rewind(self, level: int, settings: BeamSettings) -> None:
         """Discard all levels after `level` and continue from there with other settings.

@@ -22,6 +22,10 @@ _ENOUGH = 4
 """Moves that failed before are tried where fewer than one in so many of the states wanted is found without them."""
 _THOROUGH_WIDTH = 64
 """States wanted from which all moves are tried: beams so wide are to prove that there is no plan."""
+_TRIED_AGAIN = 16
+"""Moves that failed before which a beam of width 1 tries at a level at most."""
+_TURN = 4
+"""Candidates that come from one state in a turn."""
 _EXAMINED = 1024
 """Candidates looked up in the memory of failures at once."""
 _VERDICT_BATCH = 2
@@ -90,7 +94,14 @@ class Selector:
         return self._choice(kept, asked[~stable[asked]])
 
     def most_promising(
-        self, judge: CountingOracle, width: int, lookahead: int, confirmed: Confirmed, *, commit: bool
+        self,
+        judge: CountingOracle,
+        width: int,
+        lookahead: int,
+        confirmed: Confirmed,
+        *,
+        commit: bool,
+        in_turn: bool = False,
     ) -> Choice:
         """Ask only until `width` states are found stable; keep `lookahead` more that a fixed part leads to.
 
@@ -104,6 +115,7 @@ class Selector:
             confirmed: which candidates with a stable verdict are reached by states that are stable too, and come to
                 rest with the contact history of that way.
             commit: once `width` are found, drop states that keep more robots busy than these.
+            in_turn: take those in which every robot holds a part in turn over the states of the level.
         """
         frontier = self.frontier
         held = frontier.held()
@@ -114,9 +126,28 @@ class Selector:
         fixed = self.order(np.flatnonzero(frontier.fixing), promise, lookahead)
         if commit and len(proven) >= width:
             fixed = fixed[held[fixed] <= held[proven].max()]
+        if in_turn and len(fixed) > lookahead:
+            fixed = self._in_turn(fixed, held)
         if self.failures is not None and width < _THOROUGH_WIDTH:
             fixed = self._hopeful_first(fixed, lookahead, self.failures)
         return self._choice(np.concatenate([proven, fixed[:lookahead]]), rejected)
+
+    def _in_turn(self, fixed: Rows, held: NDArray[np.int64]) -> Rows:
+        """Return candidates in which every robot holds a part in turn over the states that they come from.
+
+        What is held already is mostly released with the help of a part beside it, so such parts come first.
+        """
+        task, full = self.frontier.task, held[fixed] == self.frontier.task.robots
+        rows = fixed[full]
+        parent, beside = self.frontier.parent[rows], np.zeros(len(rows), dtype=bool)
+        if task.neighbours is not None:
+            holding = ((self.frontier.level == HELD) & ~task.boundary).astype(np.float32)
+            beside = (holding @ task.neighbours > 0)[parent, self.frontier.action[rows] % task.part_count]
+        order = np.lexsort((np.arange(len(rows)), ~beside, parent))
+        begin = np.flatnonzero(np.diff(parent[order], prepend=-1))
+        rank = np.empty(len(rows), dtype=np.int64)
+        rank[order] = np.arange(len(rows)) - np.repeat(begin, np.diff(np.append(begin, len(rows))))
+        return np.concatenate([fixed[~full], rows[np.argsort(rank // _TURN, kind="stable")]])
 
     def _hopeful_first(self, fixed: Rows, wanted: int, failures: FailureMemory) -> Rows:
         """Return candidates that fixing a part leads to, those first from which a move is left that has not failed."""
@@ -144,7 +175,8 @@ class Selector:
         kept, rejected = self._stable_ones(judge, waiting[~failed], wanted, confirmed)
         enough = wanted if wanted >= _THOROUGH_WIDTH else -(-wanted // _ENOUGH)
         if len(kept) < enough and failed.any():
-            more, bad = self._stable_ones(judge, waiting[failed], enough - len(kept), confirmed)
+            again = waiting[failed] if wanted > 1 else waiting[failed][:_TRIED_AGAIN]
+            more, bad = self._stable_ones(judge, again, enough - len(kept), confirmed)
             kept, rejected = np.concatenate([kept, more]), np.concatenate([rejected, bad])
         for rows, stable in ((kept, True), (rejected, False)):
             place = np.isin(waiting, rows)

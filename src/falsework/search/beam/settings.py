@@ -34,6 +34,8 @@ class BeamSettings:
     of the guide led to a dead end."""
     avoided: tuple[int, ...] = ()
     """Parts that are fixed after all others where the guide would fix them: robots could not let go of them again."""
+    preferred: tuple[int, ...] = ()
+    """Parts that are fixed before all others: what is there without them has no room for them."""
     number: int = 0
     """Draws the preferences, together with the seed."""
     seed: int = 0
@@ -42,7 +44,8 @@ class BeamSettings:
     """Bound on candidates times parts that are written down and clustered at once; beyond it a random sample is."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "avoided", tuple(self.avoided))  # a list where it was read from a file
+        for name in ("avoided", "preferred"):  # lists where they were read from a file
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         if self.width < 1:
             raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
         if self.lookahead < 0:

@@ -4,11 +4,16 @@ Just after a part is removed, one robot has nothing to hold, so a plan with `n` 
 parts that `n - 1` held parts, chosen at will, keep in equilibrium. Which parts were held before and after does not
 matter here, and no state that stands under the criterion `contact` is out of equilibrium, so what is refuted this way
 is refuted under both criteria.
+
+Two kinds of sets are looked at: all sets near either end of the orders, one part after the other, and the sets within a
+core: parts that fall wherever `n - 1` others of the core are held, with the whole rest of the structure held as well. A
+motion that proves that they fall leaves the rest still, so it proves the same whatever is there of the rest.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations, islice
 from typing import Any
 
 import numpy as np
@@ -24,8 +29,14 @@ from falsework.stability.settings import StabilitySettings
 
 _BATCH = 8
 """States judged between two looks at the clock."""
+_NAMED = 5
+"""Parts of a core that a sentence names."""
 _NEGLIGIBLE = (1e-5, 1e-8)
 """Speeds that are taken as zero, as a share of the fastest part's, where what is left is a proof as well."""
+
+
+class _BudgetSpent(Exception):
+    """The verdicts granted to a bound are used up."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,8 @@ class Barrier:
     """Parts removed, or placed, after which no set of parts is left that can be kept in equilibrium."""
     end: Direction
     """Disassembly: the first `parts` removals; assembly: the first `parts` insertions."""
+    core: tuple[int, ...] = ()
+    """Parts among which `parts` are counted, whatever is there of the others; empty where all count."""
 
     @property
     def text(self) -> str:
@@ -45,11 +58,16 @@ class Barrier:
         several = f"{self.parts} parts" if self.parts > 1 else "one part"
         what = f"with {several} {'removed' if self.end is Direction.DISASSEMBLY else 'placed'}"
         hold = f"{self.robots - 1} held" if self.robots > 1 else "none held"
+        if self.core:
+            some = ", ".join(map(str, self.core[:_NAMED])) + (", ..." if len(self.core) > _NAMED else "")
+            what += f" of the {len(self.core)} parts {some}"
+            return f"{what}, none of these sets is in equilibrium with {hold}, whatever else is there"
         return f"{what}, nothing is in equilibrium with {hold}, whichever parts they are"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the barrier as a JSON object."""
-        return {"robots": self.robots, "parts": self.parts, "end": self.end.value, "text": self.text}
+        barrier = {"robots": self.robots, "parts": self.parts, "end": self.end.value, "text": self.text}
+        return barrier | ({"core": list(self.core)} if self.core else {})
 
 
 class HoldBound:
@@ -65,8 +83,8 @@ class HoldBound:
             clock: raises `DeadlineExceeded` out of `barrier` once it has run out.
         """
         self.task = task
-        self.asked = 0
-        """Verdicts requested."""
+        self.asked = self._stop_at = 0
+        """Verdicts requested, and those after which a bound gives up."""
         same = {name: getattr(settings, name) for name in ("gravity", "tolerance", "force_bound")}
         equilibrium = StabilitySettings(criterion="equilibrium", cone=settings.friction_cone, **same)
         if assembly.joints is not None:  # those that set bear less before
@@ -80,13 +98,17 @@ class HoldBound:
         self._holdable = self._touched & (task.support | (task.target != INSTALLED))
         self._removable = (task.start != REMOVED) & (task.target == REMOVED)
         self._known: dict[tuple[bytes, int], bool] = {}
+        self._cores: dict[int, tuple[int, ...]] = {}
+        self._beside = np.zeros((task.part_count, task.part_count), dtype=bool)
+        a, b = assembly.contacts.parts.T
+        self._beside[a, b] = self._beside[b, a] = True
 
     def barrier(self, robots: int, budget: int) -> Barrier | None:
         """Look for a number of removed or placed parts at which no plan with so many robots passes.
 
         Args:
             robots: number to refute.
-            budget: verdicts after which it gives up.
+            budget: verdicts after which it gives up near the ends; a core takes a few verdicts for each part.
 
         Returns:
             None where none was found.
@@ -94,23 +116,72 @@ class HoldBound:
         Raises:
             DeadlineExceeded: the clock ran out.
         """
+        self._stop_at = self.asked + budget
+        try:
+            barrier = self._near_the_ends(robots)
+        except _BudgetSpent:
+            barrier = None
+        if barrier is None and (core := self.core(robots)):
+            return Barrier(robots, robots, Direction.ASSEMBLY, core)
+        return barrier
+
+    def _near_the_ends(self, robots: int) -> Barrier | None:
+        """As `barrier`, among all parts.
+
+        Raises:
+            _BudgetSpent: the verdicts are used up.
+        """
         ends = list(Direction)
         fronts = {end: self._bare(self.task.origin(end))[None] for end in ends}
         levels = dict.fromkeys(ends, 0)
-        stop_at, total = self.asked + budget, int(self._removable.sum())
-        while sum(levels.values()) < total and self.asked < stop_at:
+        total = int(self._removable.sum())
+        while sum(levels.values()) < total:
             end = min(ends, key=lambda side: len(fronts[side]))
             candidates = self._next(fronts[end], end)
-            keep = []
-            for state in candidates:
-                if self.asked >= stop_at:
-                    return None
-                keep.append(levels[end] == total - 1 or self._can_be_held(state, robots - 1))
+            keep = [levels[end] == total - 1 or self._can_be_held(state, robots - 1) for state in candidates]
             fronts[end] = candidates[np.array(keep, dtype=bool)] if len(candidates) else candidates
             levels[end] += 1
             if not len(fronts[end]):
                 return Barrier(robots, levels[end], end)
         return None
+
+    def core(self, robots: int) -> tuple[int, ...]:
+        """Return parts of which no plan with so many robots places more than `robots`; none where none were found.
+
+        When one more of them comes in, `robots` of them are there and one robot has it in its hands, so at least one
+        of those is held by none; it falls though all others are held, and all that are not of the core. Beginning
+        with all parts, those that may stand so are left out until none does.
+
+        Raises:
+            DeadlineExceeded: the clock ran out.
+        """
+        if robots not in self._cores:
+            core = self._removable & self._touched
+            waiting = list(np.flatnonzero(core)[::-1])
+            while waiting:
+                part = waiting.pop()
+                if core[part] and self._stands_beside(core, part, robots - 1):
+                    core[part] = False
+                    waiting += np.flatnonzero(core & self._beside[part]).tolist()
+            self._cores[robots] = tuple(np.flatnonzero(core).tolist()) if core.sum() > robots else ()
+        return self._cores[robots]
+
+    def _stands_beside(self, core: Mask, part: int, holds: int) -> bool:
+        """Return whether a part of a core may be in equilibrium beside some choice of `holds` held ones."""
+        state = np.where(core, REMOVED, HELD).astype(np.uint8)
+        state[part] = INSTALLED
+        beside = np.flatnonzero(core & self._beside[part])
+        choices = combinations(beside.tolist(), min(holds, len(beside)))
+        while some := list(islice(choices, _BATCH)):
+            if self._clock.passed:
+                raise DeadlineExceeded
+            rows = np.repeat(state[None], len(some), axis=0)
+            for row, held in zip(rows, some, strict=True):
+                row[list(held)] = HELD
+            self.asked += len(rows)
+            if not self._oracle.check(rows).unstable.all():
+                return True
+        return False
 
     def _bare(self, state: States) -> States:
         """State with the same parts and nothing held but what always is."""
@@ -139,6 +210,8 @@ class HoldBound:
             rows = states[begin : begin + _BATCH]
             if self._clock.passed:
                 raise DeadlineExceeded
+            if self.asked >= self._stop_at:
+                raise _BudgetSpent
             verdicts = self._oracle.check(rows)
             self.asked += len(rows)
             if not verdicts.unstable.all():
