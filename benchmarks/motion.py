@@ -26,6 +26,7 @@ from states import find
 
 from falsework.assembly import load_structure
 from falsework.robots.cells.cell_file import load_cell
+from falsework.robots.cells.warm_up import compile_kernels
 from falsework.robots.grasping.grasp import grasps
 from falsework.robots.kernels.collision import distance_between
 from falsework.robots.kinematics.forward import tool_pose
@@ -35,7 +36,6 @@ from falsework.robots.model.shapes import hull
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Contact, Scene
 from falsework.robots.motion.path_planner import plan_free
 from falsework.robots.motion.timing import time_path
-from falsework.robots.motion.warm_up import compile_kernels
 
 Array = np.ndarray
 

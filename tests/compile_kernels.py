@@ -28,7 +28,7 @@ def _portable() -> None:
 
 
 def _motion() -> None:
-    from falsework.robots.motion.warm_up import compile_kernels
+    from falsework.robots.cells.warm_up import compile_kernels
 
     compile_kernels()
 

@@ -261,7 +261,7 @@ def test_cell_check_refuses_wrong_input(arguments: list[str], message: str, caps
 
 def test_compiled_code_is_announced_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A message where there is something to wait for, silence where there is not."""
-    from falsework.robots.motion import warm_up as compiling
+    from falsework.robots.cells import warm_up as compiling
 
     said: list[str] = []
     monkeypatch.setattr(compiling, "is_compiled", lambda: False)

@@ -44,9 +44,9 @@ class CheckCell(Command):
         """Load, test and print."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.cells.validate import check_cell
+        from falsework.robots.cells.warm_up import compile_kernels
         from falsework.robots.grasping.reachability import Reachability, propose_bases, reach_table
         from falsework.robots.model.part_shapes import place_parts
-        from falsework.robots.motion.warm_up import compile_kernels
 
         if self.picture is not None:
             from falsework.robots.grasping.reachability_plot import check_picture
