@@ -28,8 +28,8 @@ from falsework.stability.verdict import Criterion, Verdict, Verdicts
 Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9
-"""How far a force may stand outside its cone, as a share of itself and of the weight of the structure; what
-does is moved inside before it is judged."""
+"""Largest distance of a force from its cone, as a share of the force and of the weight of the structure; such a force
+is moved into the cone before the residual is computed."""
 _TEARS = 1.0 + 1e-6
 """Times its tension at which a contact point tears, rounding of the solvers included."""
 _CHUNK = 256

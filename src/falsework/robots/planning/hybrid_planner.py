@@ -49,7 +49,7 @@ _LAST_VERDICTS = 400
 _MAX_FALLEN_REPLAYS = 40
 """Plans with motions whose replay may fall before the search is given up."""
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
-"""How long missing parts are done without, as shares of what stability alone allows, in turn."""
+"""Delays of missing parts that are tried in turn, as shares of the longest that stability alone allows."""
 
 
 def plan_robots(

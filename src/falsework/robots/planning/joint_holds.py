@@ -30,7 +30,7 @@ class JointHolds:
     """
 
     def __init__(self, grips: GraspConfigurations) -> None:
-        """Nothing is known yet; `grips` are those of the robots of a cell."""
+        """Begin without any pair; `grips` are those of the robots of a cell."""
         self.grips, self.cell = grips, grips.cell
         self.rivals: dict[int, set[int]] = defaultdict(set)
         """Parts that could not be held while a part was, by that part; both ways."""

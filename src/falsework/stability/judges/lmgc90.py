@@ -45,7 +45,7 @@ Array = NDArray[np.float64]
 
 _CHILD = Path(__file__).with_name("lmgc90_child.py")
 _SECONDS = 0.3
-"""How long gravity acts."""
+"""Simulated time under gravity, s."""
 _STEP = 2e-3
 """Seconds a time step."""
 _FALLEN = 1e-3

@@ -14,7 +14,7 @@ SHARE = 0.005
 OUTSIDE = 0.01
 """The same where no proof was found at the nearer end."""
 _BESIDE = 0.4
-"""Where a proof cuts a load off, the next probe is this share of `SHARE` below."""
+"""Distance of the next probe below the load at which a proof bounds a family, as a share of `SHARE`."""
 _GROWTH = 4.0
 _WIDTH = 0.006
 """The same as `SHARE` for families whose failures are costly."""

@@ -1,4 +1,4 @@
-"""How near the parts of a state are to slipping or tipping, from the contact forces that hold it."""
+"""Utilization of friction and contact areas at the parts of a state, from the contact forces of its certificate."""
 
 from __future__ import annotations
 

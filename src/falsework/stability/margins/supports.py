@@ -1,4 +1,4 @@
-"""What robots bear for the parts that they hold, and how deep supports may sink."""
+"""Forces and moments that robots bear for held parts, and largest settlements of supports."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 ICONS_UP_TO = 60
 """States up to which each is drawn as a small picture of the structure."""
 _SWEEPS = 6
-"""How often rows are put in order by their neighbours."""
+"""Passes in which rows are sorted by the positions of their neighbours."""
 EDGE, USELESS, ROUTE, SEEN = "#b9bbbf", "#d8dadd", ROBOTS[1], ROBOTS[0]
 
 
