@@ -12,12 +12,13 @@ from falsework.assembly.state import States
 from falsework.search.find import Planning, find_plans, plan_of
 from falsework.search.margins.demands import DemandingStability, Demands
 from falsework.search.margins.plan_margins import PlanMargins
+from falsework.search.planner import Planner
 from falsework.search.plans.alternatives import Alternatives
 from falsework.search.problem.guide import SupportGuide
-from falsework.search.problem.result import Outcome, Progress, SearchProgress, Stop
+from falsework.search.problem.result import Outcome, Progress, SearchProgress, SearchResult, Stop
 from falsework.search.problem.task import Task
 from falsework.search.settings import PlannerSettings
-from falsework.search.support.planner import planner_for
+from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.settings import StabilitySettings
 
 Maximised = Literal["friction", "tilt", "push"]
@@ -71,16 +72,15 @@ def maximise_margin(
         there is none.
     """
     oracle = DemandingStability(assembly, stability, demands)
-    best = find_plans(assembly, task, oracle=oracle, settings=settings, progress=progress, stop=stop, forces=forces)
-    if not best.found:
-        return best
-    plan, seconds, effort = best.plans[0], best.result.seconds, best.result.counters.asked
-    ends = np.stack([task.start, task.target])
-    bound = missed = _least(oracle, kind, ends)
+    first = find_plans(assembly, task, oracle=oracle, settings=settings, progress=progress, stop=stop, forces=forces)
+    if not first.found:
+        return first
+    seconds, effort = first.result.seconds, first.result.counters.asked
+    bound = missed = _least(oracle, kind, np.stack([task.start, task.target]))
     reached = getattr(demands, kind) or (1.0 if kind == "friction" else 0.0)
     if np.isinf(bound):
-        reached = _least(oracle, kind, plan.states)
-    stronger = None
+        reached = _least(oracle, kind, first.plans[0].states)
+    stronger: list[_Stronger] = []
     for _ in range(_TRIALS):
         if missed <= reached * _CLOSE or bound <= reached * _AT_BOUND or (stop is not None and stop()):
             break
@@ -91,29 +91,56 @@ def maximise_margin(
         found = planner.run(progress=budget.note, stop=budget.is_spent)
         seconds += found.seconds
         if found.found:
-            stronger, effort = (trial, planner, found), max(effort, found.counters.asked)
             # Tilts are demanded in fewer directions and further out than they are measured, so plans keep more.
             known = kind != "tilt" and np.isfinite(bound)
             reached = level if known else max(reached, _least(oracle, kind, found.routes[0].states))
+            stronger.append(_Stronger(level, trial, planner, found))
+            effort = max(effort, found.counters.asked)
         elif found.interrupted and not budget.exceeded:
             break
         else:
             missed = level
             if found.outcome is Outcome.PROVED_IMPOSSIBLE:
                 bound = min(bound, level)
-    if stronger is None:
-        margins = PlanMargins.of(oracle, plan.states, demands, also=kind)
-    else:
-        trial, planner, found = stronger
-        route = found.routes[0]
-        replay = planner.replays.get(route.states.tobytes())
-        plan = plan_of(route, assembly, task, trial, forces=forces, replay=replay)
-        best = Planning(found, (), Alternatives.of([route]))
-        assert plan.margins is not None
-        margins = replace(plan.margins, demands=demands)
     limit = None if np.isinf(bound) else _value(assembly, kind, bound)
-    plan = replace(plan, margins=replace(margins, maximised=kind, bound=limit))
+    best: Planning | None = None
+    strongest = -np.inf
+    while stronger:
+        candidate = stronger.pop()
+        planning = candidate.prove(assembly, task, forces=forces)
+        strength = _weakest(assembly, planning.plans[0].margins, kind)
+        if strength > strongest:
+            best, strongest = planning, strength
+        if strength * _ASIDE >= candidate.level:
+            break
+    else:
+        # A state that rests only beside others of its plan has no margin of its own; then the first plan may be better.
+        plan = first.plans[0]
+        margins = PlanMargins.of(oracle, plan.states, demands, also=kind)
+        if best is None or _weakest(assembly, margins, kind) > strongest:
+            best = replace(first, plans=(replace(plan, margins=margins),))
+    assert best is not None
+    plan = best.plans[0]
+    assert plan.margins is not None
+    plan = replace(plan, margins=replace(plan.margins, demands=demands, maximised=kind, bound=limit))
     return replace(best, plans=(plan,), result=replace(best.result, seconds=seconds))
+
+
+@dataclass(frozen=True)
+class _Stronger:
+    """Plan found under a demand, not yet proved."""
+
+    level: float
+    oracle: DemandingStability
+    planner: Planner | SupportPlanner
+    result: SearchResult
+
+    def prove(self, assembly: Assembly, task: Task, *, forces: bool) -> Planning:
+        """Prove the states of the plan, and measure their margins."""
+        route = self.result.routes[0]
+        replay = self.planner.replays.get(route.states.tobytes())
+        plan = plan_of(route, assembly, task, self.oracle, forces=forces, replay=replay)
+        return Planning(self.result, (plan,), Alternatives.of([route]))
 
 
 @dataclass
@@ -161,6 +188,13 @@ def _least(oracle: DemandingStability, kind: Maximised, states: States) -> float
             asked = DemandingStability(oracle.assembly, oracle.settings, Demands(**{kind: least}))
             states = states[~asked.keeps(states)]
     return least
+
+
+def _weakest(assembly: Assembly, margins: PlanMargins | None, kind: Maximised) -> float:
+    """Return the strength of the weakest step of a plan whose margins were measured."""
+    assert margins is not None
+    weakest = margins.weakest(kind)
+    return np.inf if weakest is None else _strength(assembly, kind, weakest[1])
 
 
 def _strength(assembly: Assembly, kind: Maximised, value: float) -> float:
