@@ -121,7 +121,7 @@ def test_a_cell_needs_robots_and_names() -> None:
     robot = GOOD[GOOD.index("[[robots]]") : GOOD.index("[[obstacles]]")]
     with pytest.raises(CellError, match="two robots are called 'arm'"):
         read(GOOD + robot)
-    with pytest.raises(CellError, match="no cell dome; give a TOML file, or one of the built-in cells bottle-12"):
+    with pytest.raises(CellError, match="unknown cell dome; give a TOML file, or one of the built-in cells bottle-12"):
         load_cell("dome")
     with pytest.raises(CellError, match=r"cell file nowhere\.toml cannot be read: No such file"):
         load_cell("nowhere.toml")

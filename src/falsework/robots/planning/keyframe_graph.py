@@ -312,9 +312,7 @@ class KeyframeGraph:
         hits = view.hits(places)
         clear = places[hits < 0]
         if not len(clear):
-            self.reasons.add(
-                "remove", part, robot, "every drop-off pose collides", view.pair(int(hits[0])), places[0]
-            )
+            self.reasons.add("remove", part, robot, "every drop-off pose collides", view.pair(int(hits[0])), places[0])
         for goal in clear[np.argsort(np.abs(clear - end).max(axis=1), kind="stable")][:_MAX_PLACES]:
             free = self.cache.motion(scene, robot, end, goal)
             if free:
