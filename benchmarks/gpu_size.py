@@ -34,20 +34,20 @@ from falsework.stability.gpu.solver import GpuSolver
 
 @dataclass(frozen=True)
 class Options:
-    """What to time."""
+    """Structures and batch sizes to time."""
 
     structures: tuple[str, ...] = ("arch:blocks=15", "vault-62", "vault:parts=120", "vault:parts=246")
     """Built-in names, paths, or names of structures of the paper."""
     batches: tuple[int, ...] = (1, 4, 16, 64, 256, 1024, 4096)
-    """States a call."""
+    """States per call."""
     repeats: int = 5
-    """Calls that are timed."""
+    """Number of timed calls."""
     out: Path | None = None
     """File to which the records are appended."""
 
 
 def nearly_complete(assembly: Assembly, count: int, seed: int = 0) -> tuple[States, States]:
-    """States that lack up to two parts, with one part held, and parents in which another is held too."""
+    """Return states that lack up to two parts, with one part held, and parents in which another is held too."""
     random = np.random.default_rng(seed)
     loose = np.flatnonzero(~assembly.boundary)
     states = complete_state(assembly.boundary)[None].repeat(count, axis=0)
@@ -61,7 +61,7 @@ def nearly_complete(assembly: Assembly, count: int, seed: int = 0) -> tuple[Stat
 
 
 def times(call: Callable[[], object], repeats: int) -> list[float]:
-    """Milliseconds of some calls after a first one."""
+    """Return milliseconds of some calls after a first one."""
     found = []
     for _ in range(1 + repeats):
         begin = time.perf_counter()
@@ -71,7 +71,7 @@ def times(call: Callable[[], object], repeats: int) -> list[float]:
 
 
 def compare(name: str, options: Options) -> dict[str, Any]:
-    """Both solvers on all batches of one structure."""
+    """Compare both solvers on all batches of one structure."""
     assembly, settings = load_structure(find(name)), StabilitySettings()
     states, parents = nearly_complete(assembly, max(options.batches))
     problem = build_problem(assembly, cone=settings.friction_cone)
