@@ -1,4 +1,4 @@
-"""Parts in a cell: pieces that cover them, grasps on them, ways out, and who reaches them."""
+"""Parts in a cell: convex pieces, grasps, exit directions, and reachability."""
 
 from __future__ import annotations
 

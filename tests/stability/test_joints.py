@@ -1,4 +1,4 @@
-"""Joints that pull: closed forms, agreement of independent methods, proofs, and what replays remember."""
+"""Joints with tensile strength: closed forms, agreement of independent methods, proofs, and replay history."""
 
 from __future__ import annotations
 

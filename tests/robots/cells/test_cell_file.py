@@ -1,4 +1,4 @@
-"""Cell files: what comes with the package works, and every wrong input says what and where."""
+"""Cell files: the built-in cells load, and every wrong input is reported with its place."""
 
 from __future__ import annotations
 

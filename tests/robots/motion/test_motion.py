@@ -1,4 +1,4 @@
-"""Motions: proofs hold between the samples, lines are straight, failures say why."""
+"""Motions: proofs hold between the samples, lines are straight, failures give a reason."""
 
 from __future__ import annotations
 

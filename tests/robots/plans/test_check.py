@@ -1,4 +1,4 @@
-"""The independent check: good plans pass both ways, and every kind of damage is found."""
+"""The independent check: valid plans pass in both directions, and every kind of damage is found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`falsework robots`: from the command line to files and back, and what is refused."""
+"""`falsework robots`: from the command line to files and back, and rejected input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The hybrid planner: it finds plans that hold, gives the same answer for the same seed, and says why it cannot."""
+"""The hybrid planner: it finds valid plans, is deterministic for a seed, and explains failures."""
 
 from __future__ import annotations
 

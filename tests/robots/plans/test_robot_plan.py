@@ -1,4 +1,4 @@
-"""Robot plans: what they hold, there and back on disk, and what is said of damaged ones."""
+"""Robot plans: contents, round trip through files, and messages for damaged files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robot plans under both criteria: which moves are asked about, and that only what stands in a replay is delivered."""
+"""Robot plans under both criteria: the checked actions, and delivery of plans with a successful replay alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""LMGC90 as a judge: closed forms, agreement with discrete elements, and clear words where it gives no answer."""
+"""LMGC90 as an independent judge: closed forms, agreement with discrete elements, and reasons for unjudged states."""
 
 from __future__ import annotations
 
