@@ -31,7 +31,7 @@ class Options:
     """Structures and settings to time."""
 
     structures: tuple[str, ...] = ()
-    """Built-in names or paths; empty for a choice of real and built-in ones."""
+    """Built-in names or paths; empty for a selection of real and built-in ones."""
     directions: int = 1000
     """Directions to try for each part."""
     repeats: int = 3

@@ -11,7 +11,7 @@ search of the same width that takes memory from the device (`first_seconds`); `p
 search that waits after each phase, so its sum may exceed `seconds`; the seconds of `cluster`, which runs beside the
 verdicts, are part of `verdicts`. `levels` is a hash over all states kept: equal
 hashes, equal searches, on any number of processes. `disagree` counts states kept, out of `checked` drawn at random,
-that the solver on the processor does not call stable. With `--host`, the beam of the processor runs as well, at widths
+that the CPU solver does not call stable. With `--host`, the CPU beam runs as well, at widths
 up to the one given.
 """
 
@@ -52,7 +52,7 @@ class Options:
     device: str = "auto"
     """`auto`, `cpu` or `cuda`."""
     host: int = 64
-    """Widest case for which the beam of the processor is timed too; 0 for none."""
+    """Widest case for which the CPU beam is timed too; 0 for none."""
     checked: int = 256
     """Kept states whose verdicts are compared with those of the CPU solver."""
     seeds: tuple[int, ...] = (0,)

@@ -1,12 +1,12 @@
-"""Compare GPU and processor on batches of states under `contact`: from which size a GPU pays. One JSON object a line.
+"""Compare GPU and CPU on batches under `contact`: the batch size from which a GPU pays. One JSON object per line.
 
     python benchmarks/gpu_size.py
     python benchmarks/gpu_size.py --structures vault:parts=246 --batches 16 256
 
-States lack up to two random parts and have one held, where another has just been let go of. Both times are of a whole
-call without certificates, states and verdicts crossing to the device and back, compilation left out. The processor
+States lack up to two random parts and have one held, where another has just been released. Both times are of a complete
+call without certificates, states and verdicts crossing to the device and back, compilation left out. The CPU
 starts from the displacements of the states' parents, as it does in a search, on all cores of the host; the GPU loads
-every state from rest. `ratio` is the processor's time over the GPU's; `pays_from` the smallest batch timed from which
+every state from rest. `ratio` is CPU time over GPU time; `pays_from` the smallest batch timed from which
 on it is above 1. Structures of the paper are read from FALSEWORK_DATA, else from the folder `shared` beside the
 repository.
 """

@@ -6,7 +6,7 @@
 Without names: vault-62, dome-72 and bottle-12 where they are found (FALSEWORK_DATA, else the folder `shared`
 beside the repository), else built-in ones, each under both criteria on the same states. Times are medians of
 events on the device, states and verdicts already there; `check_ms` is a whole call with states and certificates
-crossing to the host. Verdicts are compared with the solver on the processor, certificates with the checker.
+crossing to the host. Verdicts are compared with the CPU solver, certificates with the checker.
 `graph` is the same ADMM as batched dense algebra in a captured graph, without proofs, as the alternative to the
 kernel; `shared_inverse` is the paper's method; both only under `equilibrium`. `--states` names a folder in which
 the states of searches are kept.

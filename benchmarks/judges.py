@@ -4,12 +4,12 @@
     python benchmarks/judges.py plans --structures barrel-vault-121 --lmgc90 40
     python benchmarks/judges.py scenes --scenes 1000
 
-`plans`: a plan under `contact`, its replay, the replay under other numbers (stiffness ratio, speed of release, damping,
+`plans`: a plan under `contact`, its replay, the replay under variations (stiffness ratio, speed of release, damping,
 random friction at the start), the same building sequence by discrete elements, and each state by discrete elements:
-`settled` from nothing and `proven` from the contact forces of its verdict. For `--lmgc90` states evenly spaced over
-the plan, LMGC90. Discrete elements leave a state open that
-neither rests nor has fallen after their last step; LMGC90 does not judge a state whose contacts it cannot make.
-`scenes`: the random rows and stacks of the tests; the verdict of each beside the replay in which the robots let go.
+`settled` from no stress and `proven` from the contact forces of its verdict. For `--lmgc90` states evenly spaced over
+the plan, LMGC90. Discrete elements leave a state undecided that
+neither rests nor has collapsed at their step limit; LMGC90 does not judge a state whose contacts it cannot detect.
+`scenes`: the random rows and stacks of the tests; the verdict of each beside the replay in which the robots release.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
     python benchmarks/margins.py plans --structures arch,dome-37 --seconds 600
 
 `cost` times margins of states of a plan, or of the complete structure where it is large; `--before` compares with
-another version of the sources, given as its `src`, in the same run. `truth` replays states just inside and just outside
+another version of the sources, by its folder `src`, in one run. `truth` replays states just inside and just outside
 of their bounds, under the contact law with history and by discrete elements, which share no code with the solver.
 `plans` compares the weakest friction of the first plan found with that of the plan made for it.
 """

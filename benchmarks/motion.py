@@ -4,7 +4,7 @@
     python benchmarks/motion.py --structure dome-37 --pairs 100000 --configurations 100000
 
 One arm of the cell moves, the other is at home, all parts are in place. Configurations are random within the
-limits; `free` of them touch nothing. Times are those of the processor, of one core. `missed` counts what Coal calls a
+limits; `free` of them have no contact. Times are CPU times of one core. `missed` counts what Coal calls a
 collision and ours does not, over random pairs of pieces and over random configurations of the cell; it must be 0. Plans
 join random free configurations; with `carried` one part is in the gripper and out of the structure. Our paths are
 proven free between their points; OMPL samples its edges every `step` rad, through a checker in Python.

@@ -14,7 +14,7 @@
 The first five plan a published structure in the built-in cell of that name: `seconds` is from structure and cell in
 memory to a proven plan with timed motions, compilation not counted. The last line of each has median and worst.
 `--together`: each seed is planned twice, one robot at a time and with robots that move at the same time;
-`makespan_share` is the makespan of the second over the first plan, `extra_seconds` what it took longer, and
+`makespan_share` is the makespan of the second over the first plan, `extra_seconds` its additional planning time, and
 `delayed` random runs of its schedule are simulated, `checked_runs` of them by Pinocchio and Coal.
 `--midway`: each seed is planned, then planned again from three of its keyframes at which a part is held, as after a
 disruption: `fresh` from structure and cell alone, `kept` with the keyframe graph and the verdicts of the first plan.

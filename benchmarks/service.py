@@ -6,7 +6,7 @@
 
 Starts `falsework serve` on a free port of 127.0.0.1 and stops it at the end; requests go there and nowhere else, and
 their number is bounded by `rate` times `seconds`. Clients keep to a schedule, so that a slow answer does not thin out
-the load, and times count from the moment at which a request was due. `cores` is the processor time that the service
+the load, and times count from the moment at which a request was due. `cores` is the CPU time that the service
 and its workers took, divided by the time on the clock: the share of the machine that the load needs.
 
 `replan`: whole plans from and to the empty and the complete structure, states on the way, a part that is late, a part

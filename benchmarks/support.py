@@ -2,10 +2,10 @@
 
     python benchmarks/support.py --structures dome-37 dome-90 vault --deadline 60
 
-With every part held once, `robots_needed` is asked: `robots` is the fewest with which a plan was found, `least` the
-number below which it is proven that none exists. With holding again and with props, a plan for one robot less is looked
-for, and again for one less, each with the deadline anew; where none is found, `robots` stays, since a plan without them
-is a plan. A single robot that lets a part go is where it was before, so holding again alone is not tried with one.
+With every part held once, `robots_needed` answers: `robots` is the fewest with which a plan was found, `least` the
+number below which it is proven that none exists. With holding again and with props, a plan for one robot fewer is
+sought, and again for one fewer, each with a deadline; where none is found, `robots` stays, since a plan without them
+is a plan. A single robot that releases a part gains nothing, so holding again alone is not tried with one.
 Where the structure has no floor of its own under most parts that could take a prop, it is put on a ground for all
 questions.
 """

@@ -5,7 +5,7 @@
     python benchmarks/viewer.py --no-browser          without Chromium
 
 `update` is the server time to change the page from one state to another, `sent` the number of meshes sent. Frames
-a second are those of a headless Chromium that draws in software, on the processor: any graphics card is faster.
+a second are those of a headless Chromium that draws in software, on the CPU: any graphics card is faster.
 """
 
 from __future__ import annotations
