@@ -163,7 +163,7 @@ def propose_bases(
 
 
 def _few(assembly: Assembly, parts: PartShapes, part: int, robot) -> list[Grasp]:
-    """Return a few grasps of a part, of different faces and turns."""
+    """Return a few grasps of a part, of different faces and rotations."""
     alone = parts.boundary.copy()
     alone[part] = True
     return grasps(assembly, parts, part, alone, robot, limit=4)

@@ -1,4 +1,4 @@
-"""Immutable robot cell: robots with bases and grippers, obstacles, storage and drop-off places."""
+"""Immutable robot cell: robots with bases and grippers, obstacles, storage and drop-off poses."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Gripper:
 
 @dataclass(frozen=True, eq=False)
 class CellRobot:
-    """Robot of a cell: arm, base, gripper, home configuration and drop-off places."""
+    """Robot of a cell: arm, base, gripper, home configuration and drop-off poses."""
 
     name: str
     model: RobotModel

@@ -49,7 +49,7 @@ _SECONDS = 0.3
 _STEP = 2e-3
 """Time step, s."""
 _FALLEN = 1e-3
-"""Displacement from which a part counts as falling, in sizes of a typical part."""
+"""Displacement from which a part counts as collapsing, in sizes of a typical part."""
 _ALERT = 1e-3
 """Smallest distance at which contacts are detected, in sizes of a typical part."""
 _PATIENCE = 600.0
