@@ -37,7 +37,7 @@ from falsework.stability.margins.conditions import Condition
 
 KINDS = ("friction", "tilt", "load_factor", "push", "held")
 LARGE = 150
-"""Parts from which the complete structure is measured, without a search for a plan."""
+"""Parts from which the complete structure is the state, and no plan is searched for."""
 BESIDE = 0.02
 """Distance from a bound, inside and outside, at which a state is replayed, as a share of the bound."""
 RESOLVED = 100.0

@@ -37,7 +37,7 @@ class Options:
     """Sizes and numbers of runs."""
 
     parts: tuple[int, ...] = (60, 125, 250, 500, 1000)
-    """Numbers of parts of the vault."""
+    """Sizes to ask the vault for."""
     repeats: int = 3
     """Number of runs of each; the median counts."""
     out: Path | None = None
@@ -47,7 +47,7 @@ class Options:
 
 
 def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
-    """Return median times of one size."""
+    """Median times of one size."""
     times: dict[str, list[float]] = {name: [] for name in MEASURED[:3]}
     assembly = load_structure(f"vault:parts={parts}")
     state = complete_state(assembly.boundary)

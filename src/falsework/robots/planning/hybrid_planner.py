@@ -47,7 +47,7 @@ _SOLVABILITY_CHECKS = 4
 _LAST_VERDICTS = 400
 """Verdicts for such checks where no action has succeeded yet, before the keyframe counts as a dead end."""
 _MAX_FALLEN_REPLAYS = 40
-"""Plans with motions whose replay may fail before the search ends."""
+"""Plans with motions whose replay may fall before the search is given up."""
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Delays of missing parts that are tried in turn, as shares of the longest that stability alone allows."""
 
@@ -164,9 +164,9 @@ class _Search:
         return self.failed(root, "not_found", limit)
 
     def depth_first_pass(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
-        """Return the edges of a plan with a stable replay by one depth-first search; None after too many dead ends."""
+        """Return the edges of a plan whose replay stands by one search in depth; None after too many dead ends."""
         nodes, chain, options = [root], [], [self._options(root, rng)]
-        causes: list[set[int]] = [set()]  # causes of the dead ends after each keyframe: indices of earlier edges
+        causes: list[set[int]] = [set()]  # of the dead ends after each keyframe: numbers of earlier edges
         dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
         while nodes:
             if self.deadline_passed():

@@ -121,9 +121,9 @@ class KeyframeGraph:
 
         Args:
             assembly: the structure.
-            cell: the robots and their surroundings.
-            settings: limits on candidates.
-            seed: seed of the free motions.
+            cell: the robots and what is around them.
+            settings: how many possibilities are tried.
+            seed: of the free motions.
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
         self.parts = place_parts(assembly, cell.placement)

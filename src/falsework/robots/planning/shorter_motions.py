@@ -37,12 +37,12 @@ _ARC = 10
 
 
 def shorten_motions(chain: list[Edge], speed: float, seed: int) -> list[Edge]:
-    """Return the edges of a plan with shorter free motions where such are found.
+    """Return the edges of a plan with free motions that take less time where such are found.
 
     Args:
         chain: the edges.
         speed: share of the velocity limits of the cell.
-        seed: seed of the trees and shortcuts.
+        seed: of the trees and shortcuts.
     """
     return [
         replace(edge, segments=tuple(_shorter(segment, speed, [seed, k, j]) for j, segment in enumerate(edge.segments)))

@@ -44,13 +44,13 @@ def _invert(block, b, work, inverse):
     return True
 
 
-# The products below run along rows of their right factor, so that the compiler keeps whole rows in vector registers;
-# as inner products of rows they take half as long again.
+# Products below run along rows of their right factor, so that the compiler keeps whole rows in vector registers;
+# written as inner products of rows they take half as long again.
 
 
 @njit(inline="always", fastmath=True)
 def _transpose(block, e, out):
-    """Write `out[0] = block[e]^T`."""
+    """`out[0] = block[e]^T`."""
     for r in range(6):
         for c in range(6):
             out[0, c, r] = block[e, r, c]
@@ -58,7 +58,7 @@ def _transpose(block, e, out):
 
 @njit(inline="always", fastmath=True)
 def _multiply(left, e, right, q, out, t):
-    """Write `out[t] = left[e] right[q]`."""
+    """`out[t] = left[e] right[q]`."""
     for r in range(6):
         x0, x1, x2 = left[e, r, 0], left[e, r, 1], left[e, r, 2]
         x3, x4, x5 = left[e, r, 3], left[e, r, 4], left[e, r, 5]
@@ -75,7 +75,7 @@ def _multiply(left, e, right, q, out, t):
 
 @njit(inline="always", fastmath=True)
 def _multiply_add(sign, left, e, right, q, out, t):
-    """Add `sign left[e] right[q]` to `out[t]`."""
+    """`out[t] += sign left[e] right[q]`."""
     for r in range(6):
         x0, x1, x2 = sign * left[e, r, 0], sign * left[e, r, 1], sign * left[e, r, 2]
         x3, x4, x5 = sign * left[e, r, 3], sign * left[e, r, 4], sign * left[e, r, 5]
@@ -96,7 +96,7 @@ def factor_lu(elimination, free, diagonal, lower, upper, filled):
 
     Args:
         elimination: the structure's pattern.
-        free: which positions can move, shape (n,).
+        free: which positions take part, shape (n,).
         diagonal: shape (n, 6, 6); overwritten.
         lower: blocks below the diagonal, shape (blocks, 6, 6); overwritten.
         upper: transposes of the mirrored blocks above it, shape (blocks, 6, 6); overwritten.
@@ -154,7 +154,7 @@ def solve_lu(elimination, free, diagonal, lower, upper, filled, x):
 
 @njit(fastmath=FAST, cache=True)
 def add_pair(ta, tb, turned_a, turned_b, q, a, b, e, local, symmetric, diagonal, lower, upper, scratch):
-    """Add the stiffness about the centre of a pair to the matrix.
+    """Add the stiffness about the middle of a pair to the matrix.
 
     Args:
         ta, tb, turned_a, turned_b: `transfer_a` and `transfer_b` of the structure, and their transposes.

@@ -147,7 +147,7 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
 def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
     """Write the tangent stiffness at the spring forces `contact.trial`, plus `shift` times the identity.
 
-    A contact that just touches counts as closed and sticking, so the first step is that of a bonded structure.
+    A contact that just touches counts as closed and rough, so the first step from rest is that of a bonded structure.
     """
     basis, start, cone, friction = work.basis, work.start, structure.cone, work.friction
     kn, kt, trial, pull, stick = contact.normal, contact.tangential, contact.trial, contact.pull, contact.stick

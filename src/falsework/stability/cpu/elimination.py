@@ -1,7 +1,7 @@
 """Sparse block elimination of `S`: symbolic once per structure, numeric once per state.
 
-`S` has one 6 x 6 block row per part that can move, and a block wherever two such parts touch. Removing or
-holding parts only removes rows, and the fill of a subgraph lies inside the fill of the whole graph
+`S` has one 6 x 6 block row a part that can move, and a block wherever two such parts touch. Removing or
+holding parts only takes rows away, and the fill of a subgraph lies inside the fill of the whole graph
 under the same order; so one symbolic elimination of the complete structure serves every state.
 """
 
@@ -36,7 +36,7 @@ class Elimination(NamedTuple):
 
 
 def eliminate(problem: Problem) -> Elimination:
-    """Order the parts by minimum degree and find the fill (George and Liu, 1981, chapter 5)."""
+    """Return the order the parts by minimum degree and find the fill (George and Liu, 1981, chapter 5)."""
     removable = np.flatnonzero(~problem.boundary)
     neighbours: dict[int, set[int]] = {int(part): set() for part in removable}
     for a, b in problem.pair_parts.tolist():
@@ -73,7 +73,7 @@ def eliminate(problem: Problem) -> Elimination:
 
 
 def _minimum_degree(neighbours: dict[int, set[int]]) -> tuple[list[int], dict[int, set[int]]]:
-    """Return the elimination order, and the later parts that each part is coupled to when it is eliminated."""
+    """Elimination order, and the later parts that each part is coupled to when its turn comes."""
     order: list[int] = []
     below: dict[int, set[int]] = {}
     while neighbours:
@@ -89,7 +89,7 @@ def _minimum_degree(neighbours: dict[int, set[int]]) -> tuple[list[int], dict[in
 
 @njit(inline="always", fastmath=True)
 def _invert(block, b, inverse):
-    """Write the inverse of the symmetric positive definite block `block[b]` by Cholesky; return False if it is not."""
+    """Inverse of the symmetric positive definite block `block[b]` by its Cholesky factor; False if it is not."""
     for i in range(6):
         for j in range(i + 1):
             total = block[b, i, j]
@@ -123,7 +123,7 @@ def _invert(block, b, inverse):
 
 @njit(inline="always", fastmath=True)
 def _subtract_product(left, e, right, out, t):
-    """Subtract `left[e] right^T` from `out[t]`."""
+    """`out[t] -= left[e] right^T`."""
     for r in range(6):
         for c in range(6):
             total = 0.0
@@ -138,7 +138,7 @@ def factor(elimination, free, diagonal, lower, filled):
 
     Args:
         elimination: the structure's pattern.
-        free: which positions can move, shape (n,).
+        free: which positions take part, shape (n,).
         diagonal: diagonal blocks of `S`, shape (n, 6, 6); overwritten.
         lower: blocks below the diagonal, zero where `S` has none, shape (blocks, 6, 6); overwritten.
         filled: which blocks are not zero, shape (blocks,); fill is marked as it appears.
@@ -216,7 +216,7 @@ def substitute_back(column, row, upper, filled, x, j):
 
 @njit(inline="always", fastmath=True)
 def apply_block(diagonal, x, j):
-    """Write `x[j] = diagonal[j] x[j]`."""
+    """`x[j] = diagonal[j] x[j]`."""
     x0, x1, x2, x3, x4, x5 = x[j, 0], x[j, 1], x[j, 2], x[j, 3], x[j, 4], x[j, 5]
     for r in range(6):
         x[j, r] = (

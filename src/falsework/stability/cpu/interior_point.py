@@ -251,7 +251,7 @@ def _multiply(left, q, right, out):
 
 @njit(inline="always", fastmath=FAST)
 def _add_product(left, right, q, out, e):
-    """Add `left right[q]^T` to `out[e]`."""
+    """`out[e] += left right[q]^T`."""
     for i in range(6):
         for j in range(6):
             total = 0.0
